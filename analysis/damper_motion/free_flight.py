@@ -183,7 +183,7 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
     model, body = structural_model(scene), damper.body - 1
     bed = model.bed_mass[scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
-        return float(1.0 + 1.0 / (model.mobility[body, body] * bed))
+        return float(1.0 + 1.0 / (model.inverse_mass[body, body] * bed))
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:

@@ -179,11 +179,11 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
 
 def linear_theory(rec: Recording, frf: Response) -> Response:
     """Compute the exact FRF of the linear structure without dampers for the same response and reference."""
-    from rig.system.structural_model import receptance
+    from rig.system.structural_model import receptance, transmissibility
 
     low, high = float(frf.frequency.min()), float(frf.frequency.max())
     frequency = np.geomspace(low, high, 3000)
-    rows = receptance(rec.scene, frequency, attached=frf.reference == "table")
+    rows = (transmissibility if frf.reference == "table" else receptance)(rec.scene, frequency)
     body = int(rec.channels[frf.response].at.split()[1])
     zeros = np.zeros(frequency.size)
     curve = Response.curve(

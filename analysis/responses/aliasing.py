@@ -113,7 +113,7 @@ def _impact_ratio(scene: Scene, body: int) -> float:
 
 def _inverse_mass(scene: Scene, body: int) -> float:
     """Return the acceleration of a body per force on it while no other force acts on any body, 1/kg."""
-    return float(structural_model(scene).mobility[body - 1, body - 1])
+    return float(structural_model(scene).inverse_mass[body - 1, body - 1])
 
 
 def _image_ratio(

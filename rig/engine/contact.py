@@ -11,9 +11,9 @@ speed is the negative of the opening speed.
 A Zeno sequence is an infinite number of ever lower rebounds in a finite time. It ends where a rebound is within
 rounding.
 
-Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains the motion of
-the bodies, `state.height` and `state.speed` that of the dampers in flight. The `multiplicity` of a gap's zero is the
-number of its leading power-series coefficients (gap, rate, ...) that are exactly zero.
+Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains displacements
+and velocities of the bodies, `state.height` and `state.speed` those of the dampers in flight. The `multiplicity` of a
+gap's zero is the number of leading terms of its power series in time (gap, rate, ...) that are exactly zero.
 
 References
 ----------
@@ -37,14 +37,14 @@ _RELEASE_MULTIPLICITY = 2
 
 @inlined_kernel
 def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Set damper j, which is at its wall, in flight with a velocity `speed`, m/s, positive upwards."""
+    """Change damper j from rest on its wall to flight with the velocity `speed`, m/s, positive upwards."""
     height = state.z[model.position[j]]
-    if state.mode[j] == CEILING:
+    if state.contact[j] == CEILING:
         height += model.clearance[j]
         multiplicity = -multiplicity
     state.height[j] = height
     state.speed[j] = speed
-    state.mode[j] = FLIGHT
+    state.contact[j] = FLIGHT
     state.multiplicity[j] = multiplicity
     toggle_contact(flow, model, state, j)
 
@@ -57,18 +57,20 @@ def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplic
 
 
 @inlined_kernel
-def _contact_direction(mode: int) -> float:
+def _contact_direction(contact: int) -> float:
     """Return the direction in which a wall pushes a damper: 1 (up) for the floor, -1 for the ceiling."""
-    return -1.0 if mode == CEILING else 1.0
+    return -1.0 if contact == CEILING else 1.0
 
 
 @inlined_kernel
 def _sum_forces(model: Model, state: State, force: Array) -> None:
-    """Sum the forces on every coordinate, N: of springs, dashpots, drive and finite-duration contacts."""
+    """Sum the forces of springs, dashpots, drive and finite-duration contacts on every coordinate, N."""
     affine_product(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
     for j in range(model.mass.shape[0]):
-        if model.bed[j] >= 0 and state.mode[j] != FLIGHT:
-            force[model.bed[j]] += _contact_direction(state.mode[j]) * wall_force(model, state.z, j, state.mode[j])
+        if model.gap_coordinate[j] >= 0 and state.contact[j] != FLIGHT:
+            force[model.gap_coordinate[j]] += _contact_direction(state.contact[j]) * wall_force(
+                model, state.z, j, state.contact[j]
+            )
 
 
 @inlined_kernel
@@ -77,8 +79,8 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
 
     `rebound_speed`: relative to the wall, m/s; `force`: on every coordinate, N.
 
-    With a full mass matrix other contacts also act on the body, so the magnitude of the accelerations is used. A damper
-    that is wrongly set to rest has a tensile contact force and is released immediately.
+    With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper limit of its
+    acceleration is used. A damper that is wrongly set to rest has a tensile contact force and is released immediately.
     """
     row = model.position[j]
     if model.coupled:
@@ -87,27 +89,27 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
             approach_acceleration += abs(model.inverse_mass[row, c] * force[c])
     else:
         body_acceleration = force[row] * model.inverse_mass[row, row]
-        approach_acceleration = _contact_direction(state.mode[j]) * (body_acceleration + model.gravity)
-    # The gap is a difference of heights of this magnitude, m.
-    magnitude = 2.0 * abs(state.z[row])
-    if state.mode[j] == CEILING:
-        magnitude += model.clearance[j]
+        approach_acceleration = _contact_direction(state.contact[j]) * (body_acceleration + model.gravity)
+    # The gap is a difference of heights; its rounding error is proportional to the sum of their magnitudes, m.
+    height_magnitude = 2.0 * abs(state.z[row])
+    if state.contact[j] == CEILING:
+        height_magnitude += model.clearance[j]
     # A rebound at speed v reaches the height v^2 / (2 a).
-    min_squared_speed = 2.0 * approach_acceleration * ROUNDING * magnitude
+    min_squared_speed = 2.0 * approach_acceleration * ROUNDING * height_magnitude
     return approach_acceleration > 0.0 and rebound_speed * rebound_speed < min_squared_speed
 
 
 @inlined_kernel
 def _end_impact(flow: Flow, model: Model, state: State, j: int, rebound_speed: float) -> None:
-    """Set damper j, whose `mode` is the wall that it hit, in flight at its rebound speed, or at rest for speed 0."""
-    sign = _contact_direction(state.mode[j])
+    """Set damper j in flight from the wall that it hit (`state.contact`), or at rest on it for rebound speed 0."""
+    sign = _contact_direction(state.contact[j])
     if rebound_speed > 0.0:
         height = state.z[model.position[j]]
-        if state.mode[j] == CEILING:
+        if state.contact[j] == CEILING:
             height += model.clearance[j]
         state.height[j] = height
         state.speed[j] = state.z[model.velocity[j]] + sign * rebound_speed
-        state.mode[j] = FLIGHT
+        state.contact[j] = FLIGHT
         state.multiplicity[j] = 1 if sign > 0.0 else -1
     else:
         state.multiplicity[j] = 0
@@ -134,7 +136,7 @@ def _independent_impact(
 ) -> None:
     """Apply the impact of damper j if the mass matrix does not couple it to other dampers."""
     body = model.velocity[j]
-    state.mode[j] = wall
+    state.contact[j] = wall
     sign = _contact_direction(wall)
     closing_speed = sign * (state.z[body] - state.speed[j])
     rebound_speed = model.restitution[j] * closing_speed
@@ -149,7 +151,7 @@ def _independent_impact(
 
 @kernel
 def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, count: int) -> None:
-    """Close the contacts that an impact opens too slowly for the gap to exceed rounding.
+    """Keep the contacts closed that an impact opens too slowly for the gap to exceed rounding.
 
     `count`: number of contacts that take part in the impact; they are the first entries of the arrays in `work`.
 
@@ -177,15 +179,15 @@ def _coupled_impact(
     """Apply the impact of damper j together with all dampers in contact or touching, through a full mass matrix."""
     count = 0
     for i in range(model.mass.shape[0]):
-        if model.bed[i] >= 0:
+        if model.gap_coordinate[i] >= 0:
             continue
-        work.flying[count] = state.mode[i] == FLIGHT
+        work.flying[count] = state.contact[i] == FLIGHT
         if work.flying[count]:
             contact = wall if i == j else _touched_wall(model, state, i)
             if contact == FLIGHT:
                 continue
-            state.mode[i] = contact
-        sign = _contact_direction(state.mode[i])
+            state.contact[i] = contact
+        sign = _contact_direction(state.contact[i])
         work.damper[count] = i
         work.sign[count] = sign
         work.velocity_before[count] = state.z[model.velocity[i]]
@@ -212,12 +214,13 @@ def _coupled_impact(
             has_no_rebound = work.rhs[a] == work.opening_speed[a]
             if work.active[a] and has_no_rebound:
                 rebound_speed = 0.0
-            # The guard of damper j is at zero and falling: unless another impact opens it, an opening is rounding.
+            # The gap of damper j is zero and decreasing. A new opening speed up to the opening speed before the impact
+            # is a rounding error.
             if i == j and 0.0 < rebound_speed <= work.opening_speed[a]:
                 rebound_speed = 0.0
-            # Another impact may move the wall away before the damper touches it.
+            # Without reaction, another impact has moved the wall away before the damper touched it.
             if work.reaction[a] > 0.0 or rebound_speed <= 0.0:
-                log_event(log, i, state.mode[i], -work.opening_speed[a])
+                log_event(log, i, state.contact[i], -work.opening_speed[a])
             _end_impact(flow, model, state, i, rebound_speed)
         elif not work.active[a]:
             opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
@@ -228,31 +231,29 @@ def _coupled_impact(
 
 @inlined_kernel
 def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Release each damper whose contact force is tensile; the contacts do not affect each other."""
+    """Release each damper whose contact force is tensile, if contacts do not affect each other."""
     force = work.force
     for i in range(model.mass.shape[0]):
-        if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
+        if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
             continue
         row = model.position[i]
-        floor_force_per_mass = force[row] * model.inverse_mass[row, row] + model.gravity
-        if _contact_direction(state.mode[i]) * floor_force_per_mass >= 0.0:
+        # Upward contact force on the damper divided by its mass, if it moves with its body.
+        relative_acceleration = force[row] * model.inverse_mass[row, row] + model.gravity
+        if _contact_direction(state.contact[i]) * relative_acceleration >= 0.0:
             continue
         magnitude = model.gravity
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
-        if abs(floor_force_per_mass) > ROUNDING * magnitude:
+        if abs(relative_acceleration) > ROUNDING * magnitude:
             separate(flow, model, state, log, i, _RELEASE_MULTIPLICITY)
 
 
 @kernel
 def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Release tensile contacts: solve for the forces of all contacts at rest together.
-
-    The solution starts from the accelerations of the bodies without these contacts.
-    """
+    """Solve for the forces of all contacts at rest together, and release those that would be tensile."""
     count = 0
     for i in range(model.mass.shape[0]):
-        if model.bed[i] >= 0 or state.mode[i] == FLIGHT:
+        if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
             continue
         row = model.position[i]
         free_acceleration = 0.0
@@ -262,7 +263,7 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
             for column in range(model.force.shape[1]):
                 magnitude += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
         work.damper[count] = i
-        work.sign[count] = _contact_direction(state.mode[i])
+        work.sign[count] = _contact_direction(state.contact[i])
         work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
         work.magnitude[count] = magnitude
         count += 1

@@ -1,10 +1,10 @@
-"""Finite-duration contact: floor and ceiling are spring-dampers without adhesion.
+"""Finite-duration contact: floor and ceiling are springs with dashpots, without adhesion.
 
 The *bed* is the particles of a damper, modeled as one mass. Its height above its floor, the gap g, is a coordinate.
 The walls are the floor, at the height g_w = 0, and the ceiling, at g_w = clearance. While the bed overlaps a wall and
 the force points away from the wall, the force on the bed is -k (g - g_w) - c g' (k stiffness, c damping of the wall).
-At a contact change the force may jump, but no velocity does. Three guards detect the changes. A guard is a function of
-the state, here a linear one, whose zero is a contact change:
+At a contact change the force may jump, but no velocity does. Three guards detect the changes. A guard is a linear
+function of the state whose zero is a contact change:
 
 - a free bed touches a wall when the gap to it falls to zero;
 - the wall releases the bed when the force falls to zero; with a dashpot this is before the overlap is zero;
@@ -12,8 +12,8 @@ the state, here a linear one, whose zero is a contact change:
   speed rises to zero, and is free when the overlap is zero. Becoming free changes no force and is not an event.
 
 Function arguments: `z` is the state, `j` the number of the damper from 0, `wall` is FLOOR or CEILING. `tau` is the time
-in a step relative to its length. The `multiplicity` of a guard is the number of its leading power-series coefficients
-in tau that are exactly zero.
+in a step relative to its length. The `multiplicity` of a guard's zero at tau = 0 is the number of leading terms of its
+power series that are exactly zero.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from rig.numerics.bernstein import N_COEFFICIENTS, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel, kernel
 
-#: Kinds of contact change: `FLOOR` or `CEILING` if the bed touches that wall, otherwise one of these.
+#: Kinds of contact change: `FLOOR` or `CEILING` if the bed touches that wall; released by its wall; free of overlap.
 RELEASED, FREE = 0, 3
 #: Largest force, relative to the forces of spring and dashpot, that may be a rounding error of their sum.
 MAX_ZERO_FORCE_RATIO = 1e-6
@@ -52,13 +52,13 @@ GAP_ROUNDING_RATIO = 1e-9
 @inlined_kernel
 def bed_gap(model: Model, z: Array, j: int) -> float:
     """Return the height of a bed above its floor, m."""
-    return z[model.bed[j]]
+    return z[model.gap_coordinate[j]]
 
 
 @inlined_kernel
 def gap_rate(model: Model, z: Array, j: int) -> float:
     """Return the rate of change of the gap, m/s; positive upwards."""
-    return z[model.first_velocity + model.bed[j]]
+    return z[model.first_velocity + model.gap_coordinate[j]]
 
 
 @inlined_kernel
@@ -79,7 +79,7 @@ def wall_force(model: Model, z: Array, j: int, wall: int) -> float:
 @inlined_kernel
 def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
     """Return the rate of change of the wall force, N/s; `z` must contain the accelerations after the state."""
-    acceleration = z[model.first_acceleration + model.bed[j]]
+    acceleration = z[model.first_acceleration + model.gap_coordinate[j]]
     rate = model.wall_stiffness[j, wall - 1] * gap_rate(model, z, j) + model.wall_damping[j, wall - 1] * acceleration
     return -rate if wall == FLOOR else rate
 
@@ -88,8 +88,8 @@ def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
 def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
     """Return whether the force of a wall is zero within rounding.
 
-    The force is zero at every touch and release, except where an impact of another damper opens or closes the contact
-    through a full mass matrix. Without a dashpot, the force is the rounding error of the overlap times the stiffness.
+    The force is zero at every release, and at every touch without a dashpot or after recovery. An exception is a
+    contact that an impact of another damper opens or closes through a full mass matrix.
     """
     spring_force = model.wall_stiffness[j, wall - 1] * abs(overlap(model, z, j, wall))
     dashpot_force = model.wall_damping[j, wall - 1] * abs(gap_rate(model, z, j))
@@ -108,13 +108,13 @@ def _force_rounding(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
-    """Return the smallest guard of a bed at a state: a gap, m, or a wall force, N.
+    """Return the smallest guard of a bed at the state z: a gap, m, or a wall force, N.
 
-    It is 0 for a recovering bed, which is therefore never above its margin (`rig.engine.screening`).
+    It is 0 for a recovering bed, whose guards are therefore always examined (`rig.engine.screening`).
     """
-    mode = state.mode[j]
-    if mode != FLIGHT:
-        return wall_force(model, z, j, mode)
+    contact = state.contact[j]
+    if contact != FLIGHT:
+        return wall_force(model, z, j, contact)
     if state.recovering[j] != FLIGHT:
         return 0.0
     gap = bed_gap(model, z, j)
@@ -125,17 +125,17 @@ def lowest_guard(model: Model, state: State, z: Array, j: int) -> float:
 def _guard_series(
     model: Model, workspace: Workspace, j: int, length: float, gap_factor: float, speed_factor: float, offset: float
 ) -> float:
-    """Fill `workspace.guard_series` with the guard gap_factor (g - offset) + speed_factor g'.
+    """Fill `workspace.guard_series` with the series of the guard gap_factor (g - offset) + speed_factor g'.
 
-    `length`: duration relative to a full step. Returns the sum of the magnitudes of the terms.
+    `length`: of the step, relative to a full step. Returns the sum of the magnitudes of the terms.
     """
     series = workspace.guard_series
-    bed = model.bed[j]
+    gap = model.gap_coordinate[j]
     magnitude = abs(gap_factor) * offset
     power = 1.0
     for k in range(N_COEFFICIENTS):
-        gap_term = gap_factor * workspace.state_series[k, bed] * power
-        speed_term = speed_factor * workspace.state_series[k, model.first_velocity + bed] * power
+        gap_term = gap_factor * workspace.state_series[k, gap] * power
+        speed_term = speed_factor * workspace.state_series[k, model.first_velocity + gap] * power
         series[k] = gap_term + speed_term
         magnitude += abs(gap_term) + abs(speed_term)
         power *= length
@@ -165,10 +165,10 @@ def first_contact_change(
     Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact change;
     `ambiguous`: number of minima of the guards that are zero within rounding, and are not counted as crossings.
     """
-    mode, wall = state.mode[j], state.recovering[j]
+    contact, wall = state.contact[j], state.recovering[j]
     multiplicity = state.multiplicity[j]
     clearance = model.clearance[j]
-    if mode == FLIGHT and wall == FLIGHT:
+    if contact == FLIGHT and wall == FLIGHT:
         # `State.multiplicity` is positive for a zero of the gap to the floor, negative for the gap to the ceiling.
         magnitude = _guard_series(model, workspace, j, length, 1.0, 0.0, 0.0)
         tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
@@ -180,15 +180,15 @@ def first_contact_change(
             if ceiling_tau < tau:
                 tau, change = ceiling_tau, CEILING
         return tau, change, ambiguous
-    wall = wall if mode == FLIGHT else mode
+    wall = wall if contact == FLIGHT else contact
     outward = 1.0 if wall == FLOOR else -1.0  # direction from the wall into the cavity
     # The guard of a touching bed is the wall's force, that of a recovering bed its negative.
-    sign = outward if mode == FLIGHT else -outward
+    sign = outward if contact == FLIGHT else -outward
     offset = 0.0 if wall == FLOOR else clearance
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
     magnitude = _guard_series(model, workspace, j, length, sign * stiffness, sign * damping, offset)
     tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
-    if mode != FLIGHT:
+    if contact != FLIGHT:
         return tau, RELEASED, ambiguous
     change = wall
     magnitude = _guard_series(model, workspace, j, length, -outward, 0.0, offset)
@@ -200,16 +200,16 @@ def first_contact_change(
 
 @kernel
 def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
-    """Apply a kind of contact change to damper j: it touches a wall, is released by it, or becomes free of it."""
+    """Apply a contact change to damper j: it touches a wall, is released by it, or no longer overlaps it."""
     if change == FREE:
         state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
         state.recovering[j] = FLIGHT
         return
-    ceiling = state.mode[j] == CEILING if change == RELEASED else change == CEILING
+    ceiling = state.contact[j] == CEILING if change == RELEASED else change == CEILING
     wall = CEILING if ceiling else FLOOR
     multiplicity = 1 if _is_zero_force(model, state.z, j, wall) else 0
     if change == RELEASED:
-        state.mode[j] = FLIGHT
+        state.contact[j] = FLIGHT
         spring_force = model.wall_stiffness[j, wall - 1] * overlap(model, state.z, j, wall)
         if spring_force > _force_rounding(model, state.z, j, wall):
             state.recovering[j] = wall
@@ -219,7 +219,7 @@ def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, cha
         log_event(log, j, RELEASE, 0.0)
     else:
         closing_speed = gap_rate(model, state.z, j) if ceiling else -gap_rate(model, state.z, j)
-        state.mode[j] = wall
+        state.contact[j] = wall
         state.recovering[j] = FLIGHT
         state.multiplicity[j] = multiplicity
         log_event(log, j, CEILING_TOUCH if ceiling else FLOOR_TOUCH, closing_speed)

@@ -17,25 +17,26 @@ TERMS = 25
 class Flow(NamedTuple):
     """Tables of a system; the first index of each table of numbers is the table index of a configuration.
 
-    The state obeys z' = A z + b, h is the step length, tau = t / h the time in a step. A guard is a gap or contact
-    force, whose zero is a contact change. Matrices are stored [column, row] with padded rows. The table X and its
+    The state obeys z' = A z + b. The step length is h, and tau = t / h is the time in a step. A guard is a gap or
+    contact force, whose zero is a contact change. Matrices are stored [column, row] with padded rows. A table X and its
     constant part represent the affine map X z + X_constant.
 
     has_series: whether `series` is filled. has_step_matrix: whether all other tables are.
     drive_is_smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
     uses_envelope: whether steps are so short that the envelope of `rig.engine.screening` saves time.
-    step_matrix: state after a full step; its accelerations follow, then as far as there is room their derivatives with
-    respect to tau. derivative: accelerations and their derivatives at a state itself. series: (A h)^k / k! for every k.
-    margin: applied to |z|, largest decrease of each damper's guard below its values at the ends of a step (an eighth of
-    the bound of its second derivative, and rounding).
-    bound: applied to |z|, for each damper the bound of the fourth derivative of its guard with respect to tau over the
-    step, then the sum of the magnitudes of the guard's terms.
+    step_matrix: gives the state after a full step, its accelerations and, as far as the padding has room, their
+    derivatives with respect to tau. derivative: gives accelerations and their derivatives at the state z itself.
+    series: (A h)^k / k! for every k.
+    margin: gives from |z| the largest decrease of each damper's guard in a step below its values at both ends (an
+    eighth of the bound of its second derivative, and rounding).
+    bound: gives from |z| for each damper a bound of the fourth derivative of its guard with respect to tau over a step,
+    then for each damper the sum of the magnitudes of the guard's terms.
     rates: nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b.
     after_toggle[k, i]: table index after the change i of `HybridSystem.toggles` to the configuration with table index
     k, or -1 if it is not yet computed.
 
-    The guard of a damper depends on the position of its body in flight, and on the body's acceleration at rest. The
-    guard of a finite-duration contact depends on the gap in flight, and on the wall's force in contact.
+    The tables of guards contain the part that depends on z: for a damper in flight the position of its body, for a
+    damper at rest the body's acceleration; with finite-duration contact the gap in flight, or the wall's force.
     """
 
     has_series: bool
@@ -60,9 +61,9 @@ class Flow(NamedTuple):
 
 
 class Model(NamedTuple):
-    """Constants of a system for the contact laws and the guards, in SI units as in `HybridSystem`.
+    """Constants of a system for the contact laws and the guards, in SI units; further fields as in `HybridSystem`.
 
-    step: step length, s. mass: of each damper. toggles: changes of the configuration bits by each contact.
+    step: step length, s. mass: of each damper.
     position, velocity: indices in the state of the position and velocity of each damper's body. first_velocity: index
     of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations that
     are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
@@ -74,7 +75,7 @@ class Model(NamedTuple):
     mass: np.ndarray
     clearance: np.ndarray
     restitution: np.ndarray
-    bed: np.ndarray
+    gap_coordinate: np.ndarray
     wall_stiffness: np.ndarray
     wall_damping: np.ndarray
     toggles: np.ndarray

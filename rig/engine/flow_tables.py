@@ -1,14 +1,13 @@
 """The exact flow: tables for each contact configuration, computed when the configuration is first visited.
 
-The configuration states which dampers are in contact with which wall. Its tables are identified by a table index, which
-counts the configurations in the order of their first visit. With the drive included as states, z' = A z + b, and the
-matrix exponential is the power series
+The configuration states which dampers are in contact with which wall. Its table index counts the configurations in the
+order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix exponential gives
 
-    z(t + tau h) = sum_k tau^k (A h)^k / k! z + ...
+    z(t + tau h) = sum_k tau^k (A h)^k / k! z(t) + terms of b
 
-It converges to rounding at degree `rig.numerics.bernstein.DEGREE`, because the step h is chosen so that h times the
-largest rate of the system is at most `MAX_RATE_TIMES_STEP`. There are no eigenvectors and no particular solution, so
-that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
+The series converges to rounding at degree `rig.numerics.bernstein.DEGREE`, because the product of the step h and the
+largest rate of the system is at most `MAX_RATE_TIMES_STEP`. Neither eigenvectors nor a particular solution are needed,
+so that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
 
 The number of states and of possible configurations determines which tables are computed. For a small system all matrix
 powers are tabulated. For a larger system the matrix of a full step is tabulated; where a contact may change, the series
@@ -16,8 +15,8 @@ is summed from the sparse matrix A as A z, A (A z), ..., at a cost proportional 
 with many dampers is propagated by this series only.
 
 A *guard* is a gap or a contact force, whose zero is a contact change. Further tables bound the guards within a step
-(`rig.engine.screening`): the fourth derivative, the sum of the magnitudes of the terms, and the *margin*, the largest
-decrease below the values at both ends of the step.
+(`rig.engine.screening`): bounds of the fourth derivative, sums of the magnitudes of the terms, and the *margin*, the
+largest decrease within a step below the values at both ends.
 """
 
 from __future__ import annotations
@@ -46,18 +45,18 @@ FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
 MAX_STEP_MATRIX_STATES = 400
 #: Largest number of dampers for which the matrix of a full step is tabulated.
 MAX_STEP_MATRIX_DAMPERS = 6
-#: Largest memory, in bytes, of the step matrices of a system with more states. They are faster than the series if A is
-#: dense (modal damping, given matrices).
+#: Largest memory, in bytes, of the step matrices of all configurations of a system with more states. They are faster
+#: than the series if A is dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
 #: Largest number of configuration bits for which an array contains the table index of every possible configuration.
 MAX_DIRECT_LOOKUP_BITS = 12
-#: Largest phase advance of the drive per step with which the coarse bounds of an envelope are useful.
+#: Largest phase advance of the drive per step at which envelopes (`rig.engine.screening`) save time.
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32
-# Number of configurations for which the first tables have room.
+# Number of configurations for which memory is first allocated.
 _INITIAL_CAPACITY = 4
 
 _CACHE: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
@@ -174,7 +173,7 @@ class FlowTables:
             mass=system.damper_mass.astype(np.float64),
             clearance=system.clearance.astype(np.float64),
             restitution=system.restitution.astype(np.float64),
-            bed=system.bed.astype(np.int64),
+            gap_coordinate=system.gap_coordinate.astype(np.int64),
             wall_stiffness=system.wall_stiffness.astype(np.float64),
             wall_damping=system.wall_damping.astype(np.float64),
             toggles=np.array(system.toggles, dtype=np.int64),
@@ -267,7 +266,8 @@ class FlowTables:
         terms = _exponential_terms(step_generator)
         constants = np.zeros((TERMS, size), dtype=self._precision)
         constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
-        # The tables are stored [column, row]: these are the rows of the state, and those that follow.
+        # The tables are stored [column, row]. The rows of accelerations and their derivatives follow those of the
+        # state.
         state_rows, after_state = slice(0, size), slice(size, size + 2 * nq)
         # Small terms first, so that the sum is accurate to its last bits.
         step_matrix, step_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)
@@ -282,10 +282,10 @@ class FlowTables:
         acceleration = matrix[nq : 2 * nq]
         derivative = np.concatenate([acceleration, acceleration @ step_generator])
         derivative_constant = np.concatenate([offset[nq : 2 * nq], acceleration @ offset * h])
-        n_free = flow.step_matrix.shape[2] - size  # rows after those of the state
-        flow.step_matrix[table_index][:size, after_state] = (derivative @ step_matrix).T[:, :n_free]
+        n_rows = flow.step_matrix.shape[2] - size  # rows after those of the state
+        flow.step_matrix[table_index][:size, after_state] = (derivative @ step_matrix).T[:, :n_rows]
         flow.step_matrix_constant[table_index][after_state] = (derivative @ step_constant + derivative_constant)[
-            :n_free
+            :n_rows
         ]
         flow.derivative[table_index][:, : 2 * nq] = derivative.T
         flow.derivative_constant[table_index][: 2 * nq] = derivative_constant
@@ -297,7 +297,7 @@ class FlowTables:
         at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
         rows = system.damper_coordinate + system.coordinates * at_rest
         guard_terms, guard_constants = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
-        # The acceleration's series is (k + 1) terms[k + 1] / h.
+        # The guard at rest is an acceleration, whose series in tau has the terms k terms[k] / h at the power k - 1.
         k = np.arange(TERMS)[:, None]
         magnitude = np.where(at_rest, k / self.step, 1.0)
         power = np.where(at_rest, k - 1, k)
@@ -319,7 +319,7 @@ class FlowTables:
     def _fill_finite_contact_bounds(
         self, table_index: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
     ) -> None:
-        """Fill bounds and margins of a finite-duration contact: of its gap, or of the force of the touched wall."""
+        """Fill bounds and margins of a finite-duration contact: of the gap in flight, or of the force of a wall."""
         flow, system = self.flow, self.system
         # `wall`: 0 floor, 1 ceiling.
         closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
@@ -327,7 +327,7 @@ class FlowTables:
         if closed:
             gap_factor, speed_factor = system.wall_stiffness[j, wall], system.wall_damping[j, wall]
         guard = np.zeros(self.size)
-        guard[[system.bed[j], system.coordinates + system.bed[j]]] = gap_factor, speed_factor
+        guard[[system.gap_coordinate[j], system.coordinates + system.gap_coordinate[j]]] = gap_factor, speed_factor
         wall_height = system.clearance[j] if wall or not closed else 0.0
         # The magnitudes bound the rounding errors, also of terms that cancel in the guard.
         terms_by_column = terms.swapaxes(1, 2)
@@ -386,11 +386,11 @@ def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
     result = right.copy()
     count = matrix.shape[0]
     for i in range(count):
-        for r in range(i + 1, count):
-            factor = matrix[r, i] / matrix[i, i]
+        for row in range(i + 1, count):
+            factor = matrix[row, i] / matrix[i, i]
             if factor != 0:
-                matrix[r, i:] -= factor * matrix[i, i:]
-                result[r] -= factor * result[i]
+                matrix[row, i:] -= factor * matrix[i, i:]
+                result[row] -= factor * result[i]
     for i in range(count - 1, -1, -1):
         result[i] = (result[i] - matrix[i, i + 1 :] @ result[i + 1 :]) / matrix[i, i]
     return result

@@ -1,11 +1,12 @@
 """First zero crossing of the guards within a step, located on their power series.
 
-A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall. Only the guards
-that screening did not prove free of zeros are examined. `rig.numerics.bernstein.first_crossing` isolates the crossing.
+A guard is the gap of a damper in flight to a wall, or the contact force of a damper at rest on a wall. Only guards that
+`rig.engine.screening` did not prove free of zeros are examined. `rig.numerics.bernstein.first_crossing` isolates the
+crossing.
 
-The time in a step is tau, relative to its length. The multiplicity of a guard is the number of its leading power-series
-coefficients in tau that are exactly zero. The magnitude of a guard is the sum of the magnitudes of its terms, to which
-its rounding errors are proportional.
+The time in a step is tau, relative to its length. The multiplicity of a guard's zero at tau = 0 is the number of
+leading terms of its power series that are exactly zero. The magnitude of a guard is the sum of the magnitudes of its
+terms, to which its rounding errors are proportional.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def bound_by_tables(flow: Flow, table_index: int, z: Array, workspace: Workspace
 @kernel
 def bound_by_series(
     model: Model,
-    mode: Array,
+    contact: Array,
     state_series: Array,
     length: float,
     z: Array,
@@ -49,25 +50,26 @@ def bound_by_series(
 ) -> None:
     """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest.
 
-    `mode`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the step,
-    relative to a full step. `z`, `end_state`: states at both ends of the step, in which the accelerations of the bodies
-    and their derivatives are stored from the index `first_acceleration` on. `bound`: filled as by `bound_by_tables`.
+    `contact`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the
+    step, relative to a full step. `z`, `end_state`: states at both ends of the step. In both, the accelerations of the
+    bodies and their derivatives are stored from the index `first_acceleration` on. `bound`: filled as by
+    `bound_by_tables`.
     """
-    dampers, points = model.mass.shape[0], model.first_velocity
+    dampers, coordinates = model.mass.shape[0], model.first_velocity
     for j in range(dampers):
-        if model.bed[j] >= 0:
-            # An infinite bound proves nothing, so that the series is always examined.
+        if model.gap_coordinate[j] >= 0:
+            # With an infinite bound no guard is proven free of zeros, so that its series is always examined.
             bound[j] = np.inf
             continue
-        at_rest = mode[j] != FLIGHT
-        row = model.velocity[j] if at_rest else model.position[j]  # of the state whose series is the guard's
+        at_rest = contact[j] != FLIGHT
+        row = model.velocity[j] if at_rest else model.position[j]
         index = first_acceleration + model.position[j]
-        shift = 1 if at_rest else 0
+        lost_terms = 1 if at_rest else 0  # by differentiation
         end_value = 0.0
         end_slope = 0.0
         fourth_derivative = 0.0
         magnitude = 0.0
-        for k in range(N_COEFFICIENTS - 1 - shift, -1, -1):
+        for k in range(N_COEFFICIENTS - 1 - lost_terms, -1, -1):
             # The acceleration's series is (k + 1) state_series[k + 1] / h.
             term = state_series[k + 1, row] * (k + 1) / model.step if at_rest else state_series[k, row]
             end_slope = end_slope * length + end_value
@@ -75,10 +77,10 @@ def bound_by_series(
             fourth_derivative += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
             magnitude += abs(term)
             if at_rest and k <= 1:
-                z[index + k * points] = term
+                z[index + k * coordinates] = term
         if at_rest:
             end_state[index] = end_value
-            end_state[index + points] = end_slope
+            end_state[index + coordinates] = end_slope
         bound[j] = fourth_derivative
         bound[dampers + j] = magnitude
 
@@ -89,7 +91,7 @@ def _gap_series(
 ) -> tuple[int, float]:
     """Fill `workspace.guard_series` with the gap of a damper in flight to the floor or the ceiling, m.
 
-    Returns (multiplicity of its zero at tau = 0, magnitude).
+    Returns the multiplicity of the gap's zero at tau = 0, and its magnitude.
     """
     series = workspace.guard_series
     row = model.position[j]
@@ -116,7 +118,7 @@ def _force_series(model: Model, state: State, workspace: Workspace, j: int, leng
     """Fill `workspace.guard_series` with a contact force per mass, m/s^2; return the same as `_gap_series`."""
     series = workspace.guard_series
     row = model.velocity[j]
-    sign = 1.0 if state.mode[j] == FLOOR else -1.0
+    sign = 1.0 if state.contact[j] == FLOOR else -1.0
     power = sign / model.step
     for k in range(N_COEFFICIENTS):
         series[k] = (k + 1) * workspace.state_series[k + 1, row] * power
@@ -131,26 +133,27 @@ def first_event(
 ) -> tuple[float, int, int]:
     """Find the earliest event of the step among the guards that `screen` did not prove free of zeros.
 
-    `unproven`, `unproven_ceilings`: see `screen`; unless both are 0, the series of the state must be filled.
+    `unproven`, `unproven_ceilings`: see `screen`; unless both are 0, `workspace.state_series` must be filled.
 
-    Returns (fraction of `length` or NO_CROSSING, damper from 0, guard or change of a finite-duration contact).
+    Returns the time of the event, relative to `length`, or NO_CROSSING; the damper from 0; the kind of its guard, or
+    the change of its finite-duration contact.
     """
     first_tau, damper, crossed = NO_CROSSING, -1, 0
     for j in range(model.mass.shape[0]):
         if (unproven | unproven_ceilings) >> j & 1 == 0:
             continue
-        if model.bed[j] >= 0:
+        if model.gap_coordinate[j] >= 0:
             tau, guard, ambiguous = first_contact_change(model, state, workspace, j, length)
             state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
                 first_tau, damper, crossed = tau, j, guard
             continue
-        for side in range(2):
-            if (unproven_ceilings if side == 1 else unproven) >> j & 1 == 0:
+        for ceiling in range(2):
+            if (unproven_ceilings if ceiling == 1 else unproven) >> j & 1 == 0:
                 continue
-            if state.mode[j] == FLIGHT:
-                guard = CEILING_GAP if side == 1 else FLOOR_GAP
-                multiplicity, magnitude = _gap_series(model, state, workspace, j, length, side == 1)
+            if state.contact[j] == FLIGHT:
+                guard = CEILING_GAP if ceiling == 1 else FLOOR_GAP
+                multiplicity, magnitude = _gap_series(model, state, workspace, j, length, ceiling == 1)
             else:
                 guard = CONTACT_FORCE
                 multiplicity, magnitude = _force_series(model, state, workspace, j, length)

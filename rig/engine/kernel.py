@@ -2,9 +2,9 @@
 
 Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where
 A and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is
-one matrix product; every other step is the sum of a power series. Every guard (gap, contact force) is proven free of
-zeros over the step (`rig.engine.screening`), or its first crossing is isolated (`rig.engine.guards`) and the step ends
-there. Each proof is rigorous, so the motion does not depend on which proof succeeded.
+one matrix product; a shorter step is the sum of a power series. A guard is a gap or a contact force. Either every guard
+is proven free of zeros over the step (`rig.engine.screening`), or the step ends at the first crossing
+(`rig.engine.guards`). Each proof is rigorous, so the motion does not depend on which proof succeeded.
 
 Terms:
 
@@ -57,9 +57,9 @@ DONE, TABLES_MISSING, LOG_FULL, STUCK = 0, 1, 2, 3
 #: Largest number of events at one instant, per damper; a larger number contradicts the contact law.
 MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
-#: that is below the rounding of a longer one.
+#: that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: Operation still to do after a contact change: none; complete the break in the log; first release tensile contacts.
+#: Pending after a contact change: nothing; completion of the break in the log; before it, release of tensile contacts.
 _NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
 #: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
 _SEPARATION_MULTIPLICITY = 3
@@ -69,7 +69,7 @@ _SEPARATION_MULTIPLICITY = 3
 def _advance_flights(model: Model, state: State, duration: float) -> None:
     """Propagate every flying damper by a duration, s, and reset the multiplicities of all guards."""
     for j in range(model.mass.shape[0]):
-        if state.mode[j] == FLIGHT and model.bed[j] < 0:
+        if state.contact[j] == FLIGHT and model.gap_coordinate[j] < 0:
             state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
             state.speed[j] -= model.gravity * duration
         state.multiplicity[j] = 0
@@ -92,14 +92,14 @@ def advance(
 
     `segment`: number of the segment, for the log.
     `steps`, `remaining`: duration of the segment and of its part still to be propagated, in step lengths (not
-    necessarily integers). The times of events are computed from both, so that they are bitwise identical, no matter how
+    necessarily integers). Event times are computed from these two alone. They are therefore bitwise identical however
     often the kernel returned within the segment.
     `status`: `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with
     accelerations, and every guard above its margin).
     `accelerations`: whether the accelerations at the end are needed; they are stored after the state.
 
-    Returns (reason, remaining, status). `reason`: `DONE`, or `TABLES_MISSING`, `LOG_FULL`, `STUCK`; after the caller
-    has removed the cause, call again with the remaining steps.
+    Returns (reason, remaining, status). `reason`: `DONE`, `TABLES_MISSING`, `LOG_FULL` or `STUCK`. After missing tables
+    are computed or the log is enlarged, call again with the remaining steps.
     """
     columns = flow.rates_constant.shape[1]  # number of states, drive included
     dampers = model.mass.shape[0]
@@ -170,7 +170,7 @@ def advance(
         else:
             bound_by_series(
                 model,
-                state.mode,
+                state.contact,
                 workspace.state_series,
                 length,
                 state.z,
@@ -208,7 +208,7 @@ def advance(
                 return STUCK, remaining, status
         log.counts[PRESENT_SEGMENT] = segment
         log.present_offset[0] = (steps - remaining) * model.step
-        finite_contact = model.bed[j] >= 0
+        finite_contact = model.gap_coordinate[j] >= 0
         if not (finite_contact and guard == FREE):
             open_break(model, state, log)
             pending = _CLOSE_BREAK
@@ -216,7 +216,9 @@ def advance(
             change_contact(flow, model, state, log, j, guard)
             if guard != FREE:
                 # The gap differs in order of magnitude between contact and flight, so its envelope restarts.
-                workspace.envelope[model.bed[j]] = workspace.envelope[model.first_velocity + model.bed[j]] = 0.0
+                workspace.envelope[model.gap_coordinate[j]] = workspace.envelope[
+                    model.first_velocity + model.gap_coordinate[j]
+                ] = 0.0
                 if model.coupled:
                     pending = _RELEASE
         elif guard == CONTACT_FORCE:

@@ -1,8 +1,7 @@
 """The state within one step: its power series in time, the sum of the series, and the accelerations.
 
 They are computed from the tables of `rig.engine.flow`, or for a system without tables from the sparse matrix A of
-z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1. A guard is a gap or contact force, whose zero is a
-contact change.
+z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1.
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import affine_product, affine_product_many
 
 #: Status of the present state. CONTACTS_UNCHECKED: contact forces may be tensile. STATE_ONLY: the accelerations are not
-#: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every guard exceeds its
-#: margin, above which it has no zero in a step (`rig.engine.screening`).
+#: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every guard (gap or
+#: contact force) exceeds its margin (`rig.engine.screening`).
 CONTACTS_UNCHECKED, STATE_ONLY, WITH_ACCELERATIONS, ABOVE_MARGINS = -1, 0, 1, 2
 
 
@@ -54,20 +53,20 @@ def sum_state_series(workspace: Workspace, tau: float, out: Array) -> None:
 
 @inlined_kernel
 def store_accelerations(flow: Flow, model: Model, table_index: int, z: Array, work: Array, status: int) -> None:
-    """Store the accelerations after a state, unless they are stored already, and their derivatives with respect to tau.
+    """Store after a state its accelerations, if `status` is STATE_ONLY, and their derivatives with respect to tau.
 
-    `work`: scratch array; `status`: of the present state. For a system without tables for full steps, only the
-    accelerations are stored; `bound_by_series` computes the derivatives.
+    `work`: scratch array. For a system without tables for full steps, only the accelerations are stored;
+    `bound_by_series` computes the derivatives.
     """
     columns = flow.rates_constant.shape[1]
-    points = model.first_velocity
+    coordinates = model.first_velocity
     if flow.has_step_matrix:
         affine_product(flow.derivative, flow.derivative_constant, table_index, z, columns, work)
-        for i in range(points if status != STATE_ONLY else 0, 2 * points):
+        for i in range(coordinates if status != STATE_ONLY else 0, 2 * coordinates):
             z[columns + i] = work[i]
         return
-    for i in range(points, 2 * points):
+    for i in range(coordinates, 2 * coordinates):
         rate = flow.rates_constant[table_index, i]
         for entry in range(flow.row_pointer[i], flow.row_pointer[i + 1]):
             rate += flow.rates[table_index, entry] * z[flow.column[entry]]
-        z[columns + i - points] = rate
+        z[columns + i - coordinates] = rate

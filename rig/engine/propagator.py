@@ -1,12 +1,11 @@
 """Propagation of a system in time, under one of two kinds of drive; the entry point of the engine.
 
-Time is divided into segments. Sampled drive: one segment for each sample interval; the linear interpolation of the
-drive (first-order hold) is integrated exactly. Pure tone: segments between marks. A mark is a sample instant, or the
-start of a period. At the start of a period the phase of the drive is reset, so that it is exact after any number of
-periods.
+Time is divided into segments. Sampled drive: each sample interval is a segment; the linear interpolation of the drive
+(first-order hold) is integrated exactly. Pure tone: a segment ends at each sample instant and at each start of a
+period. There the phase of the drive is reset, so that it is exact after any number of periods.
 
 The drive states are the part of the state from which the inputs are computed. An event is a contact change of one
-damper, a break an instant at which velocities or accelerations jump; both are logged. A table index identifies the
+damper. A break is an instant at which velocities or accelerations jump. Both are logged. A table index identifies the
 tables of a contact configuration (which dampers are in contact with which wall).
 """
 
@@ -44,7 +43,7 @@ from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure
 
 #: Smallest number of rows (events and breaks) of a new log.
 LOG_ROWS = 1024
-# Largest number of steps in a sample interval or a period; this number takes some seconds of CPU time.
+# Largest number of steps in a sample interval or a period; they take some seconds of CPU time.
 MAX_STEPS = 1e7
 # `Segments.sets_drive`: every segment, or no segment, sets the drive at its start.
 _EVERY_SEGMENT = np.ones(1, dtype=bool)
@@ -57,11 +56,11 @@ _ZERO_STEPS = np.zeros(1)
 
 
 class Segments(NamedTuple):
-    """Time segments between the columns of a drive.
+    """Consecutive time segments.
 
-    steps: durations in step lengths. sets_drive: whether at the start of a segment, the drive states are set to the
-    drive and its change over the segment. Both have one entry for all segments, or one for each. drive: shape (inputs,
-    segments + 1).
+    steps: durations in step lengths; shape (segments,), or (1,) if all are equal. drive: at the ends of the segments;
+    shape (inputs, segments + 1). sets_drive: whether the drive states are set, at the start of a segment, to the drive
+    and its change over the segment; shape as of `steps`.
     row: row in which the motion at the end of each segment is stored, or -1; shape (segments,).
     """
 
@@ -78,12 +77,12 @@ class Segments(NamedTuple):
 
 @kernel
 def _propagate(
-    flow: Any, model: Any, state: Any, workspace: Any, log: Any, segments: Segments, begin: int, remaining: float,
+    flow: Any, model: Any, state: Any, workspace: Any, log: Any, segments: Segments, first: int, remaining: float,
     states: StateSamples, motion: MotionSamples, status: int,
 ) -> tuple[int, int, float]:  # fmt: skip
-    """Propagate through segments from number `begin` on, and fill the rows of `states` and the columns of `motion`.
+    """Propagate through segments from number `first` on, and fill the rows of `states` and the columns of `motion`.
 
-    `remaining`: steps of segment `begin` still to be propagated; negative: all. `status`: of the state, see `advance`.
+    `remaining`: steps of segment `first` still to be propagated; negative: all. `status`: of the state, see `advance`.
 
     Returns (reason, segment, remaining). The reason is `DONE` after the last segment. Otherwise it is another reason of
     `advance`; after the caller has removed the cause, continue from `segment` and `remaining`.
@@ -93,7 +92,7 @@ def _propagate(
     first_drive_state = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
     reset_envelope(flow, workspace)
-    for k in range(begin, count):
+    for k in range(first, count):
         segment_steps, stored = steps[stride * k], row[k] >= 0
         if remaining < 0.0:
             remaining = segment_steps
@@ -140,7 +139,7 @@ class Propagator:
             number = system.damper_number[system.grains][0]
             raise SceneError(
                 f"dampers[{number}] is a bed of grains, which only rig simulate, rig grains and daq "
-                "record can simulate. Remove its grains: to treat the bed as one mass."
+                "record can simulate. Remove the damper's key grains to treat the bed as one mass."
             )
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
@@ -149,7 +148,7 @@ class Propagator:
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.all_on_floor
-        self._window = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
+        self._buffer = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed_s = 0.0
@@ -186,11 +185,11 @@ class Propagator:
         return separated
 
     def snapshot(self) -> State:
-        """Return a copy of the complete state of motion, for `resume`."""
+        """Return a copy of the complete state, for `resume`."""
         return State(*(part.copy() for part in self.state))
 
     def resume(self, snapshot: tuple[Array, ...]) -> None:
-        """Continue from a state of motion of this system; the drive may be different."""
+        """Continue from a `snapshot` of this system; the drive may be different."""
         for current, copy in zip(self.state, snapshot, strict=True):
             current[...] = copy
         self._look_up_tables()
@@ -205,7 +204,7 @@ class Propagator:
             self.state.z[None].copy(),
             self.state.counters[TABLE_INDEX : TABLE_INDEX + 1].copy(),
             self.state.height[None].copy(),
-            self.state.mode[None].astype(np.int8),
+            self.state.contact[None].astype(np.int8),
             *self._take_log(),
         )
 
@@ -230,17 +229,17 @@ class Propagator:
 
     def sample_motion(self, drive: Array, interval_steps: float, motion: MotionSamples, column: int) -> Trajectory:
         """Propagate as `propagate_samples`, and store the motion in `motion` from a column on, but no states."""
-        motion.begin[0] = column
+        motion.first_column[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
         return self._run(Segments(np.array([interval_steps]), _EVERY_SEGMENT, drive, rows), self._no_states, motion)
 
     def motion_samples(self, samples: int) -> MotionSamples:
         """Return new arrays for the motion at a number of samples."""
         return MotionSamples(
-            rows=np.empty((self._window.shape[1], samples)),
+            rows=np.empty((self._buffer.shape[1], samples)),
             contact=np.empty((self.system.dampers, samples), dtype=np.int8),
-            begin=np.zeros(1, dtype=np.int64),
-            window=self._window,
+            first_column=np.zeros(1, dtype=np.int64),
+            buffer=self._buffer,
         )
 
     def motion_parts(self, motion: MotionSamples) -> tuple[Array, Array, Array, Array]:
@@ -251,17 +250,17 @@ class Propagator:
 
     def store_present_motion(self, motion: MotionSamples, column: int) -> None:
         """Store the present motion in one column of `motion`."""
-        motion.begin[0] = column
+        motion.first_column[0] = column
         self._advance(Segments(_ZERO_STEPS, _NO_SEGMENT, self._no_drive, np.array([column])), self._no_states, motion)
 
-    def propagate_marks(
+    def propagate_tone(
         self, steps: Array, sample_row: NDArray[np.int64], new_period: NDArray[np.bool_], level: float = 1.0
     ) -> Trajectory:
-        """Propagate through the segments between marks under a tone.
+        """Propagate through segments under a tone.
 
         `steps`: durations in step lengths; `sample_row`: row in which the state at the end of the segment is stored, or
-        -1; `new_period`: whether a period of the drive begins with the segment; `level`: factor on the amplitudes of
-        the tone.
+        -1; `new_period`: whether a period of the drive begins with the segment; `level`: factor on the tone's
+        amplitudes.
         """
         # At the start of a period the drive states are (level, 0), as for a constant sampled drive.
         drive = np.full((1, len(steps) + 1), level)
@@ -283,7 +282,7 @@ class Propagator:
             state=np.zeros((samples, size)),
             table_index=np.zeros(samples, dtype=np.int64),
             height=np.zeros((samples, dampers)),
-            mode=np.zeros((samples, dampers), dtype=np.int8),
+            contact=np.zeros((samples, dampers), dtype=np.int8),
         )
 
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
@@ -299,10 +298,10 @@ class Propagator:
         self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STATE_ONLY
     ) -> None:
         """Propagate through segments; compute missing tables and enlarge the log whenever the kernel returns for it."""
-        begin, remaining = 0, -1.0
+        segment, remaining = 0, -1.0
         while True:
-            reason, begin, remaining = _propagate(
-                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, begin, remaining,
+            reason, segment, remaining = _propagate(
+                self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, segment, remaining,
                 states, motion, status,
             )  # fmt: skip
             status = STATE_ONLY
@@ -345,8 +344,8 @@ class Propagator:
         name = points[largest] if largest < len(points) else "a damper in its cavity"
         raise RunError(
             f"the motion diverges: {name} is {abs(displacement[largest]):.3g} m away from rest {time:.4g} s after the "
-            "start. Check for negative damping, with riding dampers or with the coil spring attached, "
-            "and for a drive that is too large."
+            "start. Reduce the drive if it is too large. If a mode has negative damping, with the damper masses at "
+            "rest on their bodies or with the coil spring attached, increase the damping."
         )
 
     def _look_up_tables(self) -> None:

@@ -24,21 +24,21 @@ class StateSamples(NamedTuple):
     state: Array
     table_index: NDArray[np.int64]
     height: Array
-    mode: NDArray[np.int8]
+    contact: NDArray[np.int8]
 
 
 class MotionSamples(NamedTuple):
     """Motion at sample instants, as in `rig.simulation.motion.Motion`; without columns no motion is stored.
 
     rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: FLIGHT, FLOOR
-    or CEILING, shape (dampers, samples). begin: first column that this propagation fills, shape (1,). window: the last
-    samples, which are not yet transposed into `rows`, shape (LANES, rows).
+    or CEILING, shape (dampers, samples). first_column: first column that this propagation fills, shape (1,). buffer:
+    the last samples, which are not yet transposed into `rows`, shape (LANES, rows).
     """
 
     rows: Array
     contact: NDArray[np.int8]
-    begin: NDArray[np.int64]
-    window: Array
+    first_column: NDArray[np.int64]
+    buffer: Array
 
 
 @inlined_kernel
@@ -49,35 +49,35 @@ def store_state(state: State, row: int, states: StateSamples) -> None:
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
         states.height[row, j] = state.height[j]
-        states.mode[row, j] = state.mode[j]
+        states.contact[row, j] = state.contact[j]
 
 
 @inlined_kernel
 def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
     """Store the present motion in a column of `motion`.
 
-    A window collects `LANES` samples before they are written, because the rows are far apart in memory. `last`: whether
-    this is the last sample of the propagation.
+    `LANES` samples are buffered before they are written, because the rows are far apart in memory. `last`: whether this
+    is the last sample of the propagation.
     """
-    row, points = column % LANES, model.first_velocity
+    row, coordinates = column % LANES, model.first_velocity
     first_acceleration = flow.rates_constant.shape[1]
-    for i in range(2 * points):
-        motion.window[row, i] = state.z[i]
-    for i in range(points):
-        motion.window[row, 2 * points + i] = state.z[first_acceleration + i]
+    for i in range(2 * coordinates):
+        motion.buffer[row, i] = state.z[i]
+    for i in range(coordinates):
+        motion.buffer[row, 2 * coordinates + i] = state.z[first_acceleration + i]
     for j in range(motion.contact.shape[0]):
-        mode = state.mode[j]
-        gap = 0.0 if mode == FLOOR else model.clearance[j]
-        if model.bed[j] >= 0:
+        contact = state.contact[j]
+        gap = 0.0 if contact == FLOOR else model.clearance[j]
+        if model.gap_coordinate[j] >= 0:
             gap = bed_gap(model, state.z, j)
-        elif mode == FLIGHT:
+        elif contact == FLIGHT:
             gap = max(state.height[j] - state.z[model.position[j]], 0.0)
-        motion.contact[j, column] = mode
-        motion.window[row, 3 * points + j] = gap
+        motion.contact[j, column] = contact
+        motion.buffer[row, 3 * coordinates + j] = gap
     first = column - row
-    if row == LANES - 1 and first >= motion.begin[0]:
-        transpose(motion.window, motion.rows, first)
+    if row == LANES - 1 and first >= motion.first_column[0]:
+        transpose(motion.buffer, motion.rows, first)
     elif row == LANES - 1 or last:
-        for sample in range(max(first, motion.begin[0]), column + 1):
+        for sample in range(max(first, motion.first_column[0]), column + 1):
             for i in range(motion.rows.shape[0]):
-                motion.rows[i, sample] = motion.window[sample % LANES, i]
+                motion.rows[i, sample] = motion.buffer[sample % LANES, i]

@@ -1,13 +1,13 @@
-"""Proofs that guards have no zero over a step, from values and slopes at its ends.
+"""Proofs that guards have no zero over a step, so that the search for contact changes can be omitted.
 
 A guard is a gap or a contact force; its zero is a contact change. The time in a step is tau, relative to its length.
-The proof is by cubic Hermite interpolation: the cubic through a guard's values and slopes at both ends of the step
-exceeds the error of the interpolation. This error has a bound that is proportional to the bound of the guard's fourth
-derivative.
+The proof is by cubic Hermite interpolation: a guard is positive if the cubic through its values and slopes at both ends
+of the step exceeds the error of the interpolation. This error is at most a fixed fraction of the bound of the guard's
+fourth derivative.
 
-For short steps, an envelope is tested first: an upper limit of the magnitude of each state. While every state is within
-its envelope, a guard that exceeds its margin at both ends of a step is positive over the step. The margins are computed
-once for an envelope.
+For short steps, a coarser test comes first. The *envelope* is an upper limit of the magnitude of each state. While
+every state is within its envelope, a guard that exceeds its *margin* at both ends of a step is positive over the step.
+The margins are computed once for an envelope.
 """
 
 from __future__ import annotations
@@ -24,88 +24,95 @@ from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import affine_product
 
 #: Kinds of guard of a damper.
-FLOOR_GAP, CEILING_GAP, CONTACT_FORCE = 1, 2, 0
-#: Ratio of the bound of a fifth derivative, times the step length, to the bound of the fourth derivative.
+CONTACT_FORCE, FLOOR_GAP, CEILING_GAP = 0, 1, 2
+#: Largest ratio of the fifth derivative with respect to tau to the bound of the fourth. Both are sums over the terms up
+#: to tau^(TERMS - 1), whose fifth derivative has the factor TERMS - 5 at most.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
 #: Ratio of a new envelope to the magnitudes of the state.
 ENVELOPE_FACTOR = 2.0
 # A factor, because divisions take longer than multiplications.
 _THIRD = 1.0 / 3.0
-# Largest error of the cubic Hermite interpolant, relative to the bound of the fourth derivative.
+# Largest error of the cubic Hermite interpolant, tau^2 (1 - tau)^2 / 24, relative to the fourth derivative's bound.
 _HERMITE_ERROR = 1.0 / 384.0
-# The same error after division of guard and cubic by tau^2.
+# After division by tau^2, the error is at most (1 - tau) / 24, and the cubic is 3 c_2 (1 - tau) + c_3 tau with its last
+# two Bernstein coefficients c_2 and c_3. So c_2 must exceed 1/72.
 _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 
 @inlined_kernel
-def _margin(value: float, slope: float, value_new: float, slope_new: float, error: float, multiplicity: int) -> float:
-    """Return a lower bound that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
+def _lower_bound(
+    value: float, slope: float, value_end: float, slope_end: float, fourth_derivative: float, multiplicity: int
+) -> float:
+    """Return a bound that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
 
-    `value`, `slope`: at the start of the step; `value_new`, `slope_new`: at its end; `error`: bound of the guard's
-    fourth derivative; `multiplicity`: of its zero at tau = 0. All derivatives are with respect to tau.
+    `value`, `slope`: at the start of the step; `value_end`, `slope_end`: at its end; `fourth_derivative`: bound of its
+    magnitude; `multiplicity`: of the guard's zero at tau = 0. All derivatives are with respect to tau.
 
-    The interpolant differs from the guard by at most tau^2 (1 - tau)^2 / 24 times `error`. The Bernstein coefficients
-    of the interpolant bound it from below. For a guard that starts with a zero of multiplicity 2 or more, the first two
-    coefficients are zero, and tau^2 is divided out.
+    The smallest Bernstein coefficient of the interpolant bounds it from below. If the guard starts with a zero of
+    multiplicity 2 or more, the first two coefficients are zero, and guard and interpolant are divided by tau^2.
     """
-    third_coefficient = value_new - slope_new * _THIRD
-    end = value_new - error * _HERMITE_ERROR
+    third_coefficient = value_end - slope_end * _THIRD
+    end = value_end - fourth_derivative * _HERMITE_ERROR
     if multiplicity >= 2:
-        return min(third_coefficient - error * _DEFLATED_HERMITE_ERROR, end)
+        return min(third_coefficient - fourth_derivative * _DEFLATED_HERMITE_ERROR, end)
     if not end > 0.0:
         return end
-    return min(min(value, value + slope * _THIRD), third_coefficient) - error * _HERMITE_ERROR
+    return min(min(value, value + slope * _THIRD), third_coefficient) - fourth_derivative * _HERMITE_ERROR
 
 
 @inlined_kernel
-def _recovery_may_end(model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float) -> bool:
-    """Return whether a recovering bed (released, but still overlapping the wall) may touch the wall or become free.
+def _recovery_may_end(
+    model: Model, state: State, workspace: Workspace, j: int, duration: float, fourth_derivative: float
+) -> bool:
+    """Return whether a recovering damper (released, but still overlapping the wall) may touch it or become free.
 
-    `duration`: of the step, s; `error`: bound of the fourth derivative of the gap with respect to tau, m.
+    `duration`: of the step, s; `fourth_derivative`: bound of that of the gap with respect to tau, m.
     """
-    wall, z, new = state.recovering[j], state.z, workspace.end_state
-    slope, slope_new = (
+    wall, z, z_end = state.recovering[j], state.z, workspace.end_state
+    slope, slope_end = (
         -wall_force_rate(model, z, j, wall) * duration,
-        -wall_force_rate(model, new, j, wall) * duration,
+        -wall_force_rate(model, z_end, j, wall) * duration,
     )
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
-    force_error = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * error
-    margin = _margin(-wall_force(model, z, j, wall), slope, -wall_force(model, new, j, wall), slope_new, force_error, 0)
-    if margin <= 0.0:
+    of_force = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * fourth_derivative
+    force, force_end = wall_force(model, z, j, wall), wall_force(model, z_end, j, wall)
+    if _lower_bound(-force, slope, -force_end, slope_end, of_force, 0) <= 0.0:
         return True
     signed_duration = -duration if wall == FLOOR else duration
-    slope, slope_new = signed_duration * gap_rate(model, z, j), signed_duration * gap_rate(model, new, j)
-    return _margin(overlap(model, z, j, wall), slope, overlap(model, new, j, wall), slope_new, error, 0) <= 0.0
+    slope, slope_end = signed_duration * gap_rate(model, z, j), signed_duration * gap_rate(model, z_end, j)
+    start, end = overlap(model, z, j, wall), overlap(model, z_end, j, wall)
+    return _lower_bound(start, slope, end, slope_end, fourth_derivative, 0) <= 0.0
 
 
 @inlined_kernel
 def _contact_may_change(
-    model: Model, state: State, workspace: Workspace, j: int, duration: float, error: float
+    model: Model, state: State, workspace: Workspace, j: int, duration: float, fourth_derivative: float
 ) -> bool:
     """Return whether a guard of a finite-duration contact is not proven free of zeros.
 
-    `duration`: of the step, s; `error`: bound of the guard's fourth derivative with respect to tau.
+    `duration`: of the step, s; `fourth_derivative`: bound of that of the guard with respect to tau.
     """
-    mode, z, new = state.mode[j], state.z, workspace.end_state
-    if mode != FLIGHT:
-        slope, slope_new = (
-            wall_force_rate(model, z, j, mode) * duration,
-            wall_force_rate(model, new, j, mode) * duration,
+    contact, z, z_end = state.contact[j], state.z, workspace.end_state
+    if contact != FLIGHT:
+        slope, slope_end = (
+            wall_force_rate(model, z, j, contact) * duration,
+            wall_force_rate(model, z_end, j, contact) * duration,
         )
-        return (
-            _margin(wall_force(model, z, j, mode), slope, wall_force(model, new, j, mode), slope_new, error, 0) <= 0.0
-        )
+        force, force_end = wall_force(model, z, j, contact), wall_force(model, z_end, j, contact)
+        return _lower_bound(force, slope, force_end, slope_end, fourth_derivative, 0) <= 0.0
     if state.recovering[j] != FLIGHT:
-        return _recovery_may_end(model, state, workspace, j, duration, error)
-    gap, gap_new = bed_gap(model, z, j), bed_gap(model, new, j)
-    slope, slope_new = gap_rate(model, z, j) * duration, gap_rate(model, new, j) * duration
+        return _recovery_may_end(model, state, workspace, j, duration, fourth_derivative)
+    gap, gap_end = bed_gap(model, z, j), bed_gap(model, z_end, j)
+    slope, slope_end = gap_rate(model, z, j) * duration, gap_rate(model, z_end, j) * duration
     multiplicity = state.multiplicity[j]
-    if _margin(gap, slope, gap_new, slope_new, error, multiplicity) <= 0.0:
+    if _lower_bound(gap, slope, gap_end, slope_end, fourth_derivative, multiplicity) <= 0.0:
         return True
     clearance = model.clearance[j]
     if clearance == np.inf:
         return False
-    return _margin(clearance - gap, -slope, clearance - gap_new, -slope_new, error, -multiplicity) <= 0.0
+    return (
+        _lower_bound(clearance - gap, -slope, clearance - gap_end, -slope_end, fourth_derivative, -multiplicity) <= 0.0
+    )
 
 
 @inlined_kernel
@@ -121,45 +128,48 @@ def screen(
     """
     unproven = unproven_ceilings = 0
     speed_change = model.gravity * duration
-    quartic = length**4
+    # The bounds are for a full step, with derivatives with respect to the time relative to it.
+    fourth_power = length**4
     for j in range(model.mass.shape[0]):
-        error = workspace.bound[j] * quartic
-        mode = state.mode[j]
+        fourth_derivative = workspace.bound[j] * fourth_power
+        contact = state.contact[j]
         multiplicity = 0
-        if model.bed[j] >= 0:
-            if _contact_may_change(model, state, workspace, j, duration, error):
+        if model.gap_coordinate[j] >= 0:
+            if _contact_may_change(model, state, workspace, j, duration, fourth_derivative):
                 unproven |= 1 << j
             continue
-        if mode == FLIGHT:
+        if contact == FLIGHT:
             position, velocity = model.position[j], model.velocity[j]
             value = state.height[j] - state.z[position]
             slope = (state.speed[j] - state.z[velocity]) * duration
-            value_new = (
+            value_end = (
                 state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.end_state[position]
             )
-            slope_new = (state.speed[j] - speed_change - workspace.end_state[velocity]) * duration
+            slope_end = (state.speed[j] - speed_change - workspace.end_state[velocity]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
-                margin = _margin(clearance - value, -slope, clearance - value_new, -slope_new, error, -multiplicity)
-                if margin <= 0.0:
+                lower_bound = _lower_bound(
+                    clearance - value, -slope, clearance - value_end, -slope_end, fourth_derivative, -multiplicity
+                )
+                if lower_bound <= 0.0:
                     unproven_ceilings |= 1 << j
         else:
             index = first_acceleration + model.position[j]
             value = model.gravity + state.z[index]
-            value_new = model.gravity + workspace.end_state[index]
+            value_end = model.gravity + workspace.end_state[index]
             slope = state.z[index + model.first_velocity] * length
-            slope_new = workspace.end_state[index + model.first_velocity] * length
-            if mode != FLOOR:
-                value, slope, value_new, slope_new = -value, -slope, -value_new, -slope_new
-        if _margin(value, slope, value_new, slope_new, error, multiplicity) <= 0.0:
+            slope_end = workspace.end_state[index + model.first_velocity] * length
+            if contact != FLOOR:
+                value, slope, value_end, slope_end = -value, -slope, -value_end, -slope_end
+        if _lower_bound(value, slope, value_end, slope_end, fourth_derivative, multiplicity) <= 0.0:
             unproven |= 1 << j
     return unproven, unproven_ceilings
 
 
 @inlined_kernel
 def reset_envelope(flow: Flow, workspace: Workspace) -> None:
-    """Set the envelope to zero, so that the next state widens it."""
+    """Set the envelope to zero; the next state widens it."""
     for i in range(flow.rates_constant.shape[1]):
         workspace.envelope[i] = 0.0
 
@@ -180,15 +190,15 @@ def above_margins(model: Model, state: State, margin: Array, z: Array, columns: 
     `columns`: number of states, after which the accelerations are stored; `duration`: time of z from now, s.
     """
     for j in range(model.mass.shape[0]):
-        if model.bed[j] >= 0:
+        if model.gap_coordinate[j] >= 0:
             lowest = lowest_guard(model, state, z, j)
-        elif state.mode[j] == FLIGHT:
+        elif state.contact[j] == FLIGHT:
             height = state.height[j] + duration * (state.speed[j] - 0.5 * model.gravity * duration)
             gap = height - z[model.position[j]]
             lowest = min(gap, model.clearance[j] - gap) - 2 * ROUNDING * abs(height)
         else:
             lowest = model.gravity + z[columns + model.position[j]]
-            if state.mode[j] != FLOOR:
+            if state.contact[j] != FLOOR:
                 lowest = -lowest
         if not lowest > margin[j]:
             return False

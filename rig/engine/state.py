@@ -16,7 +16,7 @@ from rig.engine.flow import Flow, Model
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import aligned_zeros
 
-#: Modes of a damper.
+#: Contact of a damper: none, with its floor, or with its ceiling.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Event kinds in the log.
 SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE = 0, 1, 2, 3, 4, 5
@@ -31,19 +31,19 @@ class State(NamedTuple):
     """State of a system in motion; every field is an array, so that the kernel can update it.
 
     `z`: coordinates, velocities, further states and drive states in SI units, padded; accelerations may follow.
-    `height`, `speed`: position and velocity of each damper in flight, m and m/s. `mode`: `FLIGHT`, `FLOOR` or
+    `height`, `speed`: position and velocity of each damper in flight, m and m/s. `contact`: `FLIGHT`, `FLOOR` or
     `CEILING` of each damper.
 
-    The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` counts the leading
-    coefficients of the guard's power series in time that are exactly zero at this instant: 1 after a rebound, 2 after a
+    The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` is the number of leading
+    terms of the guard's power series in time that are exactly zero at this instant: 1 after a rebound, 2 after a
     release, 3 after a separation at zero contact force. It is negative if the gap is that to the ceiling.
-    `recovering[j]` is the wall that has released a bed with finite-duration contact while they still overlap.
+    `recovering[j]` is the wall that has released damper j (finite-duration contact) while they still overlap.
     """
 
     z: np.ndarray
     height: np.ndarray
     speed: np.ndarray
-    mode: np.ndarray
+    contact: np.ndarray
     multiplicity: np.ndarray
     recovering: np.ndarray
     counters: np.ndarray
@@ -80,7 +80,7 @@ def state_at_rest(size: int, dampers: int) -> State:
         z=aligned_zeros(size),
         height=np.zeros(dampers),
         speed=np.zeros(dampers),
-        mode=np.full(dampers, FLOOR, dtype=np.int64),
+        contact=np.full(dampers, FLOOR, dtype=np.int64),
         multiplicity=np.zeros(dampers, dtype=np.int64),
         recovering=np.zeros(dampers, dtype=np.int64),
         counters=np.zeros(4, dtype=np.int64),
@@ -131,10 +131,10 @@ def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None
 def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
     """Store the velocity of each damper in `out`, m/s, positive upwards."""
     for j in range(model.mass.shape[0]):
-        if model.bed[j] >= 0:
-            out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.bed[j]]
+        if model.gap_coordinate[j] >= 0:
+            out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.gap_coordinate[j]]
         else:
-            out[j] = state.speed[j] if state.mode[j] == FLIGHT else state.z[model.velocity[j]]
+            out[j] = state.speed[j] if state.contact[j] == FLIGHT else state.z[model.velocity[j]]
 
 
 @inlined_kernel

@@ -1,4 +1,4 @@
-"""Result of a propagation: states at sample instants, events and breaks; and its events, gaps and contacts for users.
+"""Result of a propagation: states at sample instants, events and breaks; conversion to the units and names of users.
 
 An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. A segment
 is a time interval under one drive, such as a sample interval (`rig.engine.propagator`).
@@ -38,7 +38,7 @@ class Trajectory:
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
     """Height of each damper in flight, m; undefined at rest; shape (samples, dampers)."""
-    mode: NDArray[np.int8]
+    contact: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
     event_segment: NDArray[np.int64]
     event_offset: Array
@@ -82,8 +82,8 @@ def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Arr
     """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T
     gap = trajectory.height.T - positions
-    mode = trajectory.mode.T
+    contact = trajectory.contact.T
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
-    gap = np.maximum(np.where(mode == FLIGHT, gap, np.where(mode == FLOOR, 0.0, ceiling)), 0.0)
-    gap[system.finite_contact] = trajectory.state[:, system.bed[system.finite_contact]].T
-    return gap, np.ascontiguousarray(mode)
+    gap = np.maximum(np.where(contact == FLIGHT, gap, np.where(contact == FLOOR, 0.0, ceiling)), 0.0)
+    gap[system.finite_contact] = trajectory.state[:, system.gap_coordinate[system.finite_contact]].T
+    return gap, np.ascontiguousarray(contact)

@@ -18,8 +18,8 @@ class Workspace(NamedTuple):
     end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper limit of |z|. margin: values
     of the guards (gaps and contact forces) above which they have no zero in a step, see `rig.engine.screening`.
     bound, derivative: results of the tables of the same names in `Flow`.
-    state_series: power series of the state, shape (terms, states). series_matrix: a view of it as a table of one
-    matrix, which is multiplied by `powers`, those of tau; its constant part is `zero_constant`.
+    state_series: power series of the state in tau, the time relative to a step; shape (terms, states). series_matrix: a
+    view of it as a table of one matrix without constant part (`zero_constant`), to be multiplied by `powers` of tau.
     guard_series: power series of a guard. subdivision, spans, bernstein: see `rig.numerics.bernstein.first_crossing`.
     """
 

@@ -148,7 +148,7 @@ class CoupledPropagator:
             self._velocity = velocity
             self._acceleration = sample.state[0, self.structure.tables.size + self.bodies]
             samples.state[k], samples.table_index[k] = sample.state[0], sample.table_index[0]
-            samples.height[k], samples.mode[k] = sample.height[0], sample.mode[0]
+            samples.height[k], samples.contact[k] = sample.height[0], sample.contact[0]
         self._force = forces[:, :, -1].copy()
         return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, gap)
 

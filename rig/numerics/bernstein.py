@@ -32,7 +32,7 @@ NO_CROSSING = 2.0
 
 
 def _bernstein_matrices() -> np.ndarray:
-    """Return the matrices from power to Bernstein basis after division by tau^start; [start, power, coefficient]."""
+    """Return matrices [start, power, coefficient] from power to Bernstein basis of series divided by tau^start."""
     matrices = np.zeros((N_COEFFICIENTS, N_COEFFICIENTS, N_COEFFICIENTS))
     for start in range(N_COEFFICIENTS):
         degree = DEGREE - start
@@ -43,8 +43,8 @@ def _bernstein_matrices() -> np.ndarray:
 
 
 BERNSTEIN = _bernstein_matrices()
-#: Constant parts of the conversion: infinity after the last coefficient of a deflated series, 0 elsewhere. A series is
-#: deflated by division by tau^start, the factor of its zero at tau = 0.
+#: Added to the coefficients [start]: infinity after the last coefficient of a deflated series, 0 elsewhere. A series is
+#: deflated by division by tau^start, which removes its zero at tau = 0.
 PADDING = np.where(np.add.outer(np.arange(N_COEFFICIENTS), np.arange(N_COEFFICIENTS)) > DEGREE, np.inf, 0.0)
 
 
@@ -138,14 +138,13 @@ def first_crossing(
 ) -> tuple[float, int]:
     """Find where a guard first falls below zero on (0, 1].
 
-    `series`: power-series coefficients in tau of a guard that should stay positive; `start`: number of leading
-    coefficients known to be exactly zero (multiplicity of the root at tau = 0); `rounding`: largest
-    value of the guard that is a rounding error of zero; `bernstein`: the conversion matrices `BERNSTEIN`.
-    `subdivision`, `spans`: scratch arrays; their row k contains the Bernstein coefficients on the interval of level k,
-    and its ends.
+    `series`: power-series coefficients of the guard in tau; `start`: number of leading coefficients known to be exactly
+    zero (multiplicity of the zero at tau = 0); `rounding`: largest value of the guard that is a rounding error of zero;
+    `bernstein`: the conversion matrices `BERNSTEIN`. `subdivision`, `spans`: scratch arrays; row k of `subdivision`
+    contains the Bernstein coefficients on the interval of level k, and row k of `spans` its ends.
 
-    Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is at zero within rounding and falling; `NO_CROSSING`
-    if there is none. `ambiguous`: number of dips, which are not counted as crossings.
+    Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is zero within rounding at tau = 0 and falling;
+    `NO_CROSSING` if there is none. `ambiguous`: number of dips before it, which are not counted as crossings.
     """
     while start < N_COEFFICIENTS and abs(series[start]) <= rounding:
         start += 1
@@ -170,7 +169,7 @@ def first_crossing(
         # The guard is tau^start times the deflated guard, whose rounding is larger by this factor.
         deflated_rounding = rounding / right**start
         if lower_bound >= -deflated_rounding:
-            # There is no dip below rounding; a dip that touches zero within rounding is counted once.
+            # The guard does not fall below zero here. A dip that extends over two intervals is counted once.
             if lower_bound <= rounding and right < 1.0:
                 if left != previous_dip_end:
                     ambiguous += 1

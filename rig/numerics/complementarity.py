@@ -30,7 +30,7 @@ MAX_PIVOTS = 100_000
 
 
 class ContactWorkspace(NamedTuple):
-    """Work space of the contact laws, with one entry for each contact of the instant.
+    """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
     `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
     `velocity_before`: of the body, m/s. `opening_speed`: of the gap before the impact, m/s. `magnitude`: sum of the
@@ -55,7 +55,7 @@ class ContactWorkspace(NamedTuple):
 
 
 def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
-    """Allocate the work space for a number of dampers and of padded force rows."""
+    """Allocate the scratch arrays; `forces`: padded number of coordinates on which forces act."""
     return ContactWorkspace(
         force=np.zeros(forces),
         damper=np.zeros(dampers + 1, dtype=np.int64),

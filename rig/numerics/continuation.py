@@ -2,8 +2,8 @@
 
 The curve is defined by n equations in n + 1 unknowns, the last of which is the parameter (a frequency, a force, a
 clearance). Steps are measured along the curve, so that a fold, where the curve reverses its direction in the parameter,
-is a regular point. A curve may end at a *border*, beyond which its solutions have no meaning; the distance from a
-border is a *margin*. The result always states why the curve ended.
+is a regular point. A curve may end at a *border*, beyond which its solutions have no meaning. The *margin* is the
+distance from a border, negative beyond it. The result always states why the curve ended.
 
 References
 ----------
@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 Vector = NDArray[np.float64]
 # x (n + 1,) -> residual (n,), jacobian (n, n + 1)
 Equations = Callable[[Vector], tuple[Vector, Vector]]
-# x (n + 1,), unit tangent (n + 1,) -> function whose zero is to be located
+# x (n + 1,), unit tangent (n + 1,) -> quantity whose zero is to be located
 Monitor = Callable[[Vector, Vector], float]
 # x (n + 1,) -> margin to each border (negative outside), and the borders' names
 Margins = Callable[[Vector], tuple[Vector, Sequence[str]]]
@@ -99,8 +99,8 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
             raise NoConvergence("the equations are singular") from None
         largest_correction = float(np.abs(correction).max())
         x = x + correction * scale
-        # The iteration has converged if the correction is within rounding, does not decrease any more, or if
-        # with quadratic convergence the next one would be within rounding.
+        # The iteration has converged if the correction is within the tolerance, if it no longer decreases, or if the
+        # next correction would be within the tolerance because convergence is quadratic.
         stalled = largest_correction < 1e-9 and largest_correction > 0.3 * last_correction
         quadratic = last_correction < 1.0 and largest_correction**3 < steps.tolerance * last_correction**2
         if largest_correction < steps.tolerance or stalled or quadratic:
@@ -192,9 +192,9 @@ def _trace_one_way(
             return path, border_names[int(margin.argmin())]
         try:
             new, new_tangent, iterations = newton(equations, _predict(path, step, scale), scale, steps, x_tangent)
-            # After a correction of more than half the step, the point may be on another curve.
-            left_curve = float(np.linalg.norm((new - x) / scale - step * x_tangent)) > 0.5 * step
-            if left_curve and step > steps.min_step:
+            # If the point is more than half a step from the tangent's end, it may be on another curve.
+            is_far = float(np.linalg.norm((new - x) / scale - step * x_tangent)) > 0.5 * step
+            if is_far and step > steps.min_step:
                 raise NoConvergence("the correction leads away from the curve")
         except NoConvergence as failure:
             if step <= steps.min_step:
@@ -251,7 +251,7 @@ def _predict(path: list[PointWithTangent], step: float, scale: Vector) -> Vector
         previous, previous_tangent = path[-2]
         chord = (previous - x) / scale
         length = float(np.linalg.norm(chord))
-        # The cubic has the parameter t = 0 at the last point and -1 at the previous one.
+        # The cubic's parameter t is 0 at the last point and -1 at the previous point.
         deviation, bend = chord + length * x_tangent, length * (previous_tangent - x_tangent)
         t = step / length
         prediction += t * t * (3 * deviation + bend + t * (bend + 2 * deviation)) * scale

@@ -1,7 +1,7 @@
 """Sums of products in vector registers, by fused multiply-add (FMA, a single rounding of product and sum).
 
-Filters and resamplers of signals use them. The order of every sum is fixed, so that a sample of a signal has the same
-bits at every position in a block.
+Digital filters and resamplers use them. The order of every sum is fixed, so that a sample of a signal is bit-identical
+at every position in a block.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numba.extending import intrinsic
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import LANES, WIDE, broadcast, load, store
 
-#: Number of sums that are computed in parallel: enough to hide the latency of an addition, and few enough for the
-#: registers. Without AVX-512, eight lanes need two of the sixteen registers, so that eight sums would not fit.
+#: Number of parallel sums: enough to hide the latency of an addition, and few enough for the registers. Without
+#: AVX-512, eight lanes need two of the sixteen registers, so that eight sums would not fit.
 SUMS_AT_ONCE = 8 if get_host_cpu_features().get("avx512f") else 4
 #: `weighted_sums` computes a multiple of this number of sums.
 SUM_BLOCK = SUMS_AT_ONCE * LANES
@@ -43,8 +43,8 @@ def fused(factor: float, other_factor: float, addend: float) -> float:
 
 def _fused_lanes(builder: Any) -> Any:
     """Return the LLVM function for a fused multiply-add in all lanes of a register."""
-    kind = ir.FunctionType(WIDE, [WIDE] * 3)
-    return cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
+    function_type = ir.FunctionType(WIDE, [WIDE] * 3)
+    return cgutils.get_or_insert_function(builder.module, function_type, f"llvm.fma.v{LANES}f64")
 
 
 def _sums(same_rows: bool) -> Any:
@@ -65,40 +65,40 @@ def _sums(same_rows: bool) -> Any:
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             rows, row, stride, factors, factor, step, sum_stride, count, out, position = arguments
-            kinds, number = signature.args, count.type
-            data = context.make_array(kinds[3])(context, builder, factors).data
+            types_of_arguments, index_type = signature.args, count.type
+            data = context.make_array(types_of_arguments[3])(context, builder, factors).data
             fma = _fused_lanes(builder)
 
             def along(begin: Any, c: int, distance: Any) -> Any:
                 """Return the index begin + c distance."""
-                return builder.add(begin, builder.mul(ir.Constant(number, c), distance))
+                return builder.add(begin, builder.mul(ir.Constant(index_type, c), distance))
 
             def factors_at(index: Any) -> Any:
                 return broadcast(builder, builder.load(builder.gep(data, [index])))
 
             def rows_at(index: Any) -> Any:
-                return load(context, builder, kinds[0], rows, index)
+                return load(context, builder, types_of_arguments[0], rows, index)
 
             def entries(entry: Any) -> list[tuple[Any, Any]]:
-                """Return for each of the sums the rows and factors (registers) of an entry."""
+                """Return for each of the sums the pair of registers (rows, factors) of an entry e."""
                 first = builder.add(row, builder.mul(entry, stride))
                 start = builder.add(factor, builder.mul(entry, step))
                 if same_rows:
                     shared = rows_at(first)
                     return [(shared, factors_at(along(start, c, sum_stride))) for c in range(SUMS_AT_ONCE)]
                 shared = factors_at(start)
-                lanes = ir.Constant(number, LANES)
+                lanes = ir.Constant(index_type, LANES)
                 return [(rows_at(along(first, c, lanes)), shared) for c in range(SUMS_AT_ONCE)]
 
             zero = ir.Constant(WIDE, [0.0] * LANES)
             totals = [cgutils.alloca_once_value(builder, zero) for _ in range(SUMS_AT_ONCE)]
-            begin, one = ir.Constant(number, 0), ir.Constant(number, 1)
-            with cgutils.for_range_slice(builder, begin, count, one, number) as (entry, _):
+            begin, one = ir.Constant(index_type, 0), ir.Constant(index_type, 1)
+            with cgutils.for_range_slice(builder, begin, count, one, index_type) as (entry, _):
                 for total, pair in zip(totals, entries(entry), strict=True):
                     builder.store(builder.call(fma, [*pair, builder.load(total)]), total)
             for c, total in enumerate(totals):
-                end = builder.add(position, ir.Constant(number, c * LANES))
-                store(context, builder, kinds[8], out, end, builder.load(total))
+                end = builder.add(position, ir.Constant(index_type, c * LANES))
+                store(context, builder, types_of_arguments[8], out, end, builder.load(total))
             return context.get_dummy_value()
 
         return signature, generate
@@ -147,17 +147,24 @@ def _update_states(typing_context: Any, states: Any, factors: Any, weights: Any,
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         states, factors, weights, value = arguments
-        kinds, fma = signature.args, _fused_lanes(builder)
+        types_of_arguments, fma = signature.args, _fused_lanes(builder)
         value_lanes = broadcast(builder, value)
         total = cgutils.alloca_once_value(builder, ir.Constant(WIDE, [0.0] * LANES))
-        size = context.make_array(kinds[0])(context, builder, states).nitems
+        size = context.make_array(types_of_arguments[0])(context, builder, states).nitems
         begin, step = ir.Constant(size.type, 0), ir.Constant(size.type, LANES)
         with cgutils.for_range_slice(builder, begin, size, step, size.type) as (position, _):
-            before = load(context, builder, kinds[0], states, position)
-            weight = load(context, builder, kinds[2], weights, position)
-            factor = load(context, builder, kinds[1], factors, position)
+            before = load(context, builder, types_of_arguments[0], states, position)
+            weight = load(context, builder, types_of_arguments[2], weights, position)
+            factor = load(context, builder, types_of_arguments[1], factors, position)
             builder.store(builder.call(fma, [weight, before, builder.load(total)]), total)
-            store(context, builder, kinds[0], states, position, builder.call(fma, [factor, before, value_lanes]))
+            store(
+                context,
+                builder,
+                types_of_arguments[0],
+                states,
+                position,
+                builder.call(fma, [factor, before, value_lanes]),
+            )
         sums = builder.load(total)
         for distance in (4, 2, 1):
             order = [(lane + distance) % LANES for lane in range(LANES)]

@@ -159,8 +159,8 @@ def _warn_once(text: str) -> None:
 def _njit(function: F, is_kernel: bool, **options: Any) -> F:
     """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
     folder = code_folder(_source_folder(function))
-    is_plain = callees is None or _CONFIG.DISABLE_JIT
-    compiler = numba.njit if is_plain else functools.partial(callees.njit, kernel=is_kernel)
+    uses_public_options = callees is None or _CONFIG.DISABLE_JIT
+    compiler = numba.njit if uses_public_options else functools.partial(callees.njit, kernel=is_kernel)
     previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))
@@ -186,7 +186,7 @@ def inlined_kernel(function: F) -> F:
 def unfused_kernel(function: F) -> F:
     """Compile a kernel in which multiplications and additions are not fused.
 
-    It is for loops over samples. The processor computes most samples in groups and the others individually. Both must
-    give identical results, so that these do not depend on the block size.
+    Use it for loops over samples. The processor computes most samples in groups and the others individually. Both must
+    be bit-identical, so that results do not depend on the block size.
     """
     return _njit(function, is_kernel=True, nogil=True, fastmath=False)

@@ -7,7 +7,7 @@ import re
 
 from rig.errors import RunError
 
-# Memory limit of a command without the environment variable.
+# Memory limit without the environment variable.
 DEFAULT_LIMIT_BYTES = 1e9
 # Memory of the program itself, before it reads a file (measured).
 PROGRAM_BYTES = 0.2e9

@@ -35,7 +35,7 @@ def padded_length(count: int) -> int:
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:
-    """Return zeros that are aligned to registers in memory, so that no register is read in two parts."""
+    """Return zeros that start at a multiple of a register's size, so that no register is read in two parts."""
     count = math.prod(shape)
     with_margin = np.zeros(count + LANES)
     start = -(with_margin.__array_interface__["data"][0] // with_margin.itemsize) % LANES
@@ -46,29 +46,29 @@ def aligned_zeros(*shape: int) -> np.ndarray:
 WIDE = ir.VectorType(ir.DoubleType(), LANES)
 
 
-def _register_pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Return a pointer to eight lanes of an array, from a flat index on; `kind`: numba type of the array."""
-    data = context.make_array(kind)(context, builder, array).data
+def _register_pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Return a pointer to eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
 
 
-def load(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Generate the code that loads eight lanes of an array, from a flat index on; `kind`: numba type of the array."""
-    register = builder.load(_register_pointer(context, builder, kind, array, index))
-    register.align = 8
+def load(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Generate the code that loads eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    register = builder.load(_register_pointer(context, builder, array_type, array, index))
+    register.align = 8  # bytes, because not all arrays come from `aligned_zeros`
     return register
 
 
-def store(context: Any, builder: Any, kind: Any, array: Any, index: Any, register: Any) -> None:
+def store(context: Any, builder: Any, array_type: Any, array: Any, index: Any, register: Any) -> None:
     """Generate the code that stores eight lanes in an array, as `load`."""
-    builder.store(register, _register_pointer(context, builder, kind, array, index)).align = 8
+    builder.store(register, _register_pointer(context, builder, array_type, array, index)).align = 8
 
 
 def broadcast(builder: Any, value: Any) -> Any:
     """Generate the code that fills a register with one number."""
-    undefined, lane = ir.Constant(WIDE, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
+    undefined, lane_numbers = ir.Constant(WIDE, ir.Undefined), ir.VectorType(ir.IntType(32), LANES)
     first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(first, undefined, ir.Constant(lane, [0] * LANES))
+    return builder.shuffle_vector(first, undefined, ir.Constant(lane_numbers, [0] * LANES))
 
 
 _DOUBLES = ir.DoubleType().as_pointer()
@@ -76,45 +76,45 @@ _INDEX = ir.IntType(64)
 
 
 def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -> None:
-    """Generate the code of a product for the rows of a number of registers, a divisor of `SUMS`.
+    """Generate the code of a product for LANES times `registers` rows; `registers` divides `SUMS`.
 
-    out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. The latency of an addition
-    is hidden by `SUMS` parallel sums, of several registers or of several columns.
+    out[row + i] = constant[row + i] + sum_c matrix[c rows + row + i] vector[c]. `SUMS` parallel sums, of several
+    registers or of several columns, hide the latency of an addition.
     """
     matrix, constant, vector, out, columns, rows = arguments
     columns_at_once = SUMS // registers
 
-    def number(value: int) -> Any:
+    def constant_index(value: int) -> Any:
         return ir.Constant(_INDEX, value)
 
     def lanes(pointer: Any, index: Any, register: int) -> Any:
         """Return the pointer to the lanes of a register of rows, from an index on."""
-        position = builder.gep(pointer, [builder.add(index, number(register * LANES))])
+        position = builder.gep(pointer, [builder.add(index, constant_index(register * LANES))])
         return builder.bitcast(position, WIDE.as_pointer())
 
-    def add_column(column: Any, count: int) -> None:
-        """Add the products of a column to the sums number `count`."""
+    def add_column(column: Any, set_number: int) -> None:
+        """Add the products of a column to one of the parallel sums of each register."""
         factors = broadcast(builder, builder.load(builder.gep(vector, [column])))
         position = builder.add(builder.mul(column, rows), row)
         for register in range(registers):
-            total = totals[register][count]
+            total = totals[register][set_number]
             product = builder.fmul(
                 builder.load(lanes(matrix, position, register), align=8), factors, flags=("contract",)
             )
             builder.store(builder.fadd(builder.load(total), product, flags=("contract",)), total)
 
     zero_sums = [ir.Constant(WIDE, [0.0] * LANES)] * (columns_at_once - 1)
-    # totals[register][count]: address of one of the parallel sums of a register.
-    totals = []
+    totals = []  # for each register the addresses of its parallel sums
     for register in range(registers):
         first = builder.load(lanes(constant, row, register), align=8)
         totals.append([cgutils.alloca_once_value(builder, value) for value in (first, *zero_sums)])
-    vector_columns = builder.sub(columns, builder.srem(columns, number(columns_at_once)))
-    with cgutils.for_range_slice(builder, number(0), vector_columns, number(columns_at_once), _INDEX) as (column, _):
-        for count in range(columns_at_once):
-            add_column(builder.add(column, number(count)), count)
+    zero, one, step = constant_index(0), constant_index(1), constant_index(columns_at_once)
+    grouped_columns = builder.sub(columns, builder.srem(columns, step))
+    with cgutils.for_range_slice(builder, zero, grouped_columns, step, _INDEX) as (column, _):
+        for set_number in range(columns_at_once):
+            add_column(builder.add(column, constant_index(set_number)), set_number)
     if columns_at_once > 1:
-        with cgutils.for_range_slice(builder, vector_columns, columns, number(1), _INDEX) as (column, _):
+        with cgutils.for_range_slice(builder, grouped_columns, columns, one, _INDEX) as (column, _):
             add_column(column, 0)
     for register in range(registers):
         sums = [builder.load(total) for total in totals[register]]
@@ -123,7 +123,7 @@ def _add_product(builder: Any, arguments: list[Any], row: Any, registers: int) -
         builder.store(sums[0], lanes(out, row, register), align=8)
 
 
-def _many_rows(module: Any) -> Any:
+def _row_block_function(module: Any) -> Any:
     """Return the function for the rows of `SUMS` registers at a time; not inlined, because it needs all registers."""
     name = "shotrig_many_rows"
     if name not in module.globals:
@@ -141,8 +141,8 @@ def _many_rows(module: Any) -> Any:
     return module.globals[name]
 
 
-def _product(many_registers: bool) -> Any:
-    """Return an intrinsic for the product of one register from `row` on, or of many registers up to `row`."""
+def _product_intrinsic(in_blocks: bool) -> Any:
+    """Return an intrinsic for the product of the register from `row` on, or in blocks of all registers up to `row`."""
 
     @intrinsic
     def product(
@@ -159,8 +159,8 @@ def _product(many_registers: bool) -> Any:
                 for position in (0, 2, 4, 7)
             )
             operands = [builder.gep(matrix, [start]), builder.gep(constant, [offset]), vector, out, columns, rows]
-            if many_registers:
-                builder.call(_many_rows(builder.module), [*operands, row])
+            if in_blocks:
+                builder.call(_row_block_function(builder.module), [*operands, row])
             else:
                 _add_product(builder, operands, row, 1)
             return context.get_dummy_value()
@@ -170,7 +170,7 @@ def _product(many_registers: bool) -> Any:
     return product
 
 
-_one_register, _many_registers = _product(many_registers=False), _product(many_registers=True)
+_one_register_product, _block_product = _product_intrinsic(in_blocks=False), _product_intrinsic(in_blocks=True)
 
 
 @intrinsic
@@ -180,11 +180,11 @@ def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         vector, bound = (
-            load(context, builder, kind, array, arguments[2])
-            for kind, array in zip(signature.args[:2], arguments[:2], strict=True)
+            load(context, builder, array_type, array, arguments[2])
+            for array_type, array in zip(signature.args[:2], arguments[:2], strict=True)
         )
-        kind = ir.FunctionType(WIDE, [WIDE])
-        absolute = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{LANES}f64")
+        function_type = ir.FunctionType(WIDE, [WIDE])
+        absolute = cgutils.get_or_insert_function(builder.module, function_type, f"llvm.fabs.v{LANES}f64")
         exceeds = builder.fcmp_unordered(">", builder.call(absolute, [vector]), bound)
         mask = builder.bitcast(exceeds, ir.IntType(LANES))
         return builder.icmp_unsigned("!=", mask, ir.Constant(mask.type, 0))
@@ -198,8 +198,8 @@ def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
     signature = types.float64(vector, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        kind = ir.FunctionType(ir.DoubleType(), [WIDE])
-        minimum = cgutils.get_or_insert_function(builder.module, kind, f"llvm.vector.reduce.fmin.v{LANES}f64")
+        function_type = ir.FunctionType(ir.DoubleType(), [WIDE])
+        minimum = cgutils.get_or_insert_function(builder.module, function_type, f"llvm.vector.reduce.fmin.v{LANES}f64")
         register = load(context, builder, signature.args[0], *arguments)
         return builder.call(minimum, [register], fastmath=("nnan",))
 
@@ -230,7 +230,10 @@ def minimum(vector: Any) -> float:
 
 @inlined_kernel
 def negative_bits(vector: Any) -> int:
-    """Return bits that are set for each negative element of a vector of shape (multiple of LANES, at most 56,)."""
+    """Return an integer whose bits are set for the negative elements of a vector.
+
+    The vector has a multiple of LANES elements, at most 56, so that the integer is not negative in 64 bits.
+    """
     bits = 0
     for row in range(0, vector.shape[0], LANES):
         bits |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
@@ -267,10 +270,10 @@ def _transpose_tile(
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         source, start, width, target, position, stride = arguments
-        number = [ir.Constant(start.type, count) for count in range(LANES)]
 
         def along(begin: Any, count: int, step: Any) -> Any:
-            return builder.add(begin, builder.mul(number[count], step))
+            """Return the index begin + count step."""
+            return builder.add(begin, builder.mul(ir.Constant(start.type, count), step))
 
         def choose(first: Any, second: Any, lanes: list[int]) -> Any:
             return builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
@@ -291,12 +294,12 @@ def _transpose_tile(
 
 
 @inlined_kernel
-def transpose(window: Any, rows: Any, column: int) -> None:
-    """Write a window of shape (LANES, width) into rows (width, columns) from a column on; both contiguous."""
+def transpose(buffer: Any, rows: Any, column: int) -> None:
+    """Write a buffer of shape (LANES, width) into rows (width, columns) from a column on; both are contiguous."""
     width, columns = rows.shape
     for row in range(0, width, LANES):
         position = row * columns + column
-        _transpose_tile(window, row, width, rows, position, columns)  # type: ignore[call-arg]
+        _transpose_tile(buffer, row, width, rows, position, columns)  # type: ignore[call-arg]
 
 
 @inlined_kernel
@@ -322,10 +325,10 @@ def affine_product(matrix: Any, constant: Any, index: int, vector: Any, columns:
 def affine_product_many(matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any) -> None:
     """Compute `affine_product` for many rows; this is more code, but reads the vector less often."""
     rows = constant.shape[1]
-    start, n_vector_rows = index * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
-    if n_vector_rows > 0:
-        _many_registers(matrix, start, constant, index * rows, vector, columns, rows, out, n_vector_rows)
-    _affine_product_from(matrix, constant, index, vector, columns, out, n_vector_rows)
+    start, rows_in_blocks = index * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
+    if rows_in_blocks > 0:
+        _block_product(matrix, start, constant, index * rows, vector, columns, rows, out, rows_in_blocks)
+    _affine_product_from(matrix, constant, index, vector, columns, out, rows_in_blocks)
 
 
 @inlined_kernel
@@ -335,7 +338,7 @@ def _affine_product_from(
     rows = constant.shape[1]
     start = index * matrix.shape[1] * rows
     for row in range(first, rows, LANES):
-        _one_register(matrix, start, constant, index * rows, vector, columns, rows, out, row)
+        _one_register_product(matrix, start, constant, index * rows, vector, columns, rows, out, row)
 
 
 @kernel
@@ -346,4 +349,4 @@ def multiply(matrix: Any, index: int, vector: Any, constant: Any, out: Any) -> N
     """
     columns, rows = matrix.shape[1], matrix.shape[2]
     for row in range(0, rows, LANES):
-        _one_register(matrix, index * columns * rows, constant, 0, vector, columns, rows, out, row)
+        _one_register_product(matrix, index * columns * rows, constant, 0, vector, columns, rows, out, row)

@@ -1,8 +1,8 @@
 """Admissibility of orbits: their distance to the borders beyond which they are impossible as motions.
 
-A solution of the orbit equations is a motion only if no other event occurs between its events: dampers in flight do
-not reach the walls, and riding dampers remain pressed on theirs. The distance to each border is the margin. It is
-negative beyond the border and smooth across it, so that borders can be located as roots.
+A solution of the orbit equations is a motion only if no other event occurs between its events. Dampers in flight must
+not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it. The distance to each border is its
+*margin*. It is negative beyond the border and smooth across it, so that borders can be located as roots.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ N_BORDER_KINDS = 9  # number of these kinds
 
 @cached_njit
 def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
-    """Return the lowest minimum between points of offset + sign * guard, or infinity if there is none.
+    """Return the lowest minimum between instants of offset + sign * guard, or infinity if there is none.
 
-    The guard is that of damper j in segment s of the track, from point `first` on.
+    The guard is that of damper j in segment s of the track, from instant `first` on.
     """
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
@@ -61,9 +61,10 @@ def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, 
 def _crossing_rate(
     equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, acc_unit: float
 ) -> float:
-    """Return the rate of a finite-duration contact's guard at its event: speed in g/w, or force per mass in g w.
+    """Return the rate of a finite-duration contact's guard at its event, at most 1.
 
-    `acc_unit`: g, or a unit of acceleration that replaces it without gravity, m/s^2.
+    It is a speed in g/w, or the rate of a force per mass in g w. `acc_unit`: g, or without gravity another
+    acceleration, m/s^2.
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
@@ -84,7 +85,7 @@ def _finite_contact_margins(
 
     `length_unit`: g/w^2, m.
 
-    A released bed may still overlap a wall. It must not be pressed again before it leaves the wall, which is not an
+    A released damper may still overlap a wall. It must not be pressed again before the overlap ends, which is not an
     event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are examined
     twice in order, and only the second round determines the margins.
     """
@@ -109,7 +110,7 @@ def _finite_contact_margins(
             continue
         if starts_with_own_event:
             overlapped_wall = sequence.wall[s, j]
-        # The first point of the segment at which the bed does not overlap a wall.
+        # `first_free`: first instant of the segment at which the damper does not overlap a wall.
         first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and first_free < guard.shape[0]:
             sign, height = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
@@ -184,7 +185,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             _reduce_margin(distances, LEAVES_WALL, j, lowest / acc_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
-        if equations.bed[j] >= 0:
+        if equations.gap_coordinate[j] >= 0:
             distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
                 equations, sequence, track, event, closing_speed[event], acc_unit
             )
@@ -220,7 +221,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if sequence.kind[next_event] == (kinds.CEILING if ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
-        if equations.bed[j] >= 0:
+        if equations.gap_coordinate[j] >= 0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
     return distances
 

@@ -1,9 +1,9 @@
 """Curves of exact orbits (periodic motions) over frequency, force, clearance or mass ratio, stable and unstable.
 
-A *branch* is a curve of orbits with one sequence of events. Continuation follows it through folds to the end of the
-range or to a *border*, where the sequence becomes impossible: a grazing impact, a release, a contact of zero duration,
-or two events that change order. Beyond the border another sequence is valid. It is identified by simulation of the
-exact motion from the border, and is then continued in the same way.
+A *branch* is a curve of orbits with one sequence of events (*plan*). Continuation follows it through folds to the end
+of the range or to a *border*, where the sequence becomes impossible: a grazing impact, a release, a contact of zero
+duration, or two events that change order. Beyond the border another sequence is valid. It is identified by simulation
+from the border, and is then continued in the same way. A *setting* is an operating point: the values of all parameters.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BORDER_STEP = 2e-6
 SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
 # Largest number of branches: near irregular motion there are infinitely many.
 MAX_BRANCHES = 60
-# Relative deviations of two responses below which their orbits are the same: on a branch, and at its only point.
+# Relative deviations of two responses below which their orbits are the same: on a branch, or on a branch of one point.
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
 # Relative deviation of responses below which an orbit beyond a border is the neighbor of the orbit at the border.
 NEIGHBOR_RESPONSE = 0.05
@@ -116,8 +116,9 @@ class _Explorer:
             start = queue.pop(0)
             if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
-                    f"{MAX_BRANCHES} branches followed. The branch through {self.parameter} "
-                    f"{getattr(start.setting, self.parameter):.8g} [{start.plan.label}] and its neighbors are missing"
+                    f"stopped after {MAX_BRANCHES} branches: the branch through {self.parameter} "
+                    f"{getattr(start.setting, self.parameter):.8g} (events [{start.plan.label}]) and its neighbors are "
+                    "missing. Choose a smaller range."
                 )
                 return
             if any(self._contains(branch, start) for branch in self.branches):
@@ -128,8 +129,8 @@ class _Explorer:
                 self.progress(sum(len(b.orbits) for b in self.branches))
             for index in self._stability_losses(branch):
                 queue += self._simulate_perturbed(branch.orbits[index])
-            for side in (0, 1):
-                neighbor = self._cross_border(branch, side)
+            for at_end in (False, True):
+                neighbor = self._cross_border(branch, at_end)
                 if neighbor is not None:
                     queue.append(neighbor)
 
@@ -197,18 +198,16 @@ class _Explorer:
                 return True
         return False
 
-    def _cross_border(self, branch: OrbitBranch, side: int) -> Orbit | None:
-        """Return the orbit beyond an end of a branch (`side` 0: first point, 1: last point), if the end is a border."""
-        reason = branch.ends[side]
-        orbit = branch.orbits[0 if side == 0 else -1]
-        value = float(branch.value[0 if side == 0 else -1])
+    def _cross_border(self, branch: OrbitBranch, at_end: bool) -> Orbit | None:
+        """Return the orbit beyond the first point (or `at_end` the last) of a branch, if this is on a border."""
+        index = -1 if at_end else 0
+        reason, orbit, value = branch.ends[index], branch.orbits[index], float(branch.value[index])
         if reason in ("range", "closed"):
             return None
         location = f"at {self.parameter} {value:.8g} (Type {orbit.motion_type}, events [{orbit.plan.label}])"
         if reason.startswith("no convergence") or reason == "points":
             self.failures.append(f"{location}: {reason}")
-        tangent = branch.curve.tangents[0 if side == 0 else -1]
-        direction = np.sign(tangent[-1]) * (1 if side == 1 else -1)
+        direction = np.sign(branch.curve.tangents[index, -1]) * (1 if at_end else -1)
         try:
             return self._orbit_past_border(orbit, value, float(direction))
         except RunError as failure:
@@ -240,7 +239,7 @@ class _Explorer:
                 )
                 if is_close and not candidate.flaw and not candidate.plan.same_cycle(orbit.plan):
                     return candidate
-        # Close to the border, the new event may be too small to detect in a motion settled to 1e-7.
+        # Close to the border, the new event may be too weak to be detected in a motion that has settled to 1e-7.
         for step in SIMULATED_BORDER_STEPS[:-1]:
             try:
                 return self._simulate_past_border(orbit, value, direction * step)

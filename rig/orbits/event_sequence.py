@@ -1,8 +1,8 @@
 """The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
 
 An event is a contact change of one damper. Beyond a *border* in the parameter, the sequence is impossible. The engine
-describes the contact of a damper by a *mode* (flight, floor or ceiling), an orbit by a *wall state*
-(`rig.orbits.event_kinds`).
+describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*, which also
+distinguishes finite-duration contact (`rig.orbits.event_kinds`).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Plan:
         With finite-duration contact: touch of floor ``u`` or ceiling ``n``, release ``o``, renewed press ``w``,
         ``m``.
         """
-        signs = {
+        symbols = {
             kinds.SEPARATION: "^",
             kinds.FLOOR: "_",
             kinds.CEILING: "=",
@@ -79,7 +79,7 @@ class Plan:
             kinds.RELEASE: "o",
         }
         events = zip(self.sequence.damper, self.sequence.kind, strict=True)
-        return " ".join(f"{damper + 1}{signs[int(kind)]}" for damper, kind in events)
+        return " ".join(f"{damper + 1}{symbols[int(kind)]}" for damper, kind in events)
 
     @cached_property
     def borders(self) -> tuple[str, ...]:
@@ -114,10 +114,10 @@ def derive_plan(
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, shape (dampers,): modes at the start of the cycle; `repetition`: number of drive periods in the
-    cycle. Also returns the indices of the plan's events among the events of the cycle. Raises `UncoveredMotionError`
-    if a damper with rebound comes to rest on a wall after infinitely many impacts, or if the impact of a damper
-    separates another damper from its wall, through a full mass matrix or a common body.
+    `start`, shape (dampers,): contacts at the start of the cycle; `repetition`: number of drive periods in the cycle.
+    Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
+    damper with rebound comes to rest on a wall after infinitely many impacts, or if a damper changes its contact at the
+    instant of another damper's impact, with which a full mass matrix or a common body couples it.
     """
     events: list[int] = []
     dampers: list[int] = []
@@ -150,18 +150,18 @@ def derive_plan(
             events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(events, dampers, walls_from_modes(start, system), repetition), np.array(order, dtype=np.int64)
+    return make_plan(events, dampers, walls_from_contacts(start, system), repetition), np.array(order, dtype=np.int64)
 
 
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
-    """Return the kind of an event with finite-duration contact: a press event starts with overlap."""
+    """Return the kind of an event with finite-duration contact; a press event starts with overlap, a touch without."""
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
     if kind == RELEASE:
         return kinds.RELEASE
     is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
-    gaps = trajectory.state_before[:, system.bed[damper]]
+    gaps = trajectory.state_before[:, system.gap_coordinate[damper]]
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
     if kind == FLOOR_TOUCH:
         return kinds.PRESS_FLOOR if gap < -min_overlap else kinds.TOUCH_FLOOR
@@ -169,13 +169,13 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     return kinds.PRESS_CEILING if gap > system.clearance[damper] + min_overlap else kinds.TOUCH_CEILING
 
 
-def walls_from_modes(modes: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
-    """Return the wall states of a sequence for the engine's modes, shape (dampers,)."""
-    return np.asarray(modes, dtype=np.int64) + np.where(system.finite_contact, kinds.FORCELESS, kinds.FLYING)
+def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
+    """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
+    return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.FORCELESS, kinds.FLYING)
 
 
-def modes_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the engine's modes for wall states of a sequence, shape (dampers,)."""
+def contacts_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the engine's contacts for wall states of a sequence, shape (dampers,)."""
     return np.where(walls >= kinds.FORCELESS, walls - kinds.FORCELESS, walls)
 
 
@@ -187,7 +187,7 @@ def configuration_of(walls: NDArray[np.int64]) -> int:
 
 
 def make_plan(events: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
-    """Build a plan from kinds and dampers of its events, and the wall states at the start."""
+    """Build a plan from the kinds of its events, their dampers, and the wall states at the start."""
     walls = [np.asarray(start, dtype=np.int64)]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()

@@ -9,12 +9,12 @@ from rig.numerics.jit import cached_njit
 
 
 @cached_njit
-def exponential(matrix: Array, time: float, rate: float) -> Array:
+def exponential(matrix: Array, time: float, norm_bound: float) -> Array:
     """Compute the exponential of `matrix` times `time` by a Taylor series with scaling and squaring.
 
-    `rate` bounds a norm of the matrix in which its rows and columns are balanced.
+    `norm_bound`: upper limit of the norm of the matrix after balancing of its rows and columns, 1/s.
     """
-    norm, halvings = rate * abs(time), 0
+    norm, halvings = norm_bound * abs(time), 0
     while norm > 0.25 and halvings < 60:
         norm *= 0.5
         halvings += 1
@@ -36,11 +36,11 @@ def exponential(matrix: Array, time: float, rate: float) -> Array:
 
 @cached_njit
 def exponential_derivative(
-    matrix: Array, matrix_derivative: Array, start: Array, start_derivative: Array, time: float, rate: float
+    matrix: Array, matrix_derivative: Array, start: Array, start_derivative: Array, time: float, norm_bound: float
 ) -> Array:
     """Differentiate exp(A t) z(0) with respect to a parameter on which both A and z(0) depend.
 
-    `matrix`, `start`: A and z(0); `time`: t, s; `rate`: as in `exponential`. The derivative s of z obeys
+    `matrix`, `start`: A and z(0); `time`: t, s; `norm_bound`: as in `exponential`. The derivative s of z obeys
     s' = A s + (dA) z, which is integrated by Taylor series over substeps.
     """
     n = matrix.shape[0]
@@ -53,7 +53,7 @@ def exponential_derivative(
                 matrix_values[entries], derivative_values[entries] = matrix[i, j], matrix_derivative[i, j]
                 entries += 1
     z, s = start.copy(), start_derivative.copy()
-    substeps = max(1, int(np.ceil(0.5 * rate * abs(time))))
+    substeps = max(1, int(np.ceil(0.5 * norm_bound * abs(time))))
     h = time / substeps
     z_term, s_term, next_z_term, next_s_term = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     for _ in range(substeps):

@@ -27,8 +27,8 @@ def newton_solve(
 
     `scale`, `residual_scale`, shape (unknowns,): scales of the unknowns and of the residuals.
 
-    Returns the unknowns, their derivative with respect to the parameter, the evaluation at the solution, the size of
-    the last correction, and the number of corrections. This number is -1 if the iteration did not converge.
+    Returns the unknowns, their derivative with respect to the parameter, the shooting result at the solution, the
+    largest scaled element of the last correction, and the number of corrections, which is -1 without convergence.
     """
     x, slope, last_correction = unknowns.copy(), np.zeros(unknowns.size), np.inf
     shooting = shoot(equations, derivatives, sequence, x)
@@ -46,7 +46,7 @@ def newton_solve(
         correction, slope = solution[:, 0], solution[:, 1] * scale
         largest_correction = np.abs(correction).max()
         residual = np.abs(rhs[:, 0]).max()
-        # Converged, or small and not decreasing any more because of rounding.
+        # The iteration has converged, or the correction is small and no longer decreases because of rounding.
         is_converged = largest_correction < CONVERGENCE_TOLERANCE and residual < CONVERGENCE_TOLERANCE
         if is_converged or (largest_correction < 1e-9 and largest_correction > 0.3 * last_correction):
             return x, slope, shooting, largest_correction, corrections

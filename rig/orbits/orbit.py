@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Margins down to minus this value are treated as zero (rounding); below it an orbit is inadmissible.
+# Margins down to minus this value may be rounding errors of zero; below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9
 # Largest number of Newton corrections from an initial guess.
 MAX_CORRECTIONS = 25
@@ -59,7 +59,7 @@ class Orbit(Result):
     Attributes
     ----------
     setting : OperatingPoint
-        Frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
+        Operating point: frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
     repetition : int
         Length in periods of the drive.
     compliance : ndarray of complex, shape (bodies,)
@@ -119,7 +119,7 @@ class Orbit(Result):
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
         gaps = np.where(wall == kinds.FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
         gaps = np.where(wall == kinds.RIDES_CEILING, system.clearance, gaps)
-        gaps[..., system.finite_contact] = track.motion[..., system.bed[system.finite_contact]]
+        gaps[..., system.finite_contact] = track.motion[..., system.gap_coordinate[system.finite_contact]]
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
             "time_s": track.times.ravel(),
@@ -141,7 +141,7 @@ class Orbit(Result):
         """Frequency of the drive [Hz]."""
         return self.setting.frequency
 
-    # A search rejects most orbits by their margin alone, so the following quantities are computed when first used.
+    # Most orbits of a search are rejected by their margin alone, so further quantities are computed when first used.
     @cached_property
     def multipliers(self) -> NDArray[np.complex128]:
         """Floquet multipliers: one for each state and two for each damper in flight at the start."""

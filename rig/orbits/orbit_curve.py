@@ -102,7 +102,7 @@ class OrbitCurve(Result):
     Attributes
     ----------
     failures : tuple of str
-        Failures to follow a branch or to cross a border: place, reason, and last valid point.
+        Failures to follow a branch or to cross a border: value of the parameter, events, and reason.
     """
 
     branches: tuple[OrbitBranch, ...]

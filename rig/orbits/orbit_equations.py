@@ -20,13 +20,13 @@ class Equations(NamedTuple):
     """The equations of motion in every configuration of an orbit, for one set of parameters."""
 
     generator: Array  # shape (configurations, states + 3, states + 3)
-    rate: Array  # Bound on the norm of each generator [1/s]; shape (configurations,)
+    norm_bound: Array  # Upper limit of the norm of each generator [1/s]; shape (configurations,)
     inverse_mass: Array  # shape (configurations, coordinates, coordinates)
     body_coordinate: IndexArray  # Coordinate of each damper's body; int64, shape (dampers,)
     mass: Array
     clearance: Array
     restitution: Array  # mass, clearance, restitution: shape (dampers,)
-    bed: IndexArray
+    gap_coordinate: IndexArray
     """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
     stiffness: Array
     damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)

@@ -16,7 +16,14 @@ from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
 from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
 from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
-from rig.orbits.event_sequence import Plan, configuration_of, derive_plan, make_plan, modes_from_walls, walls_from_modes
+from rig.orbits.event_sequence import (
+    Plan,
+    configuration_of,
+    contacts_from_walls,
+    derive_plan,
+    make_plan,
+    walls_from_contacts,
+)
 from rig.orbits.orbit import MAX_CORRECTIONS, Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
@@ -28,7 +35,7 @@ MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
 # Largest number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
-# needed in the designs of the bundled scenes; an iteration that does not converge is expensive.
+# needed in designs of dampers for the bundled scenes; an iteration that does not converge is expensive.
 MAX_EARLY_CORRECTIONS = 8
 # Largest relative change from period to period of a steady motion.
 MAX_STEADY_CHANGE = 1e-7
@@ -38,7 +45,7 @@ MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 MAX_ORBIT_DISTANCE = 0.05
 # Periods over which the distance from the orbit must decrease.
 CONFIRMATION_PERIODS = 16
-# Relative distance below which the motion has reached the orbit. It then need not decrease further.
+# Relative distance below which the motion has reached the orbit, so that the distance need not decrease further.
 CLOSE_DISTANCE = 1e-6
 
 
@@ -99,7 +106,7 @@ def search_orbit(
             )
         return orbit
     if steady.residual < MAX_ALMOST_PERIODIC_CHANGE:
-        # The motion repeats, but its slow decay does not determine the number of periods.
+        # The motion repeats, but a slowly decaying transient hides the number of periods.
         for repetition in range(1, MAX_REPETITION + 1):
             orbit = _nearby_orbit(problem, setting, propagator, steps, repetition)
             if orbit is not None:
@@ -142,7 +149,7 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
     """Simulate a number of periods of the drive; `steps`: propagator steps in a period."""
     rows, starts_period = np.full(periods, -1), np.ones(periods, dtype=bool)
-    return propagator.propagate_marks(np.full(periods, steps), rows, starts_period)
+    return propagator.propagate_tone(np.full(periods, steps), rows, starts_period)
 
 
 def start_propagator(
@@ -157,7 +164,7 @@ def start_propagator(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if from_linear_response:
-        plan = make_plan([], [], walls_from_modes(np.full(system.dampers, FLOOR), system), 1)
+        plan = make_plan([], [], walls_from_contacts(np.full(system.dampers, FLOOR), system), 1)
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -216,11 +223,11 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
-    modes = state.mode.astype(np.int8)
+    contacts = state.contact.astype(np.int8)
     heights, speeds = state.height.copy(), state.speed.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
-    plan, order = derive_plan(trajectory, modes, repetition, system)
+    plan, order = derive_plan(trajectory, contacts, repetition, system)
     instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     flights = np.array([[heights[j], speeds[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])
@@ -232,13 +239,13 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
     propagator.start_period(1.0)
-    state.mode[:], state.multiplicity[:] = modes_from_walls(walls), 0
+    state.contact[:], state.multiplicity[:] = contacts_from_walls(walls), 0
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT
-    # A bed without contact force may still overlap a wall from which it was released.
+    # A damper without contact force may still overlap a wall from which it was released.
     for j in np.flatnonzero(walls == kinds.FORCELESS):
-        gap = state.z[system.bed[j]]
+        gap = state.z[system.gap_coordinate[j]]
         if not 0.0 <= gap <= system.clearance[j]:
             state.recovering[j] = FLOOR if gap < 0.0 else CEILING
     state.counters[CONFIGURATION] = configuration_of(walls)

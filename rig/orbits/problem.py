@@ -1,9 +1,9 @@
 """The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
 
-An operating point is also called a *setting*. One of its values is the *parameter*, over which orbits are continued. A
-contact *configuration* states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`). A
-*riding* damper is at rest on a wall, so its mass adds to that of its body. A *plan* is the sequence of contact events
-in one cycle.
+A *setting* is an operating point. One of its values is the *parameter*, over which orbits are continued. A contact
+*configuration* states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`). A *riding*
+damper is at rest on a wall, so its mass is added to its body. A *plan* is the sequence of contact events in one cycle.
+The *mass factor* multiplies the masses of all dampers.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ AXES = {
     "clearance": ("clearance / mm", 1e3),
     "mass_ratio": ("factor on the damper masses", 1.0),
 }
-# Largest number of entries in each cache: the matrices of sets of configurations, and systems with other damper masses.
+# Largest number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
 MAX_CACHED = 200
 # Relative step of finite differences.
 RELATIVE_STEP = 1e-6
@@ -50,7 +50,7 @@ class OperatingPoint:
     frequency: float  # Hz
     force: float  # Level of the drive, in the unit of the scene's test (N for a force)
     clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
-    mass_ratio: float = 1.0  # Factor on all damper masses of the scene
+    mass_ratio: float = 1.0  # Mass factor: damper masses over those of the scene
 
 
 def column_name(parameter: Parameter) -> str:
@@ -84,15 +84,15 @@ class _ConfigurationMatrices(NamedTuple):
     """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
 
     `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
-    is pressed on its ceiling. `rate`: bound of the norm of the state matrix, 1/s. The last four fields are
-    derivatives with respect to the factor on the damper masses. The first index of each array is the configuration.
+    is pressed on its ceiling. `norm_bound`: upper limit of the norm of the state matrix, 1/s. The last four fields are
+    derivatives with respect to the mass factor. The first index of each array is the configuration.
     """
 
     state_matrix: Array
     input_matrix: Array
     inverse_mass: Array
     clearance_input: Array
-    rate: Array
+    norm_bound: Array
     state_matrix_derivative: Array
     input_matrix_derivative: Array
     inverse_mass_derivative: Array
@@ -100,7 +100,7 @@ class _ConfigurationMatrices(NamedTuple):
 
 
 class OrbitProblem:
-    """The equations of a scene at any operating point, with a cache of the contact configurations.
+    """The equations of a scene at any operating point; the matrices of contact configurations are cached.
 
     The scene requires a shaker and a test that gives a level; otherwise `SceneError` is raised.
     """
@@ -110,38 +110,38 @@ class OrbitProblem:
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
         self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
-        self._bed = self.system.bed.astype(np.int64)
+        self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
         self._systems: dict[float, HybridSystem] = {}
 
     def varied_system(self, setting: OperatingPoint) -> HybridSystem:
-        """Return the system with the clearance and mass ratio of a setting."""
+        """Return the system with the clearance and mass factor of a setting."""
         system = self._system_at(setting.mass_ratio)
         if np.isnan(setting.clearance):
             return system
         return replace(system, clearance=np.full(system.dampers, setting.clearance))
 
-    def _system_at(self, ratio: float) -> HybridSystem:
-        """Return the system with a factor on the damper masses."""
-        if ratio == 1.0:
+    def _system_at(self, mass_factor: float) -> HybridSystem:
+        """Return the system with a mass factor."""
+        if mass_factor == 1.0:
             return self.system
-        if ratio not in self._systems:
+        if mass_factor not in self._systems:
             if len(self._systems) > MAX_CACHED:
                 self._systems.clear()
-            self._systems[ratio] = self._assemble(ratio)
-        return self._systems[ratio]
+            self._systems[mass_factor] = self._assemble(mass_factor)
+        return self._systems[mass_factor]
 
-    def _assemble(self, ratio: float) -> HybridSystem:
-        """Assemble the system with a factor on the damper masses."""
+    def _assemble(self, mass_factor: float) -> HybridSystem:
+        """Assemble the system with a mass factor."""
         if not self.system.finite_contact.any():
-            return replace(self.system, damper_mass=ratio * self.system.damper_mass)
-        # A bed with its own coordinate is part of the mass matrix, and its contact duration determines the wall
-        # stiffness and damping.
+            return replace(self.system, damper_mass=mass_factor * self.system.damper_mass)
+        # A damper with finite-duration contact is part of the mass matrix, and its mass and contact duration determine
+        # the wall stiffness and damping.
         dampers = [
-            damper.replace(mass=ratio * damper.mass)
+            damper.replace(mass=mass_factor * damper.mass)
             if damper.mass is not None
-            else damper.replace(mass_ratio=ratio * (damper.mass_ratio or 0.0))
+            else damper.replace(mass_ratio=mass_factor * (damper.mass_ratio or 0.0))
             for damper in self.scene.dampers
         ]
         return assemble(self.scene.replace(dampers=dampers))
@@ -157,21 +157,21 @@ class OrbitProblem:
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
         """Return the equations of motion in a plan's configurations, and their derivatives (by the parameter)."""
-        system, ratio = self.varied_system(setting), setting.mass_ratio
-        # nq coordinates and n states; the augmented state is (state, cos wt, sin wt, 1).
+        system, mass_factor = self.varied_system(setting), setting.mass_ratio
+        # nq coordinates and n states. The augmented state z = (state, cos wt, sin wt, 1) obeys z' = generator z.
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
         drive = np.column_stack([amplitudes.real, -amplitudes.imag])
         drive_derivative = self._drive_derivative(setting, parameter, drive)
-        matrices = self._configurations(plan.configurations, ratio)
+        matrices = self._configurations(plan.configurations, mass_factor)
         generator, generator_derivative = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = matrices.state_matrix
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        has_soft_ceiling = self._finite_contact & np.isfinite(system.clearance)
+        has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
-        if has_soft_ceiling.any():
+        if has_contact_ceiling.any():
             generator[:, nq : 2 * nq, n + 2] += (
-                matrices.clearance_input[:, :, has_soft_ceiling] @ system.clearance[has_soft_ceiling]
+                matrices.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
             )
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_mass_derivative = np.zeros_like(matrices.inverse_mass)
@@ -184,25 +184,25 @@ class OrbitProblem:
             generator_derivative[:, :n, n : n + 2] = matrices.input_matrix_derivative[:, :, :-1] @ drive
             generator_derivative[:, :n, n + 2] = matrices.input_matrix_derivative[:, :, -1]
             generator_derivative[:, nq : 2 * nq, n + 2] += (
-                matrices.clearance_input_derivative[:, :, has_soft_ceiling] @ system.clearance[has_soft_ceiling]
+                matrices.clearance_input_derivative[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
             )
             inverse_mass_derivative = matrices.inverse_mass_derivative
         if parameter == "clearance":
             generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
         damper_zeros, wall_zeros = np.zeros(system.dampers), np.zeros((system.dampers, 2))
         stiffness_derivative, damping_derivative = (
-            self._wall_derivatives(ratio) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
+            self._wall_derivatives(mass_factor) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
         )
         period = plan.repetition / setting.frequency
         return Equations(
             generator=generator,
-            rate=np.maximum(matrices.rate, omega),
+            norm_bound=np.maximum(matrices.norm_bound, omega),
             inverse_mass=matrices.inverse_mass,
             body_coordinate=self._body_coordinate,
             mass=system.damper_mass,
             clearance=system.clearance,
             restitution=system.restitution,
-            bed=self._bed,
+            gap_coordinate=self._gap_coordinate,
             stiffness=system.wall_stiffness,
             damping=system.wall_damping,
             gravity=float(system.gravity),
@@ -233,29 +233,29 @@ class OrbitProblem:
         slope = (above - below) / (2 * step)
         return np.column_stack([slope.real, -slope.imag])
 
-    def _configurations(self, configurations: tuple[int, ...], mass_ratio: float) -> _ConfigurationMatrices:
+    def _configurations(self, configurations: tuple[int, ...], mass_factor: float) -> _ConfigurationMatrices:
         """Return the stacked matrices of several configurations."""
-        key = (configurations, mass_ratio)
+        key = (configurations, mass_factor)
         if key not in self._matrices and len(configurations) == 1:
-            self._matrices[key] = self._configuration(configurations[0], mass_ratio)
+            self._matrices[key] = self._configuration(configurations[0], mass_factor)
         elif key not in self._matrices:
-            # During continuation in mass ratio every step has a new value: limit the size of the cache.
+            # Every step of a continuation over the mass factor has a new value, so the cache must be limited.
             if len(self._matrices) > MAX_CACHED:
                 self._matrices.clear()
-            single = [self._configurations((configuration,), mass_ratio) for configuration in configurations]
+            single = [self._configurations((configuration,), mass_factor) for configuration in configurations]
             fields = zip(*single, strict=True)
             self._matrices[key] = _ConfigurationMatrices(*(np.concatenate(field) for field in fields))
         return self._matrices[key]
 
-    def _configuration(self, configuration: int, mass_ratio: float) -> _ConfigurationMatrices:
+    def _configuration(self, configuration: int, mass_factor: float) -> _ConfigurationMatrices:
         """Compute the matrices of one configuration; the first index of each array has length 1."""
-        system = self._system_at(mass_ratio)
+        system = self._system_at(mass_factor)
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
-        # The matrices are linear in the factor: any two values determine the slope.
-        heavier, lighter = (self._system_at(factor * mass_ratio) for factor in (1.5, 0.5))
+        # Mass matrix and forces are linear in the mass factor: any two values determine the slope.
+        heavier, lighter = (self._system_at(factor * mass_factor) for factor in (1.5, 0.5))
         mass_derivative, constant_derivative = (
-            (above - below) / mass_ratio
+            (above - below) / mass_factor
             for above, below in zip(
                 _riding_mass_and_forces(heavier, configuration),
                 _riding_mass_and_forces(lighter, configuration),
@@ -265,7 +265,7 @@ class OrbitProblem:
         inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
         inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
-        stiffness_derivative, damping_derivative = self._wall_derivatives(mass_ratio)
+        stiffness_derivative, damping_derivative = self._wall_derivatives(mass_factor)
         derivative_system = replace(system, wall_stiffness=stiffness_derivative, wall_damping=damping_derivative)
         wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
         force = system.force_state + wall_force
@@ -282,24 +282,24 @@ class OrbitProblem:
         input_matrix_derivative[nq : 2 * nq, -1] = (
             inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
         )
-        rate = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
+        norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
         arrays = (
-            state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, rate,
+            state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, norm_bound,
             state_matrix_derivative, input_matrix_derivative, inverse_mass_derivative,
             inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative,
         )  # fmt: skip
         return _ConfigurationMatrices(*(array[None] for array in arrays))
 
-    def _wall_derivatives(self, mass_ratio: float) -> tuple[Array, Array]:
-        """Return the derivatives of wall stiffness and damping with respect to the mass ratio, shape (dampers, 2).
+    def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array]:
+        """Return the derivatives of wall stiffness and damping with respect to the mass factor, shape (dampers, 2).
 
         They are not zero if the scene gives the contact duration instead of the stiffness.
         """
         if not self.system.finite_contact.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
         # The functions are smooth: finite differences are accurate to about 1e-10.
-        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_ratio) for sign in (1, -1))
-        step = 2.0 * RELATIVE_STEP * mass_ratio
+        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_factor) for sign in (1, -1))
+        step = 2.0 * RELATIVE_STEP * mass_factor
         return (
             np.asarray((above.wall_stiffness - below.wall_stiffness) / step),
             np.asarray((above.wall_damping - below.wall_damping) / step),
@@ -317,22 +317,22 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
-    on_floor = np.array(
+    riding = np.array(
         [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]], dtype=np.intp
     )
-    rows, masses = system.damper_coordinate[on_floor], system.damper_mass[on_floor]
-    added = np.zeros_like(system.mass)
-    np.add.at(added, (rows, rows), masses)
-    return system.mass + added, system.force_constant - system.gravity * added.sum(axis=0)
+    rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+    added_mass = np.zeros_like(system.mass)
+    np.add.at(added_mass, (rows, rows), masses)
+    return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return the derivatives of the contact forces with respect to state and clearance, for finite-duration contact.
+    """Return the derivatives of the forces of finite-duration contacts with respect to state and clearances.
 
-    Shapes (coordinates, states) and (coordinates, dampers).
+    They have the shapes (coordinates, states) and (coordinates, dampers).
     """
     force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
     clearance_force = np.zeros((system.coordinates, system.dampers))
     finite = np.flatnonzero(system.finite_contact)
-    clearance_force[system.bed[finite], finite] = constant[system.bed[finite]]
+    clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]
     return force, clearance_force

@@ -25,7 +25,7 @@ from rig.orbits.orbit_equations import EquationDerivatives, Equations, Sequence
 
 
 class ShootingResult(NamedTuple):
-    """Result of an evaluation: residual, Jacobian and states."""
+    """Result of an evaluation of the orbit's equations."""
 
     residual: Array  # Periodicity, then the events' conditions; shape (unknowns,)
     jacobian: Array
@@ -82,7 +82,7 @@ def _propagate(
     n, n_unknowns, duration = motion.dx.shape[0], motion.dx.shape[1] - 1, end_time - start_time
     x, dx, a = motion.x, motion.dx, equations.generator[configuration]
     initial, dinitial = x.copy(), np.zeros(n + 3)
-    flow = exponential(a, duration, equations.rate[configuration])
+    flow = exponential(a, duration, equations.norm_bound[configuration])
     x[:] = flow @ initial
     dinitial[:n] = dx[:, n_unknowns]
     dinitial[n], dinitial[n + 1] = (
@@ -91,7 +91,7 @@ def _propagate(
     )
     dx[:] = np.ascontiguousarray(flow[:n, :n]) @ dx
     dx[:, n_unknowns] = exponential_derivative(
-        a, derivatives.generator[configuration], initial, dinitial, duration, equations.rate[configuration]
+        a, derivatives.generator[configuration], initial, dinitial, duration, equations.norm_bound[configuration]
     )[:n]
     for i in range(n):
         rate = 0.0
@@ -209,7 +209,7 @@ def _apply_impact(
 
 
 @cached_njit
-def _change_contact(
+def _finite_contact_condition(
     equations: Equations,
     derivatives: EquationDerivatives,
     kind: int,
@@ -219,17 +219,17 @@ def _change_contact(
     row: int,
     jacobian: Array,
 ) -> tuple[float, float]:
-    """Change the finite-duration contact of damper j; return its event condition [m] and the closing speed [m/s].
+    """Return the condition [m] of an event of damper j with finite-duration contact, and the closing speed [m/s].
 
     With the gap g, and the gap g_w at which the wall is touched (0 or the clearance), the condition of a touch is
     g - g_w = 0. The wall's force is zero at g - g_w + (c / k) g' = 0, with the wall's stiffness k and damping c.
     """
-    n_unknowns, bed = motion.dx.shape[1] - 1, equations.bed[j]
-    speed_index = equations.inverse_mass.shape[1] + bed
+    n_unknowns, gap_index = motion.dx.shape[1] - 1, equations.gap_coordinate[j]
+    speed_index = equations.inverse_mass.shape[1] + gap_index
     ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
     speed, relaxation_time = motion.x[speed_index], 0.0
-    residual = motion.x[bed]
+    residual = motion.x[gap_index]
     if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         relaxation_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = derivatives.damping[j, wall_index] - relaxation_time * derivatives.stiffness[j, wall_index]
@@ -238,7 +238,7 @@ def _change_contact(
         residual -= equations.clearance[j]
         jacobian[row, n_unknowns] -= derivatives.clearance[j]
     for c in range(n_unknowns + 1):
-        jacobian[row, c] += motion.dx[bed, c] + relaxation_time * motion.dx[speed_index, c]
+        jacobian[row, c] += motion.dx[gap_index, c] + relaxation_time * motion.dx[speed_index, c]
     closing_speed = speed if ceiling else -speed
     return residual + relaxation_time * speed, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
 
@@ -316,7 +316,7 @@ def shoot(
                 jacobian[row, row - 1] = -1.0
             _separate(equations, derivatives, sequence.wall[k, j], j, motion)
         elif kind >= kinds.TOUCH_FLOOR:
-            residual[row], closing_speed[k] = _change_contact(
+            residual[row], closing_speed[k] = _finite_contact_condition(
                 equations, derivatives, kind, sequence.wall[k, j], j, motion, row, jacobian
             )
         else:

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from rig.results.response import Response
 
 
-# Largest number of continuation steps, including shortened steps, from one value to the next.
+# Largest number of continuation steps, including rejected steps, from one value to the next.
 MAX_STEPS = 6
 # Largest number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
@@ -99,7 +99,7 @@ class OrbitResponse(Result):
     labels: tuple[str, ...]
     dampers: int
 
-    # A search for peaks requires only the compliance, so the following quantities are computed when first used.
+    # A search for peaks needs only the compliance, so further quantities are computed when first used.
     @cached_property
     def damper_motion(self) -> NDArray[np.str_]:
         """Type of motion of each damper that moves, shape (dampers, values)."""
@@ -124,7 +124,7 @@ class OrbitResponse(Result):
 
     @property
     def simulated(self) -> NDArray[np.bool_]:
-        """Return whether the motion is irregular, and was simulated and averaged."""
+        """Whether the motion is irregular, and was simulated and averaged; shape (values,)."""
         return np.array([orbit is None for orbit in self.orbits], dtype=bool)
 
     @property
@@ -308,10 +308,9 @@ class _Continuation:
             if point is None:
                 target = 0.5 * (self.recent_points[-1].value + target)
                 continue
-            # The flaw is the reason why an orbit is not admissible.
             if point.orbit.flaw or not point.orbit.stable:
                 return None
-            # The nodes of the extrapolation must differ, also where a sweep turns back.
+            # The nodes of the extrapolation must differ, also where a sweep repeats a value.
             other_points = [recent for recent in self.recent_points if recent.value != target]
             self.recent_points = [*other_points[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:
@@ -320,7 +319,10 @@ class _Continuation:
         return None
 
     def _step(self, value: float) -> _BranchPoint | None:
-        """Predict the orbit at a value and correct it; return None if Newton diverges or reaches another orbit."""
+        """Predict the orbit at a value and correct it.
+
+        Returns None if Newton's iteration diverges or reaches another orbit.
+        """
         family, last_point = self.family, self.recent_points[-1]
         assert family is not None
         prediction, scale = self._predict(value), family.scale[:-1]

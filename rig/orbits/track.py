@@ -1,6 +1,6 @@
-"""The motion of an orbit between its events: guard functions of its dampers, extremes and first harmonic.
+"""The motion of an orbit between its events: guards of its dampers, extremes and first harmonic.
 
-A guard function is the gap or contact force of a damper, which must stay positive between events.
+The guard of a damper is its gap or contact force, which must stay positive between events.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from rig.orbits.orbit_equations import Equations, Sequence
 # of quintics is then 1e-9, and the harmonic is exact to rounding.
 MAX_RATE_TIMES_STEP = 0.25
 # Largest number of steps in a segment; it limits the memory for long flights in stiff structures.
-MAX_POINTS = 1500
+MAX_STEPS = 1500
 # Bernoulli numbers over factorials, for the end corrections of the trapezoidal rule (Euler-Maclaurin).
 _END_CORRECTIONS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
 
 
 class Track(NamedTuple):
-    """An orbit at evenly spaced instants of every segment between events.
+    """An orbit at the ends of equal steps of every segment between events.
 
     The segment after the last event extends into the next period up to the first event.
     """
 
-    times: Array  # shape (segments, points + 1)
-    motion: Array  # shape (segments, points + 1, states)
-    # Guard function of each damper, with first and second derivative; shape (segments, points + 1, dampers, 3). It is
+    times: Array  # shape (segments, steps + 1)
+    motion: Array  # shape (segments, steps + 1, states)
+    # Guard of each damper, with first and second derivative; shape (segments, steps + 1, dampers, 3). It is
     # the gap in flight [m], q'' + g of the body while riding [m/s^2], or the wall force divided by the damper mass
     # during finite-duration contact [m/s^2].
     guards: Array
@@ -74,15 +74,15 @@ def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tupl
             starts[s] = instants[s]
             segment_end = instants[s + 1] if s + 1 < events else equations.period + instants[0]
             durations[s] = segment_end - starts[s]
-        rate = equations.rate[sequence.configuration[min(s + 1, events)]]
-        largest_rate_times_duration = max(largest_rate_times_duration, abs(durations[s]) * rate)
-    points = int(np.ceil(largest_rate_times_duration / MAX_RATE_TIMES_STEP))
-    return starts, durations, max(8, min(MAX_POINTS, points))
+        norm_bound = equations.norm_bound[sequence.configuration[min(s + 1, events)]]
+        largest_rate_times_duration = max(largest_rate_times_duration, abs(durations[s]) * norm_bound)
+    steps = int(np.ceil(largest_rate_times_duration / MAX_RATE_TIMES_STEP))
+    return starts, durations, max(8, min(MAX_STEPS, steps))
 
 
 @cached_njit
 def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """Write the states (points + 1, states + 3) at evenly spaced times into `x`, and their rates A x into `rate`.
+    """Write the states (steps + 1, states + 3) at the ends of steps into `x`, and their rates A x into `rate`.
 
     `flow`: matrix that propagates a state by one step.
     """
@@ -101,7 +101,7 @@ def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -
 
 @cached_njit
 def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
-    """Extend the range of each coordinate to its extremes in a segment, including turning points between samples.
+    """Extend the range of each coordinate by its extremes in a segment, including turning points within steps.
 
     `x`, `rate`: states and their rates A x at instants at a distance of `step`, s.
     """
@@ -122,7 +122,7 @@ def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
 def _sample_guard(
     equations: Equations, a: Array, wall: int, j: int, initial: Array, x: Array, rate: Array, step: float, guard: Array
 ) -> None:
-    """Write the guard function of damper j along a segment, with two derivatives, into `guard`; see `Track.guards`.
+    """Write the guard of damper j along a segment, with two derivatives, into `guard`; see `Track.guards`.
 
     `a`: generator of the segment; `initial`: state, heights and velocities at its start; `x`, `rate`: states and their
     rates; `step`: time between them, s.
@@ -130,9 +130,9 @@ def _sample_guard(
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
     if wall == kinds.FORCELESS:
-        bed = equations.bed[j]
+        gap = equations.gap_coordinate[j]
         for i in range(x.shape[0]):
-            guard[i, 0], guard[i, 1], guard[i, 2] = x[i, bed], x[i, nq + bed], rate[i, nq + bed]
+            guard[i, 0], guard[i, 1], guard[i, 2] = x[i, gap], x[i, nq + gap], rate[i, nq + gap]
         return
     if wall == kinds.FLYING:
         height, speed = initial[n + j], initial[n + nd + j]
@@ -146,9 +146,10 @@ def _sample_guard(
     weights, constant = np.zeros((3, n + 3)), gravity
     if wall >= kinds.ON_FLOOR:
         sign, wall_index = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
-        weights[0, equations.bed[j]] = sign * equations.stiffness[j, wall_index] / equations.mass[j]
-        weights[0, nq + equations.bed[j]] = sign * equations.damping[j, wall_index] / equations.mass[j]
-        constant = -equations.clearance[j] * weights[0, equations.bed[j]] if wall_index == 1 else 0.0
+        gap = equations.gap_coordinate[j]
+        weights[0, gap] = sign * equations.stiffness[j, wall_index] / equations.mass[j]
+        weights[0, nq + gap] = sign * equations.damping[j, wall_index] / equations.mass[j]
+        constant = -equations.clearance[j] * weights[0, gap] if wall_index == 1 else 0.0
     else:
         weights[0] = a[nq + body]
     weights[1] = weights[0] @ a
@@ -163,16 +164,16 @@ def _sample_guard(
 @cached_njit
 def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
     """Integrate exp(-i w t) x over a segment by the trapezoidal rule with Euler-Maclaurin corrections."""
-    points, size = x.shape[0] - 1, x.shape[1]
+    steps, size = x.shape[0] - 1, x.shape[1]
     total = np.zeros(size, dtype=np.complex128)
     end_difference, derivative = np.zeros(size, dtype=np.complex128), np.zeros(size, dtype=np.complex128)
-    for i in range(points + 1):
+    for i in range(steps + 1):
         phase_factor = np.exp(-1j * omega * times[i])
         for m in range(size):
             if i == 0:
                 end_difference[m] = -phase_factor * x[i, m]
                 total[m] = 0.5 * phase_factor * x[i, m]
-            elif i == points:
+            elif i == steps:
                 end_difference[m] += phase_factor * x[i, m]
                 total[m] += 0.5 * phase_factor * x[i, m]
             else:
@@ -199,23 +200,23 @@ def track_orbit(equations: Equations, sequence: Sequence, instants: Array, state
     """
     n = equations.generator.shape[1] - 3
     nq, nd, omega = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0], equations.omega
-    starts, durations, points = _segments(equations, sequence, instants)
+    starts, durations, steps = _segments(equations, sequence, instants)
     segments = starts.size
-    times = np.zeros((segments, points + 1))
-    motion = np.zeros((segments, points + 1, n))
-    guards = np.zeros((segments, points + 1, nd, 3))
+    times = np.zeros((segments, steps + 1))
+    motion = np.zeros((segments, steps + 1, n))
+    guards = np.zeros((segments, steps + 1, nd, 3))
     extremes = np.empty((nq, 2))
     extremes[:, 0], extremes[:, 1] = np.inf, -np.inf
     harmonic = np.zeros(n, dtype=np.complex128)
-    start, x, rate = np.ones(n + 3), np.empty((points + 1, n + 3)), np.empty((points + 1, n + 3))
+    start, x, rate = np.ones(n + 3), np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
     for s in range(segments):
         k = s + 1 if sequence.kind.shape[0] > 0 else 0
-        configuration, step = sequence.configuration[k], durations[s] / points
+        configuration, step = sequence.configuration[k], durations[s] / steps
         a = equations.generator[configuration]
         start[:n] = states[k, :n]
         start[n], start[n + 1] = np.cos(omega * starts[s]), np.sin(omega * starts[s])
-        _sample_states(a, exponential(a, step, equations.rate[configuration]), start, x, rate)
-        for i in range(points + 1):
+        _sample_states(a, exponential(a, step, equations.norm_bound[configuration]), start, x, rate)
+        for i in range(steps + 1):
             times[s, i] = starts[s] + i * step
             motion[s, i] = x[i, :n]
         _extend_range(extremes, x, rate, step)

@@ -1,10 +1,11 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
-Work and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
-breaks (impacts and separations) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of
-kinetic energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
+Power and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
+breaks (contact changes) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
+energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
 
-A table index is the position of a contact configuration (the set of dampers at a wall) in the flow tables.
+A table index is the position of a contact configuration (which dampers are in contact with which wall) in the flow
+tables. A segment is a time interval under one drive, such as a sample interval.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding.
-_GAUSS_NODES = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+_GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
 # Largest number of values of power series in memory at a time.
 _MAX_VALUES = 1 << 21
 
@@ -77,7 +78,7 @@ class QuadraticForms:
 def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> QuadraticForms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
-    `output`: matrix that maps the drive variables p of the augmented state to the inputs, u = output p.
+    `output`: matrix that maps the drive states p to the inputs, u = output p.
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]
@@ -140,8 +141,8 @@ def energy_balance(
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
-    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: states of motion before and
-    after; `segment_states`: states at which the segments begin; `durations`: lengths of the segments, s.
+    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: states before and after the
+    motion; `segment_states`: states at the starts of the segments; `durations`: of the segments, s.
     """
     forms = quadratic_forms(scene, tables.system, tables.drive.output)
     states, table_indices, lengths, _ = _intervals(tables, trajectory, segment_states, durations)
@@ -163,20 +164,20 @@ def fourier_integral(
     """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
 
     `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
-    Intervals end at the jumps of impacts, so that the quadrature has its full order.
+    Intervals end at breaks, so that the quadrature has its full order.
     """
     states, table_indices, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
-    nodes, node_weights = _GAUSS_NODES
+    nodes, node_weights = _GAUSS_RULE
     powers = np.vander(nodes, N_COEFFICIENTS + 1, increasing=True).T * node_weights
-    ratio, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
+    fractions, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
     for table_index in np.unique(table_indices):
         indices = np.flatnonzero(table_indices == table_index)
         for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
             # Sum over the nodes first, because the series has many terms but few weights.
             phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
             weights = (powers @ phase_factors) * (
-                np.vander(ratio[rows], N_COEFFICIENTS + 1, increasing=True).T * lengths[rows]
+                np.vander(fractions[rows], N_COEFFICIENTS + 1, increasing=True).T * lengths[rows]
             )
             integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(table_index), states[rows])
             total += [1.0, 1.0j] @ integrals.sum(axis=0)
@@ -186,7 +187,10 @@ def fourier_integral(
 def _intervals(
     tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Return the intervals between segment ends and breaks: initial states, table indices, durations, start times."""
+    """Divide the motion into intervals at segment ends and breaks.
+
+    Returns for each interval its initial state, table index, duration [s] and start time [s].
+    """
     size = tables.size
     segments = len(durations)
     # An interval begins with each segment, at offset 0, and at each break in a segment.
@@ -214,29 +218,29 @@ def _integrate(
 ) -> tuple[float, float, float, float]:
     """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
     h = tables.step
-    # Split intervals that are longer than a step, and propagate the state.
+    # Each pass integrates over the next step, at most, of every interval that has not ended.
     work = dissipated = dashpots = to_grains = 0.0
     system = tables.system
     walls = _walls(tables)
     while len(states):
-        ratio = np.minimum(lengths, h) / h
+        fractions = np.minimum(lengths, h) / h
         ends = np.empty_like(states)
         for table_index in np.unique(table_indices):
             rows = table_indices == table_index
             terms = _series(tables, int(table_index), states[rows])
             in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
             damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
-            for node, weight in zip(*_GAUSS_NODES, strict=True):
-                at_node = _sum_series(terms, ratio[rows] * node)
-                node_weights = weight * ratio[rows] * h
+            for node, weight in zip(*_GAUSS_RULE, strict=True):
+                at_node = _sum_series(terms, fractions[rows] * node)
+                node_weights = weight * fractions[rows] * h
                 work += float(node_weights @ _quadratic(forms.power, at_node))
                 dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
                 if forms.to_grains.any():
                     to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
                 dashpots += float(
-                    node_weights @ (at_node[:, system.coordinates + system.bed[in_contact]] ** 2 @ damping)
+                    node_weights @ (at_node[:, system.coordinates + system.gap_coordinate[in_contact]] ** 2 @ damping)
                 )
-            ends[rows] = _sum_series(terms, ratio[rows])
+            ends[rows] = _sum_series(terms, fractions[rows])
         remaining = lengths > h * (1.0 + 1e-12)
         states, table_indices, lengths = ends[remaining], table_indices[remaining], lengths[remaining] - h
     return work, dissipated, dashpots, to_grains
@@ -258,13 +262,13 @@ def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) ->
     energy = np.zeros(len(states))
     for j in np.flatnonzero(system.finite_contact):
         stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
-        overlap = states[:, system.bed[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
+        overlap = states[:, system.gap_coordinate[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
         energy += 0.5 * stiffness * overlap**2
     return energy
 
 
 def _release_losses(tables: FlowTables, trajectory: Trajectory) -> float:
-    """Return the energy that contact springs lose at breaks [J]: after release, a wall recovers without force."""
+    """Return the energy [J] of contact springs that are still compressed at release: they recover without force."""
     walls = _walls(tables)
     before = _contact_energy(tables.system, walls[trajectory.table_index_before], trajectory.state_before)
     after = _contact_energy(tables.system, walls[trajectory.table_index_after], trajectory.state_after)
@@ -299,17 +303,17 @@ def _sum_series(terms: Array, tau: Array) -> Array:
     return total
 
 
-def _stored_energy(tables: FlowTables, forms: QuadraticForms, motion: State) -> float:
-    """Return the stored energy of structure, dampers and contact springs, J."""
+def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> float:
+    """Return the stored energy of structure, dampers and contact springs in a state, J."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
-    state = motion.z[: tables.size]
-    is_flying = motion.mode == FLIGHT
-    wall_height = state[body] + np.where(motion.mode == CEILING, system.clearance, 0.0)
-    height = np.where(is_flying, motion.height, wall_height)
-    speed = np.where(is_flying, motion.speed, state[n + body])
-    energy = float(_quadratic(forms.stored, state)) - float(system.force_constant @ state[:n])
-    energy += float(_contact_energy(system, motion.mode[None], state[None])[0])
+    z = state.z[: tables.size]
+    is_flying = state.contact == FLIGHT
+    wall_height = z[body] + np.where(state.contact == CEILING, system.clearance, 0.0)
+    height = np.where(is_flying, state.height, wall_height)
+    speed = np.where(is_flying, state.speed, z[n + body])
+    energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
+    energy += float(_contact_energy(system, state.contact[None], z[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     return energy + float(masses @ (system.gravity * height + 0.5 * speed**2))

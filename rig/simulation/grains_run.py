@@ -25,7 +25,7 @@ STEPS_PER_SECTION = 20_000
 
 
 class GrainsState(NamedTuple):
-    """Results of a run up to the end of a section, and the state from which it continues."""
+    """Results of a run up to the end of a section, and the state of beds and structure from which it continues."""
 
     coupled: CoupledState
     rows: Array  # shape (rows of `MotionSamples`, samples so far)
@@ -116,7 +116,10 @@ class GrainsRun:
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
-        """Return a function of two sample numbers: the tone at the grains' steps between, shape (inputs, steps + 1)."""
+        """Return a function of two sample numbers that evaluates the tone between them at the grains' time steps.
+
+        Its result has the shape (inputs, steps + 1).
+        """
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def tone_between(first: int, last: int) -> Array:

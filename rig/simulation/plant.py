@@ -54,7 +54,7 @@ class Plant:
                 row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
                 self._drive_limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
         self._dampers = len(scene.dampers)
-        # Empty arrays of a block without breaks, which most blocks share.
+        # Empty arrays for blocks without breaks, computed once.
         self._no_breaks: tuple[Array, Array, Array] | None = None
         self._next_sample = 0
         self._last_drive = np.zeros((len(self.inputs), 1))
@@ -96,9 +96,9 @@ class Plant:
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
             self._propagator.store_present_motion(buffer, 0)
-        held_drive = np.concatenate([self._last_drive, block[:, offset:]], axis=1)
-        trajectory = self._propagator.sample_motion(held_drive, self._steps, buffer, offset)
-        self._last_drive = held_drive[:, -1:].copy()
+        drive_from_last = np.concatenate([self._last_drive, block[:, offset:]], axis=1)
+        trajectory = self._propagator.sample_motion(drive_from_last, self._steps, buffer, offset)
+        self._last_drive = drive_from_last[:, -1:].copy()
         self._next_sample += samples
         return self._motion(buffer, trajectory, first + offset, first, separated)
 
@@ -150,7 +150,7 @@ class Plant:
         return breaks
 
     def _for_all_dampers(self, rows: NDArray[Any], constant: float) -> NDArray[Any]:
-        """Combine rows of moving dampers with a constant for dampers that cannot move; shape (dampers, samples)."""
+        """Add rows with a constant for dampers that cannot move; shape (dampers, samples)."""
         if len(rows) == self._dampers:
             return rows
         all_dampers = np.full((self._dampers, rows.shape[1]), constant, dtype=rows.dtype)

@@ -48,7 +48,7 @@ def simulate_to_file(
     frequency: float | None,
     progress: CountProgress,
 ) -> Run:
-    """Simulate a scene and write the run; runs with grains keep a checkpoint next to the file until it is written.
+    """Simulate a scene and write the run; a run with grains has a checkpoint next to the file until it is written.
 
     `output`: file for `write_run`; None: no file and no checkpoint are written. Raises `ShotrigError` if `simulate`
     raises an error, or a file cannot be written.

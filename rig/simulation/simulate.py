@@ -31,7 +31,7 @@ from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, val
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Samples per period of a tone above which a time step is a sample interval instead of a period.
+#: Samples per period of a tone above which time steps divide a sample interval instead of a period.
 MIN_DENSE_SAMPLES = 10
 
 
@@ -182,7 +182,7 @@ def simulate(
 
 
 def _check_memory(system: HybridSystem, instants: float) -> None:
-    """Reject a run whose motion exceeds the memory: states, points, dampers and times at a number of instants."""
+    """Reject a run whose motion at a number of instants exceeds the memory limit."""
     numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
     require_memory(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
 
@@ -198,11 +198,8 @@ def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:
 def _simulate_tone(
     scene: Scene, system: HybridSystem, tone: ToneDrive, duration: float, samples: int, rate: float
 ) -> Run:
-    """Simulate under a tone, in segments between samples and period starts.
-
-    With many samples in a period (dense), a time step is a sample interval instead of a period.
-    """
-    is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency
+    """Simulate under a tone, in segments between samples and period starts."""
+    is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency  # many samples in a period
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     # Cosine and sine of the drive at t = 0.
     separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
@@ -213,7 +210,7 @@ def _simulate_tone(
     segment_steps = durations / propagator.tables.step
     if is_dense:
         segment_steps[is_sample[:-1] & is_sample[1:]] = steps
-    trajectory = propagator.propagate_marks(segment_steps, np.arange(len(durations)), is_period_start[:-1])
+    trajectory = propagator.propagate_tone(segment_steps, np.arange(len(durations)), is_period_start[:-1])
     segment_starts = times[:-1].astype(np.float64)
     segment_states = np.concatenate([initial.state, trajectory.state[:-1]])
     sample_rows = np.flatnonzero(is_sample[1:])
@@ -226,13 +223,13 @@ def _simulate_tone(
 def _segment_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the ends of all segments: times of samples, period starts and the end of the run, s, in order.
+    """Return the ends of all segments in order, s, and which of them are samples and which are period starts.
 
-    The two masks mark samples and period starts.
+    They are the times of samples, the period starts, and the end of the run.
     """
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    # Computed from the frequency in Hz, because the rounding of omega causes a phase error over a million periods.
+    # From the frequency in Hz, because the rounding of omega would cause a phase error over a million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)

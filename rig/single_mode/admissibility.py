@@ -23,9 +23,9 @@ MAX_ROUNDING_ERROR = 1e-9
 
 @dataclass(frozen=True)
 class Batch:
-    """Solutions of one motion type, which are evaluated together in arrays."""
+    """Solutions of one motion type, evaluated together in arrays."""
 
-    kind: MotionType  # Motion type: 'I', 'II' or 'III'
+    kind: MotionType  # 'I', 'II' or 'III'
     unknowns: Array  # shape (4 + instants, solutions)
     setting: MotionParameters  # Fields of shape (solutions,)
 
@@ -45,7 +45,7 @@ Quantity = Callable[[PeriodicMotion, MotionPhase, Array], tuple[Array, Array]]
 
 
 def _gap(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
-    """Return the gap below the damper, and its rate."""
+    """Return the gap between damper and floor, and its rate."""
     state = motion.advance(phase, t)
     return state.y - state.q, state.v - state.u
 
@@ -57,7 +57,7 @@ def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[A
 
 
 def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
-    """Return the contact force over mu, q'' + 1 (positive on the floor, negative at the ceiling), and its rate."""
+    """Return the contact force per damper mass, q'' + 1, and its rate; the force is negative at the ceiling."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
 
@@ -71,7 +71,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     phase = motion.phases[index]
     # At least 24 samples per cycle of the faster oscillation.
     samples = 48 + int(24 * max(1.0, float(np.max(1 / batch.setting.ratio))))
-    t = np.linspace(0.0, 1.0, samples)[:, None] * phase.length
+    t = np.linspace(0.0, 1.0, samples)[:, None] * phase.duration
     value, slope = quantity(motion, phase, t)
     low, high = value.min(axis=0), value.max(axis=0)
     row, column = np.nonzero(slope[:-1] * slope[1:] < 0)
@@ -91,10 +91,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
 
 
 def flaws(batch: Batch) -> NDArray[np.str_]:
-    """Return the reason why each solution is inadmissible; "" if it is admissible.
-
-    Returns shape (solutions,), the first violation in time order.
-    """
+    """Return the first violation in each solution that makes it inadmissible, or ""; shape (solutions,)."""
     kind, motion = batch.kind, batch.motion
     reasons = np.full(batch.unknowns.shape[1], "", dtype="U32")
 
@@ -107,24 +104,27 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
     record_flaw(_initial_jerk(motion, 1) > MAX_ROUNDING_ERROR, "does not leave the floor")
     low, high = extremes(batch, 1, _gap)
     record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
-    record_flaw(high > motion.height + MAX_ROUNDING_ERROR, "hits the ceiling early")
+    record_flaw(high > motion.clearance + MAX_ROUNDING_ERROR, "hits the ceiling early")
     if kind != "I":
         last_flight = motion.phases[-1]
         if kind == "II":
-            acceleration = motion.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start)
+            acceleration = motion.acceleration(
+                last_flight, np.zeros_like(last_flight.duration), last_flight.initial_state
+            )
             record_flaw(acceleration < -1 - MAX_ROUNDING_ERROR, "stays at the ceiling")
         else:
             record_flaw(extremes(batch, 2, _contact)[1] > MAX_ROUNDING_ERROR, "leaves the ceiling early")
             record_flaw(_initial_jerk(motion, 3) < -MAX_ROUNDING_ERROR, "does not leave the ceiling")
         low, high = extremes(batch, len(motion.phases) - 1, _gap)
         record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
-        record_flaw(high > motion.height + MAX_ROUNDING_ERROR, "hits the ceiling again")
+        record_flaw(high > motion.clearance + MAX_ROUNDING_ERROR, "hits the ceiling again")
     return reasons
 
 
 def _initial_jerk(motion: PeriodicMotion, index: int) -> Array:
+    """Return the third derivative of the modal coordinate at the start of a phase."""
     phase = motion.phases[index]
-    return motion.jerk(phase, np.zeros_like(phase.length), phase.start)
+    return motion.jerk(phase, np.zeros_like(phase.duration), phase.initial_state)
 
 
 def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
@@ -137,9 +137,9 @@ def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
     nodes, weights = np.polynomial.legendre.leggauss(32 + int(8 * fastest))
     total = np.zeros(batch.unknowns.shape[1], dtype=np.complex128)
     for phase in motion.phases:
-        t = 0.5 * (nodes[:, None] + 1) * phase.length
-        rotated = motion.advance(phase, t).q * np.exp(-1j * (phase.begin + t))
-        total += 0.5 * phase.length * (weights @ rotated)
+        t = 0.5 * (nodes[:, None] + 1) * phase.duration
+        rotated = motion.advance(phase, t).q * np.exp(-1j * (phase.start_time + t))
+        total += 0.5 * phase.duration * (weights @ rotated)
     return np.asarray(total / np.pi, dtype=np.complex128)
 
 
@@ -153,15 +153,15 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
     """Compute the Floquet multipliers of the map from floor impact to floor impact, shape (2, solutions).
 
     The state after the impact is (q, q'), because the damper is at rest on the floor. Between events, perturbations
-    follow the homogeneous flow. At an impact they are multiplied by the saltation matrix
-    R + (f_after - R f_before) n^T / (n^T f_before), with R the linear map of the impact and n the gradient of the
-    gap. Take-off is smooth (free fall on both sides), so its saltation matrix is the identity.
+    follow the free response. At an impact they are multiplied by the saltation matrix
+    R + (f_after - R f_before) n^T / (n^T f_before), with the rates f of the state, the linear map R of the impact and
+    the gradient n of the gap. The rates are continuous at take-off, so its saltation matrix is the identity.
     """
     motion = batch.motion
     count = batch.unknowns.shape[1]
     monodromy = np.broadcast_to(np.eye(2), (count, 2, 2))
     for index, phase in enumerate(motion.phases):
-        flow = np.moveaxis(np.array(motion.homogeneous(phase, phase.length)), 0, -1).reshape(-1, 2, 2)
+        flow = np.moveaxis(np.array(motion.homogeneous(phase, phase.duration)), 0, -1).reshape(-1, 2, 2)
         if phase.riding:
             monodromy = flow @ monodromy
             continue
@@ -170,9 +170,9 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
         flight_flow = np.zeros((count, 4, 4))
         flight_flow[:, :2, :2] = flow
         flight_flow[:, 2:, 2:] = np.eye(2)
-        flight_flow[:, 2, 3] = phase.length
+        flight_flow[:, 2, 3] = phase.duration
         after = motion.phases[(index + 1) % len(motion.phases)]
-        end = motion.advance(phase, phase.length)
+        end = motion.advance(phase, phase.duration)
         monodromy = _saltation(motion, phase, end, after) @ flight_flow @ monodromy
     return np.asarray(np.linalg.eigvals(monodromy).T, dtype=np.complex128)
 
@@ -186,9 +186,9 @@ def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, afte
     velocity_row = [zeros, ones - mass_fraction, zeros, mass_fraction]
     rows = [q_row, velocity_row] if after.riding else [q_row, velocity_row, y_row, velocity_row]
     reset = np.moveaxis(np.array(rows), -1, 0)
-    velocity = after.start.u
-    acceleration = motion.acceleration(after, np.zeros_like(after.length), after.start)
-    rate_before = np.array([end.u, motion.acceleration(before, before.length, end), end.v, -ones]).T
+    velocity = after.initial_state.u
+    acceleration = motion.acceleration(after, np.zeros_like(after.duration), after.initial_state)
+    rate_before = np.array([end.u, motion.acceleration(before, before.duration, end), end.v, -ones]).T
     rate_after = np.array([velocity, acceleration] + ([] if after.riding else [velocity, -ones])).T
     normal = np.array([-1.0, 0.0, 1.0, 0.0])
     rate_jump = rate_after - np.einsum("nij,nj->ni", reset, rate_before)

@@ -1,6 +1,6 @@
-"""The paper's approximate method: all periodic motions of Types I, II and III of one mode, over frequency.
+"""The approximate method of Inoue, Yokomichi and Hiraki (2011): all periodic motions of one mode, over frequency.
 
-At selected frequencies all solutions of each type are computed (`rig.single_mode.motion_search`). Each solution is
+At selected frequencies all solutions of Types I, II and III are computed (`rig.single_mode.motion_search`). Each is
 continued over frequency, through folds, as a *branch*. Every point of a branch is checked for admissibility (the motion
 is possible) and stability. Inadmissible solutions are continued too, because a branch may become admissible at another
 frequency. Branches without an admissible point are discarded.
@@ -119,11 +119,11 @@ class Approximation(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the compliance of admissible motions; unstable motions are dashed."""
         for branch in self.branches:
-            color, size = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
+            color, magnitude = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
             labels = {line.get_label() for line in ax.lines}
             label = f"Type {branch.motion_type}"
             for selected, line_style in ((branch.stable, "-"), (~branch.stable, "--")):
-                values = np.where(branch.valid & selected, size, np.nan)
+                values = np.where(branch.valid & selected, magnitude, np.nan)
                 legend_label = label if line_style == "-" and label not in labels else "_again"
                 ax.loglog(
                     branch.frequency, values, line_style, **complete_style(style, color=color, label=legend_label)
@@ -140,7 +140,7 @@ def approximate_response(
     weighting: Weighting = "printed",
     at: int | str | None = None,
 ) -> Approximation:
-    """Compute the periodic motions of a scene by the paper's one-mode method.
+    """Compute the periodic motions of a scene by the approximate method for one mode.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def dimensionless(mode: SingleMode, ratio: float | Array) -> MotionParameters:
         damping=mode.damping_ratio,
         mass_ratio=mode.mass_ratio,
         force=abs(mode.participation) * mode.force / (mode.mass * mode.gravity),
-        height=mode.clearance * mode.omega**2 / mode.gravity,
+        clearance=mode.clearance * mode.omega**2 / mode.gravity,
     )
 
 
@@ -271,13 +271,13 @@ def _scale(mode: SingleMode, kind: MotionType) -> Array:
     """Return the scale of the unknowns and of the frequency ratio, for the arclength."""
     setting = dimensionless(mode, 1.0)
     amplitude = max(1.0, setting.force)
-    # Relative width of the resonance.
+    # Relative width of the resonance, or its shift by the damper.
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
     return np.array([amplitude, amplitude, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
 
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
-    """Distribute the searches over the take-off band, and half as many over the rest of the range."""
+    """Distribute the searches evenly over the take-off band, and half as many over the whole range outside it."""
     band = take_off_band(mode, (low * mode.frequency, high * mode.frequency))
     if band is None:
         return np.linspace(low, high, count + 2)[1:-1]
@@ -296,10 +296,10 @@ def _follow(mode: SingleMode, kind: MotionType, start: Array, bounds: tuple[floa
 
 def _passes_through(mode: SingleMode, kind: MotionType, curve: continuation.Curve, solution: Array) -> bool:
     """Return whether a curve already contains a solution."""
-    ratio = curve.points[:, -1] - solution[-1]
-    for i in np.flatnonzero(ratio[:-1] * ratio[1:] <= 0):
-        share = ratio[i] / (ratio[i] - ratio[i + 1]) if ratio[i] != ratio[i + 1] else 0.0
-        guess = curve.points[i] + share * (curve.points[i + 1] - curve.points[i])
+    offset = curve.points[:, -1] - solution[-1]
+    for i in np.flatnonzero(offset[:-1] * offset[1:] <= 0):
+        fraction = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
+        guess = curve.points[i] + fraction * (curve.points[i + 1] - curve.points[i])
         if np.abs((guess - solution) / curve.scale).max() > 0.1:
             continue
         try:

@@ -1,9 +1,9 @@
 """Search for all periodic motions of one type of a mode with a damper at one frequency.
 
-For given instants (take-off, ceiling impact, take-off from the ceiling) the conditions of
-`rig.single_mode.periodic_motion` are linear in all other unknowns. These are eliminated, which leaves one, two or
+For given instants (take-off, ceiling impact, take-off from the ceiling) most conditions of
+`rig.single_mode.periodic_motion` are affine in all other unknowns. These are eliminated, which leaves one, two or
 three equations in the same number of instants between 0 and 2 pi. The equations are evaluated on a grid over the
-whole range; cells in which every equation changes sign are refined by Newton's method.
+whole range. From each cell in which every equation changes sign, Newton's method is started.
 """
 
 from __future__ import annotations
@@ -17,34 +17,35 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, MotionType, PeriodicMotion
 
-# Points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a fold.
-# Continuation from the other side of the fold, or from another frequency, then reaches both.
+# Grid points per instant. The equations are smooth in the instants, so two solutions in one cell occur only near a
+# fold. Continuation from the other side of the fold, or from another frequency, then reaches both.
 _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
-# Shortest flight of the search [rad]: at length 0 take-off and landing coincide and the conditions are singular. A
-# flight this short corresponds to an acceleration of 1 + 3e-6 g (t = 4 sqrt(G^2 - 1)).
+# Shortest flight of the search [rad]: for a shorter one take-off and landing nearly coincide, and the conditions are
+# nearly singular. It corresponds to an acceleration amplitude G of 1 + 3e-6 g, from t = 4 sqrt(G^2 - 1).
 MIN_FLIGHT_RAD = 0.01
-
-
+# Reasons for the end of a branch, in the order of `ordering_margins`.
 END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
 
 
 def ordering_margins(kind: MotionType, instants: Array) -> Array:
-    """Compute the margins to a vanishing ride, flight or (Type III) stay; negative if instants are out of order."""
-    lengths = np.diff([0.0, *instants, PERIOD])
-    flights = np.delete(lengths, [0, 2] if kind == "III" else [0])
-    stay = [lengths[2]] if kind == "III" else []
-    return np.array([lengths[0], flights.min() - MIN_FLIGHT_RAD, *stay])
+    """Return the durations of ride, shortest flight (less its minimum) and stay at the ceiling (Type III only), rad.
+
+    One is negative if the instants are out of order.
+    """
+    durations = np.diff([0.0, *instants, PERIOD])
+    flights = np.delete(durations, [0, 2] if kind == "III" else [0])
+    stay = [durations[2]] if kind == "III" else []
+    return np.array([durations[0], flights.min() - MIN_FLIGHT_RAD, *stay])
 
 
 def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
-    """Solve the linear conditions for given instants, and evaluate the remaining conditions.
+    """Solve the first four conditions for given instants, and evaluate the remaining conditions.
 
-    `kind`: motion type, 'I', 'II' or 'III'; `instants`, shape (instants, batch): given instants; complex values are
-    allowed, for complex-step derivatives. Returns `unknowns`, shape (4 + instants, batch), unknowns whose (q_0,
-    q'_0, a, b) satisfy the first four conditions; `residuals`, shape (instants, batch): ceiling contact force
-    (Type III), gap at the ceiling impact (II and III), and half the logarithm of the squared ratio of required to
-    applied force.
+    `kind`: motion type, 'I', 'II' or 'III'; `instants`, shape (instants, batch); complex values are allowed, for
+    complex-step derivatives. Returns the unknowns, shape (4 + instants, batch), and the residuals of the remaining
+    conditions, shape (instants, batch): contact force per mass at the ceiling (Type III), gap at the ceiling impact
+    minus the clearance (II and III), and logarithm of the ratio of required to applied force.
     """
     # The affine conditions are evaluated at zero and at the four unit vectors, to obtain their matrix.
     trials = np.concatenate([np.zeros((4, 1, 1)), np.eye(4)[:, :, None]], axis=1)
@@ -56,7 +57,7 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
         motion = PeriodicMotion(kind, unknowns, setting)
         residuals = list(motion.affine_conditions()[4:])
         if kind != "I":
-            residuals.append(motion.ceiling_gap() - motion.height)
+            residuals.append(motion.ceiling_gap() - motion.clearance)
         residuals.append(0.5 * np.log((motion.a**2 + motion.b**2) / setting.force**2))
     return unknowns, np.array(residuals)
 
@@ -92,9 +93,9 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Array:
 
 
 def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Array:
-    """Solve the remaining equations from many starts at once; return the converged instants."""
+    """Solve the remaining equations from many starts (columns) at once; return the converged instants."""
     count = instants.shape[0]
-    max_step = PERIOD / _GRID[kind]
+    max_step = PERIOD / _GRID[kind]  # one cell
     for _ in range(15):
         if not instants.size:
             break

@@ -6,7 +6,7 @@ r = w/w_i the equations of motion of the modal coordinate q are
     flight   q'' + 2 (zeta/r) q' + q/r^2 = a sin(tau) + b cos(tau)            and  y'' = -1
     riding   (1 + mu) q'' + 2 (zeta/r) q' + q/r^2 = a sin(tau) + b cos(tau) - mu
 
-where a riding damper is at y = q (floor) or y = q + D (ceiling).
+where a riding damper (at rest on a wall) is at y = q (floor) or y = q + clearance (ceiling).
 
 A period begins at tau = 0, just after the floor impact, with the damper riding on the floor. The damper leaves the
 floor at tau_0, where the contact force mu (q'' + 1) has decreased to 0 (so q'' = -1). In Type I it falls back to the
@@ -14,14 +14,15 @@ floor at 2 pi. In Types II and III it hits the ceiling at tau_1. In Type II it l
 common velocity. In Type III it rides on the ceiling until the contact force has decreased to 0 (q'' = -1 again) at
 tau_2. All impacts are perfectly plastic.
 
-The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants every condition except a^2 +
-b^2 = F^2 and the ceiling's height is linear in (q_0, q'_0, a, b). `rig.single_mode.approximate_response` uses this to
-compute all solutions. Each condition is analytic in every unknown and parameter, so that a complex step gives exact
-derivatives.
+The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants, all conditions but two are affine in
+(q_0, q'_0, a, b); the two are a^2 + b^2 = F^2 and the gap at the ceiling impact. `rig.single_mode.motion_search` uses
+this to compute all solutions. Each condition is analytic in every unknown and parameter, so that a complex step gives
+exact derivatives.
 
-In the paper, flight is Eq. 8 for the mode and Eqs 10 and 11 for the damper, and riding is Eq. 9. The conditions are
-Eqs 14-17. The paper reduces them to three transcendental equations in the instants (18-20) and a linear equation
-(21). The reduction is valid for Type II only, so the unreduced conditions are used here.
+Equation numbers refer to Inoue, Yokomichi and Hiraki (2011). There, flight is Eq. 8 for the mode and Eqs 10 and 11 for
+the damper, and riding is Eq. 9. The conditions are Eqs 14-17. The paper reduces them to three transcendental equations
+in the instants (18-20) and a linear equation (21). The reduction is valid for Type II only, so the unreduced conditions
+are used here.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ class MotionParameters(NamedTuple):
     damping: Any  # zeta, damping ratio of the mode
     mass_ratio: Any  # mu
     force: Any  # F = phi_k f / (M g)
-    height: Any
-    """Clearance in units of g/w_i^2, with the natural frequency w_i, so that it does not depend on r."""
+    clearance: Any
+    """In units of g/w_i^2, with the natural frequency w_i, so that it does not depend on r."""
 
 
 class ModeState(NamedTuple):
@@ -65,20 +66,20 @@ class ModeState(NamedTuple):
 
 @dataclass(frozen=True)
 class MotionPhase:
-    """A phase of the motion between two events: duration, initial state, and whether the damper rides."""
+    """A phase of the motion between two events; times in tau."""
 
     riding: bool  # Whether the damper's mass moves with the mode
-    begin: Array  # Start in tau
-    length: Array  # Duration in tau
-    start: ModeState  # Initial state, after the impact if the phase begins with an impact
-    offset: Any  # Height of the damper over the floor while riding (0 or the clearance)
+    start_time: Array
+    duration: Array
+    initial_state: ModeState  # After the impact if the phase begins with an impact
+    riding_gap: Any  # Gap to the floor while riding: 0 or the clearance
 
 
 class PeriodicMotion:
     """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
-    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants;
-    they broadcast against each other; `setting`: parameters; broadcast against unknowns[0].
+    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants,
+    which broadcast against each other; `setting`: parameters, which broadcast against unknowns[0].
     """
 
     def __init__(self, kind: MotionType, unknowns: Array | Sequence[Array], setting: MotionParameters) -> None:
@@ -92,29 +93,29 @@ class PeriodicMotion:
         self.phases = [floor, first_flight]
         if kind != "I":
             ceiling_impact = self.instants[1]
-            self.phases[-1] = replace(first_flight, length=ceiling_impact - first_flight.begin)
-            self.before_ceiling = self.advance(self.phases[-1], self.phases[-1].length)
+            self.phases[-1] = replace(first_flight, duration=ceiling_impact - first_flight.start_time)
+            self.before_ceiling = self.advance(self.phases[-1], self.phases[-1].duration)
             velocity = self.common_velocity(self.before_ceiling)
             after_ceiling = self.before_ceiling._replace(u=velocity, v=velocity)
             if kind == "III":
-                after_ceiling = after_ceiling._replace(y=after_ceiling.q + self.height)
+                after_ceiling = after_ceiling._replace(y=after_ceiling.q + self.clearance)
                 self.phases.append(
-                    MotionPhase(True, ceiling_impact, self.instants[2] - ceiling_impact, after_ceiling, self.height)
+                    MotionPhase(True, ceiling_impact, self.instants[2] - ceiling_impact, after_ceiling, self.clearance)
                 )
                 self.phases.append(self._flight_after(self.phases[-1]))
             else:
                 self.phases.append(MotionPhase(False, ceiling_impact, PERIOD - ceiling_impact, after_ceiling, 0.0))
-        self.landing = self.advance(self.phases[-1], self.phases[-1].length)
+        self.landing = self.advance(self.phases[-1], self.phases[-1].duration)
 
     def _flight_after(self, phase: MotionPhase) -> MotionPhase:
         """Return the flight that follows a phase without impact, up to the end of the period."""
-        begin = phase.begin + phase.length
-        return MotionPhase(False, begin, PERIOD - begin, self.advance(phase, phase.length), 0.0)
+        start_time = phase.start_time + phase.duration
+        return MotionPhase(False, start_time, PERIOD - start_time, self.advance(phase, phase.duration), 0.0)
 
     @property
-    def height(self) -> Array:
+    def clearance(self) -> Array:
         """Clearance in units of g/w^2."""
-        return np.asarray(self.setting.height * self.setting.ratio**2)
+        return np.asarray(self.setting.clearance * self.setting.ratio**2)
 
     def common_velocity(self, state: ModeState) -> Array:
         """Return the velocity after a plastic impact."""
@@ -122,63 +123,65 @@ class PeriodicMotion:
         return (state.u + mu * state.v) / (1 + mu)
 
     def _oscillator(self, phase: MotionPhase) -> tuple[Any, Any, Any]:
-        """Return inertia, decay rate and stiffness over inertia in a phase."""
+        """Return inertia, decay rate, and stiffness per inertia (squared natural frequency) in a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
         inertia = 1 + mu if phase.riding else 1.0
         return inertia, zeta / (r * inertia), 1 / (r * r * inertia)
 
     def homogeneous(self, phase: MotionPhase, t: Array) -> tuple[Array, Array, Array, Array]:
         """Compute the free response at time `t`: q for unit q and unit q', then q' for unit q and unit q'."""
-        inertia, decay, stiffness = self._oscillator(phase)
-        # sqrt(stiffness - decay**2); the direct difference may round to zero near critical damping.
-        s = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
+        inertia, decay, stiffness_per_inertia = self._oscillator(phase)
+        # sqrt(stiffness_per_inertia - decay**2); the direct difference may round to zero near critical damping.
+        damped_frequency = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
         envelope = np.exp(-decay * t)
-        cosine, sine = envelope * np.cos(s * t), envelope * np.sin(s * t) / s
-        return cosine + decay * sine, sine, -stiffness * sine, cosine - decay * sine
+        cosine = envelope * np.cos(damped_frequency * t)
+        sine = envelope * np.sin(damped_frequency * t) / damped_frequency
+        return cosine + decay * sine, sine, -stiffness_per_inertia * sine, cosine - decay * sine
 
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """Compute the state at time `t` after the start of a phase, in closed form."""
-        inertia, decay, stiffness = self._oscillator(phase)
+        inertia, decay, stiffness_per_inertia = self._oscillator(phase)
+        # In x_y, x is the response q or u = q' to y: unit initial q or u, or a force cos(t) or sin(t) from rest.
         q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
-        # Responses from rest to cos(t) and sin(t): the steady response minus its homogeneous part. As in the paper,
-        # the steady response (A_p and beta) is singular at an undamped resonance.
-        d_r, d_i = stiffness - 1, 2 * decay  # real and imaginary part of the dynamic stiffness over inertia
+        # From rest, the response is the steady response minus its homogeneous part. As in the paper, the steady
+        # response (A_p and beta) is singular at an undamped resonance.
+        d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary part of the dynamic stiffness per inertia
         squared = inertia * (d_r**2 + d_i**2)
         cosine, sine = np.cos(t) - q_q, np.sin(t) - q_u
         cosine_rate, sine_rate = -np.sin(t) - u_q, np.cos(t) - u_u
         q_c, q_s = (cosine * d_r + sine * d_i) / squared, (sine * d_r - cosine * d_i) / squared
         u_c = (cosine_rate * d_r + sine_rate * d_i) / squared
         u_s = (sine_rate * d_r - cosine_rate * d_i) / squared
-        sin_part, cos_part = self._local_force(phase.begin)
-        q0, u0, y0, v0 = phase.start
+        sin_part, cos_part = self._local_force(phase.start_time)
+        q0, u0, y0, v0 = phase.initial_state
         q = q_q * q0 + q_u * u0 + q_c * cos_part + q_s * sin_part
         u = u_q * q0 + u_u * u0 + u_c * cos_part + u_s * sin_part
         if phase.riding:
             # The weight of the riding mass is the constant -gamma_i of Eq. 9.
             weight = -self.setting.mass_ratio / inertia
-            q = q + weight * (1 - q_q) / stiffness
+            q = q + weight * (1 - q_q) / stiffness_per_inertia
             u = u + weight * q_u
-            return ModeState(q, u, q + phase.offset, u)
+            return ModeState(q, u, q + phase.riding_gap, u)
         return ModeState(q, u, y0 + v0 * t - t * t / 2, v0 - t)
 
     def acceleration(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Compute the second derivative of q at time `t` after the start of a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
-        sin_part, cos_part = self._local_force(phase.begin)
+        sin_part, cos_part = self._local_force(phase.start_time)
         force = sin_part * np.sin(t) + cos_part * np.cos(t) - 2 * zeta / r * state.u - state.q / r**2
         return (force - mu) / (1 + mu) if phase.riding else force
 
     def jerk(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Compute the third derivative of q at time `t` after the start of a phase."""
         r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
-        sin_part, cos_part = self._local_force(phase.begin)
+        sin_part, cos_part = self._local_force(phase.start_time)
         acceleration = self.acceleration(phase, t, state)
         force = sin_part * np.cos(t) - cos_part * np.sin(t) - 2 * zeta / r * acceleration - state.u / r**2
         return force / (1 + mu) if phase.riding else force
 
-    def _local_force(self, begin: Array) -> tuple[Array, Array]:
-        """Return the sine and cosine parts of the force for time counted from `begin`."""
-        c, s = np.cos(begin), np.sin(begin)
+    def _local_force(self, start_time: Array) -> tuple[Array, Array]:
+        """Return the sine and cosine parts of the force for time counted from `start_time`."""
+        c, s = np.cos(start_time), np.sin(start_time)
         return self.a * c - self.b * s, self.a * s + self.b * c
 
     def affine_conditions(self) -> Array:
@@ -190,26 +193,28 @@ class PeriodicMotion:
         """
         floor, first_flight = self.phases[0], self.phases[1]
         conditions = [
-            self.landing.q - floor.start.q,  # Eqs 14 and 17: rho_c1 at both ends of the period
-            self.common_velocity(self.landing) - floor.start.u,  # Eq. 14: u_c1 from u_b1 and v_b1
+            self.landing.q - floor.initial_state.q,  # Eqs 14 and 17: rho_c1 at both ends of the period
+            self.common_velocity(self.landing) - floor.initial_state.u,  # Eq. 14: u_c1 from u_b1 and v_b1
             # Separation: Eq. 15 gives continuity of position and velocity; in addition the contact force must vanish.
-            self.acceleration(first_flight, np.zeros_like(first_flight.length), first_flight.start) + 1,
+            self.acceleration(first_flight, np.zeros_like(first_flight.duration), first_flight.initial_state) + 1,
             self.landing.y - self.landing.q,  # Eq. 17: both at rho_c1
         ]
         if self.kind == "III":
             last_flight = self.phases[-1]
-            conditions.append(self.acceleration(last_flight, np.zeros_like(last_flight.length), last_flight.start) + 1)
+            conditions.append(
+                self.acceleration(last_flight, np.zeros_like(last_flight.duration), last_flight.initial_state) + 1
+            )
         return np.array(conditions)
 
     def ceiling_gap(self) -> Array:
-        """Compute the gap at the ceiling impact (Types II and III)."""
+        """Compute the gap to the floor at the ceiling impact (Types II and III), which should be the clearance."""
         return self.before_ceiling.y - self.before_ceiling.q
 
     def conditions(self) -> Array:
         """Evaluate all conditions, shape (4 + instants, ...); the motion is periodic where they are zero."""
         conditions = list(self.affine_conditions())
         if self.kind != "I":
-            conditions.append(self.ceiling_gap() - self.height)  # Eq. 16: the damper is d_j above the body
+            conditions.append(self.ceiling_gap() - self.clearance)  # Eq. 16: the damper is d_j above the body
         # The force condition is divided by F, so that all conditions have similar magnitudes.
         force = self.setting.force
         conditions.append((self.a**2 + self.b**2) / force - force)
@@ -217,14 +222,13 @@ class PeriodicMotion:
 
 
 def jacobian(kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str) -> tuple[Array, Array]:
-    """Compute the conditions and their exact derivatives by the unknowns and one parameter.
+    """Compute the conditions and their derivatives with respect to the unknowns and one parameter.
 
-    The complex-step derivative Im f(x + i h)/h has no cancellation, so a very small h gives derivatives exact to
-    rounding.
+    The complex-step derivative Im f(x + i h)/h has no cancellation, so it is exact to rounding for a very small h.
 
     `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
-    field of `setting` for the last derivative. Returns `conditions`, shape (n,); `derivatives`, shape (n, n + 1),
-    columns: the unknowns, then the parameter.
+    field of `setting`. Returns the conditions, shape (n,), and their derivatives, shape (n, n + 1), with one column for
+    each unknown and the last for the parameter.
     """
     n = len(unknowns)
     step = 1e-40

@@ -1,15 +1,15 @@
-"""One mode of the structure with one equivalent damper: the paper's approximate system (Eqs 4-13).
+"""One mode of the structure with one equivalent damper (Eqs 4-13 of Inoue, Yokomichi and Hiraki, 2011).
 
-The structure is replaced by a single mass M_i on a spring K_i with a dashpot C_i, forced by phi_ki f_k, which
-carries one damper of mass mu_i M_i in a cavity of the scene's clearance. M_i depends on the normalization of the
-mode shape: the paper sets its largest element to 1, so that the single mass represents the body with the largest
-displacement.
+For mode i, the structure is replaced by a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
+acts on it as phi_ki f_k, with the mode shape phi. It carries one damper of mass mu_i M_i in a cavity of the scene's
+clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so that the
+single mass represents the body with the largest displacement.
 
-Two weightings of the damper masses give mu_i. As printed (Eq 13), mu_i is the signed sum of phi_ji md_j / M_i. The
-kinetic energy of riding masses gives phi_ji^2 instead. Both agree for a damper on a body with phi_ji = 1. If the
-damper's body moves less than the largest displacement, both subject the equivalent damper to the largest
-acceleration. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction
-for a single damper.
+Two weightings of the masses md_j of dampers in bodies j give mu_i. As printed (Eq. 13), mu_i is the signed sum of
+phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both agree for a damper
+in a body with phi_ji = 1. If the damper's body moves less, both subject the equivalent damper to a too large
+acceleration. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction for
+a single damper.
 """
 
 from __future__ import annotations
@@ -83,10 +83,10 @@ def reduce_to_mode(
 
     `matrices`: mass [kg], damping [N s/m] and stiffness [N/m]; `mode`: number of the mode, from 1; `driven`: driven
     bodies, from 1; `force`: amplitude of the force [N]; `dampers`: damper mass [kg] by body (from 1); `clearance`:
-    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: 'printed' or 'energy'. Eq
-    13 as printed (signed shape), or squared shape; `at`: body at which the shape is 1; default the body with the
-    largest displacement. Raises `SceneError` if the mode does not exist, gravity is not positive, the mode is not
-    oscillatory, or the printed sum is not positive (dampers on bodies in antiphase with the largest displacement).
+    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: of the damper masses,
+    'printed' (Eq. 13) or 'energy' (squared shape); `at`: body at which the shape is 1; default the body with the
+    largest displacement. Raises `SceneError` if the mode does not exist or is not oscillatory, gravity is not positive,
+    the clearance is negative, or the printed sum is not positive (dampers in bodies that move in antiphase).
 
     >>> import numpy as np
     >>> m = np.diag([0.74, 0.71, 0.64])
@@ -103,7 +103,7 @@ def reduce_to_mode(
     if not gravity > 0:
         raise SceneError(f"gravity: {gravity} m/s^2 is too low for the approximate method. Set a value above 0.")
     if not clearance >= 0:
-        raise SceneError(f"clearance: {clearance} m is negative. Set 0 or more.")
+        raise SceneError(f"clearance: {clearance} m is negative. Set a clearance of 0 or more.")
     frequencies, shapes = natural_modes(mass, stiffness)
     shape = shapes[:, mode - 1]
     if at is not None:
@@ -114,14 +114,14 @@ def reduce_to_mode(
     omega = float(np.sqrt(modal_stiffness / modal_mass))
     damping_ratio = modal_damping / (2 * modal_mass * omega)
     if not damping_ratio < 1:
-        raise SceneError(f"mode: {mode} has damping ratio {damping_ratio:.3g}. Choose a mode with less than 1.")
+        raise SceneError(f"mode: {mode} has the damping ratio {damping_ratio:.3g}. Choose a mode with a ratio below 1.")
     power = {"printed": 1, "energy": 2}[weighting]
     ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
     if dampers and not ratio > 0:
         raise SceneError(
-            f"mode {mode}: Eq. 13 as printed gives the mass ratio {ratio:.3g}, because dampers are on "
-            "bodies that move against the largest one. Use weighting='energy', or normalize the shape "
-            "at the damper's body (at=...)."
+            f"mode {mode}: Eq. 13 as printed gives the mass ratio {ratio:.3g}, because dampers are in bodies that move "
+            "in antiphase with the largest displacement. Use weighting='energy', or normalize the shape at the "
+            "damper's body (at=...)."
         )
     participation = float(sum(shape[body - 1] for body in driven))
     return SingleMode(
@@ -149,12 +149,12 @@ def single_mode(
         if damper.grains is not None:
             raise SceneError(
                 f"scene {scene.name!r}: the damper in body {damper.body} is a bed of grains; the "
-                "approximate method treats a bed as one mass. Remove its grains:."
+                "approximate method treats a bed as one mass. Remove the damper's key grains."
             )
         if damper.contact is not None:
             raise SceneError(
                 f"damper in body {damper.body}: its contact has a finite duration; the approximate "
-                "method assumes instantaneous contact. Remove its contact:, or use rig.orbit_response."
+                "method assumes instantaneous contact. Remove the damper's key contact, or use rig.orbit_response."
             )
         if damper.restitution != 0:
             raise SceneError(
@@ -166,8 +166,8 @@ def single_mode(
     if len(clearances) > 1:
         clearance_list = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
         raise SceneError(
-            f"clearances {clearance_list}: the approximate method combines all dampers into one. Use a common "
-            "clearance."
+            f"clearances {clearance_list}: the approximate method combines all dampers into one. Give all dampers a "
+            "common clearance."
         )
     if force is None:
         level = getattr(scene.test, "force", None)

@@ -88,7 +88,7 @@ class _Comparison(NamedTuple):
 
     state: Array
     height: Array
-    mode: NDArray[np.int8]
+    contact: NDArray[np.int8]
 
 
 def _integrate(
@@ -103,8 +103,8 @@ def _integrate(
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
         # Row in which the state after each period is stored; -1 for skipped periods.
         rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
-        trajectory = propagator.propagate_marks(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
-        comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.mode))
+        trajectory = propagator.propagate_tone(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
+        comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.contact))
     return _Comparison(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
 
 
@@ -113,11 +113,11 @@ def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Arr
 
     Both have the shape (MAX_REPETITION,).
     """
-    heights = np.where(comparison.mode == FLIGHT, comparison.height, 0.0)
+    heights = np.where(comparison.contact == FLIGHT, comparison.height, 0.0)
     vectors = np.concatenate([comparison.state[:, : state_scales.size] * state_scales, heights], axis=1)
     scale = max(float(np.abs(vectors).max()), 1e-300)
     changes, distances = [], []
-    for p, (change, earlier_change) in enumerate((_changes(vectors, comparison.mode) / scale).tolist(), 1):
+    for p, (change, earlier_change) in enumerate((_changes(vectors, comparison.contact) / scale).tolist(), 1):
         changes.append(change)
         if change < CHANGE_ROUNDING:
             distances.append(change)
@@ -131,7 +131,7 @@ def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Arr
 
 
 @cached_njit
-def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
+def _changes(vectors: Array, contacts: NDArray[np.int8]) -> Array:
     """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ.
 
     Returns shape (MAX_REPETITION, 2). The ratio of both identifies a slow decay, which faster decays hide in the
@@ -146,8 +146,8 @@ def _changes(vectors: Array, modes: NDArray[np.int8]) -> Array:
                 for column in range(vectors.shape[1]):
                     change = abs(vectors[row, column] - vectors[row - p, column])
                     changes[p - 1, position] = max(changes[p - 1, position], change)
-        for j in range(modes.shape[1]):
-            if modes[rows - 1, j] != modes[rows - 1 - p, j]:
+        for j in range(contacts.shape[1]):
+            if contacts[rows - 1, j] != contacts[rows - 1 - p, j]:
                 changes[p - 1] = np.inf
     return changes
 
@@ -178,6 +178,6 @@ def sample_periods(propagator: Propagator, steps: float, level: float, periods: 
     """Integrate whole periods, with the state stored at the end of each of `INSTANTS_PER_PERIOD` intervals."""
     count = INSTANTS_PER_PERIOD * periods
     starts_period = np.arange(count) % INSTANTS_PER_PERIOD == 0
-    return propagator.propagate_marks(
+    return propagator.propagate_tone(
         np.full(count, steps / INSTANTS_PER_PERIOD), np.arange(count), starts_period, level
     )

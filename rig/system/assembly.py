@@ -1,7 +1,7 @@
 """From a scene to the hybrid linear system of the kernel.
 
-A damper's *bed* is its particles, modeled as one mass that moves in a cavity of a body. The bed *rides* while it is
-at rest on the floor of the cavity, and moves with the body; otherwise it *flies*.
+A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on the
+floor of the cavity; otherwise it *flies*.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def assemble(scene: Scene) -> HybridSystem:
     masses, body, locked = model.bed_mass, model.bed_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
-    # A finite-duration contact takes a second bit, which distinguishes the ceiling from the floor.
+    # Finite-duration contact needs two bits of a configuration: contact, and contact with the ceiling.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if len(free) > limit:
         condition = " with finite-duration contact" if finite_contact else ""
@@ -52,10 +52,10 @@ def assemble(scene: Scene) -> HybridSystem:
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
     walls = _stiffness_and_damping(equations.mass, [scene.dampers[j] for j in free], masses[free])
-    bed = np.full(len(free), -1, dtype=np.intp)
+    gap_coordinate = np.full(len(free), -1, dtype=np.intp)
     for row, j in enumerate(free):
         if scene.dampers[j].contact is not None:
-            bed[row] = equations.add_bed(body[j], masses[j], scene.gravity)
+            gap_coordinate[row] = equations.add_bed(body[j], masses[j], scene.gravity)
     system = equations.system(
         gravity=scene.gravity,
         coordinate=body[free],
@@ -63,7 +63,7 @@ def assemble(scene: Scene) -> HybridSystem:
         clearance=clearance,
         restitution=restitution,
         number=free + 1,
-        bed=bed,
+        gap_coordinate=gap_coordinate,
         walls=walls,
         grains=np.array([scene.dampers[j].grains is not None for j in free], dtype=bool),
     )
@@ -81,7 +81,7 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _Equations:
     """Return the equations of bodies and tables with their inputs.
 
-    `weight`: constant force of the locked beds on each body, N, shape (bodies,), negative (downwards).
+    `weight`: constant force of the locked beds on each body, N, shape (bodies,), upwards and therefore negative.
     """
     equations = _Equations(len(model.mass), model.with_bed_masses(), weight)
     for number, shaker in enumerate(scene.shakers, 1):
@@ -157,7 +157,7 @@ class _Equations:
 
     def system(
         self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
-        restitution: Array, number: NDArray[np.intp], bed: NDArray[np.intp], walls: tuple[Array, Array],
+        restitution: Array, number: NDArray[np.intp], gap_coordinate: NDArray[np.intp], walls: tuple[Array, Array],
         grains: NDArray[np.bool_],
     ) -> HybridSystem:  # fmt: skip
         """Return the system; the arguments are the fields of `HybridSystem` for the free dampers."""
@@ -190,7 +190,7 @@ class _Equations:
             clearance=clearance,
             restitution=restitution,
             damper_number=number,
-            bed=bed,
+            gap_coordinate=gap_coordinate,
             wall_stiffness=walls[0],
             wall_damping=walls[1],
             grains=grains,
@@ -244,8 +244,8 @@ def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) 
             continue
         walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
         reduced_mass = 1.0 / (1.0 / bed_mass[row] + inverse_mass[damper.body - 1])
-        for side, wall in enumerate(walls):
-            stiffness[row, side], damping[row, side] = _wall_stiffness_and_damping(
+        for wall_index, wall in enumerate(walls):
+            stiffness[row, wall_index], damping[row, wall_index] = _wall_stiffness_and_damping(
                 wall, damper.restitution, reduced_mass
             )
     return stiffness, damping
@@ -298,9 +298,10 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 
 
 def _is_singular(stiffness: Array) -> bool:
-    """Return whether a stiffness matrix is singular within rounding; its diagonal is first scaled to 1.
+    """Return whether a stiffness matrix is singular within rounding.
 
-    A large ratio of springs makes the condition number large without scaling, though the matrix has an inverse.
+    Its diagonal is first scaled to 1, because a large ratio of springs makes the condition number of a regular matrix
+    large.
     """
     scale = np.sqrt(np.abs(np.diag(stiffness)))
     scale[scale == 0.0] = 1.0
@@ -308,7 +309,7 @@ def _is_singular(stiffness: Array) -> bool:
 
 
 def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row r for which r . state is the force F_1 of the driven shaker's coil spring, N.
+    """Return the row whose product with the state is the force of the driven shaker's coil spring on its body, N.
 
     The row is zero without a coil spring.
     """

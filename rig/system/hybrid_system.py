@@ -1,4 +1,4 @@
-"""The system of a scene, which the engine simulates: linear between contact changes, with its dampers and its drive.
+"""The hybrid system of a scene and its drive, which the engine simulates: linear between contact changes.
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
 ceiling of its cavity. A contact *configuration* states which dampers are in contact with which wall.
@@ -21,20 +21,21 @@ FORCE_OF_BED = "grains"
 class HybridSystem:
     """The hybrid linear system of a scene, in SI units.
 
-    The state is (coordinates q, velocities q', further states r such as the coil current), and u are the inputs. In
-    every contact configuration (M + riding damper masses) q'' = F_q state + F_u u + F_1 - (riding dampers' weight), and
-    r' = R_q state + R_u u.
+    The state x is (coordinates q, velocities q', further states r such as the coil current), and u are the inputs. In
+    every contact configuration (M + riding damper masses) q'' = F_x x + F_u u + F_1 - (riding dampers' weight) and
+    r' = R_x x + R_u u.
 
     `inputs`, `drive_units`: names and units of the inputs. `gravity`: m/s^2.
-    `force_state`, `force_drive`, `force_constant`: F_q (coordinates, states), F_u (coordinates, inputs) and F_1
+    `mass`: M, without the dampers of instant contact that can move.
+    `force_state`, `force_drive`, `force_constant`: F_x (coordinates, states), F_u (coordinates, inputs) and F_1
     (coordinates,).
-    `rate_state`, `rate_drive`: R_q (further states, states) and R_u (further states, inputs).
+    `rate_state`, `rate_drive`: R_x (further states, states) and R_u (further states, inputs).
     `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: coordinate of the body, mass [kg],
     clearance [m], coefficient of restitution and number in the scene (from 1) of each free damper.
     `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m; shape
     (dampers, 2).
-    `bed`: coordinate of a damper with finite-duration contact (its gap), after those of the points; -1 for
-    instant contact.
+    `gap_coordinate`: index of the coordinate that is the gap of a damper with finite-duration contact; -1 for instant
+    contact.
     `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.grain_beds` computes its
     motion.
     `initial`: state at t = 0 without drive, with all dampers on their floors.
@@ -45,7 +46,7 @@ class HybridSystem:
     inputs: tuple[str, ...]
     drive_units: tuple[str, ...]
     gravity: float
-    mass: np.ndarray  # mass matrix without the dampers of instant contact; locked dampers are in it
+    mass: np.ndarray
     force_state: np.ndarray
     force_drive: np.ndarray
     force_constant: np.ndarray
@@ -56,7 +57,7 @@ class HybridSystem:
     clearance: np.ndarray
     restitution: np.ndarray
     damper_number: np.ndarray
-    bed: np.ndarray
+    gap_coordinate: np.ndarray
     wall_stiffness: np.ndarray
     wall_damping: np.ndarray
     grains: np.ndarray
@@ -87,14 +88,14 @@ class HybridSystem:
     @property
     def finite_contact(self) -> np.ndarray:
         """Whether the contact of each damper has a duration, bool (dampers,)."""
-        return self.bed >= 0
+        return self.gap_coordinate >= 0
 
     @property
     def reduced_mass(self) -> np.ndarray:
         """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
         # The index -1 of a damper with instant contact gives NaN.
         inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
-        return np.asarray(1.0 / inverse_mass[self.bed])
+        return np.asarray(1.0 / inverse_mass[self.gap_coordinate])
 
     def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
         """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
@@ -118,7 +119,7 @@ class HybridSystem:
         return (1 << self.dampers) - 1
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of closed finite-duration contacts.
+        """Return the forces of finite-duration contacts that are closed in a configuration.
 
         Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
         """
@@ -129,10 +130,10 @@ class HybridSystem:
                 continue
             # 0: floor, 1: ceiling.
             wall = configuration >> self.dampers + int(j) & 1
-            bed, stiffness = self.bed[j], self.wall_stiffness[j, wall]
-            force[bed, bed] = -stiffness
-            force[bed, n + bed] = -self.wall_damping[j, wall]
-            constant[bed] = stiffness * self.clearance[j] if wall and np.isfinite(self.clearance[j]) else 0.0
+            gap, stiffness = self.gap_coordinate[j], self.wall_stiffness[j, wall]
+            force[gap, gap] = -stiffness
+            force[gap, n + gap] = -self.wall_damping[j, wall]
+            constant[gap] = stiffness * self.clearance[j] if wall and np.isfinite(self.clearance[j]) else 0.0
         return force, constant
 
     def matrix(self, configuration: int = 0) -> np.ndarray:
@@ -151,9 +152,10 @@ class HybridSystem:
 
     @cached_property
     def max_rate(self) -> float:
-        """Upper bound of the rates of the system in all configurations, rad/s.
+        """Largest rate (magnitude of a pole) of the system in any configuration, rad/s.
 
-        Dampers at rest reduce the rates; finite-duration contacts increase them.
+        Dampers at rest reduce the rates, so they are omitted. Finite-duration contacts increase them: each wall alone
+        and all stiffer walls together are tried.
         """
         configurations = {0}
         if self.finite_contact.any():
@@ -169,9 +171,9 @@ class HybridSystem:
 
 @dataclass(frozen=True)
 class Drive:
-    """Evolution of the inputs u within a time segment by drive states p: p' = generator p, u = output p.
+    """The inputs u within a time segment, from drive states p: p' = generator p, u = output p.
 
-    `max_rate`: largest rate of the drive states, rad/s; 0 for a sampled drive.
+    `max_rate`: angular frequency of a tone, rad/s; 0 for a sampled drive.
     """
 
     generator: np.ndarray

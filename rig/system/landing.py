@@ -1,7 +1,7 @@
-"""Impact of a bed on a wall that is a spring-damper without adhesion: duration and restitution, stiffness and damping.
+"""Impact on a wall with spring and dashpot, without adhesion: conversion of duration and restitution.
 
 A damper's bed is its particles, modeled as one mass. A bed of mass m_d hits a wall of a body of mass m_b at the
-relative speed v; no other force acts on either. k and c are stiffness and damping of the wall. With the reduced mass
+relative speed v; no other force acts on either. The wall has the stiffness k and the damping c. With the reduced mass
 m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
 
     F(t) = m v w e^{-z w t} sin(w_d t + 2 b) / cos b,     sin b = z,  w_d = w cos b
@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import math
 
-#: Time constant c / k with which a wall of restitution 0 recovers from an overlap, s. A contact without adhesion cannot
-#: reach restitution 0 exactly, because its dashpot would be infinitely strong. With this time constant, the wall has
-#: recovered after about 5 ms, and the restitution is small: 5 % for a contact of 2 ms, 0.15 % for 0.1 ms.
+#: Time constant c / k of a wall of restitution 0, s: the overlap left at separation decays with it. A contact without
+#: adhesion cannot reach restitution 0 exactly, because its dashpot would be infinitely strong. With 5 ms the
+#: restitution is 5 % for a contact of 2 ms, and 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
 def _half_duration(ratio: float) -> float:
-    """Return w T / 2 of a contact of duration T, damping ratio z: acos(z) / sqrt(1 - z^2), or its hyperbolic form."""
+    """Return w T / 2 of a contact with a damping ratio z: acos(z) / sqrt(1 - z^2), or its hyperbolic form."""
     if ratio == 1.0:
         return 1.0
     root = math.sqrt(abs((1.0 - ratio) * (1.0 + ratio)))

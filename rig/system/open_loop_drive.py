@@ -1,7 +1,7 @@
 """The drive of a scene's test without a controller (open loop), and the validation of a sampled drive.
 
-The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed from
-the linear structure with all dampers *riding*: with their beds of particles at rest on their floors.
+The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed for
+the linear structure with all dampers *riding*: their particles are at rest on the floor, as an added mass.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class ToneDrive:
 
 
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
-    """Return the tone of a sine or stepped sine test, or at a given frequency; None if the test is not a tone.
+    """Return the tone of a test at a frequency, Hz.
 
-    `frequency`: Hz; None: that of the test, the first one of a stepped sine. Raises `SceneError` if a frequency is
-    given, but the scene has no level or no shaker.
+    Without `frequency`, it is that of a sine test, or the first of a stepped sine; None for other tests. Raises
+    `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
     """
     test = scene.test
     if frequency is None:
@@ -121,10 +121,10 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 
 
 def with_ideal_force(scene: Scene) -> Scene:
-    """Replace coil spring, table and channels by the test's force as a pure tone on the body.
+    """Replace the driven shaker by an ideal force on its body, and omit the channels.
 
-    Then no controller of the spring force is needed. A scene does not change if its test has a drive, or its shaker is
-    a force.
+    Then the spring force needs no controller. A scene does not change if its test has no force, or its shaker is an
+    ideal force.
     """
     shaker = scene.driven_shaker
     if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
@@ -135,12 +135,10 @@ def with_ideal_force(scene: Scene) -> Scene:
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
-    """Return the equations E dx/dt = G x + b u with all dampers riding.
+    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers riding; `name`: of the input u.
 
-    `name`: of the input u.
-
-    Returns `inertia`, shape (states, states), E: identity except for the mass matrix in the rows of the velocities;
-    `matrix`, shape (states, states), G; `input_column`, shape (states,), b.
+    E and G have the shape (states, states), b the shape (states,). E is the identity, except for the mass matrix in the
+    rows of the velocities.
     """
     n, ns = system.coordinates, system.states
     inertia, matrix, input_column = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
@@ -159,7 +157,7 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
 
 
 def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
-    """Return the complex states per unit of drive, with all dampers riding; shape (states,) + omega.shape.
+    """Return the complex amplitudes of the states per unit of drive, all dampers riding; shape (states,) + omega.shape.
 
     `name`: of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
     """
@@ -241,9 +239,9 @@ def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) 
         is_inaccurate = np.abs(0.5 * (gain[1:] + gain[:-1]) - exact) > _MAX_GAIN_ERROR * np.abs(exact)
         if not is_inaccurate.any():
             break
-        places = np.flatnonzero(is_inaccurate) + 1
-        frequency = np.insert(frequency, places, middle[is_inaccurate])
-        gain = np.insert(gain, places, exact[is_inaccurate])
+        next_indices = np.flatnonzero(is_inaccurate) + 1
+        frequency = np.insert(frequency, next_indices, middle[is_inaccurate])
+        gain = np.insert(gain, next_indices, exact[is_inaccurate])
     return frequency, gain
 
 

@@ -1,7 +1,7 @@
 """The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
 
-A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity, and
-moves with its body.
+A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity: an
+added mass of its body.
 
 Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
 """
@@ -21,13 +21,13 @@ from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 
-# Matrix elements of the dynamic stiffnesses that are solved in one call: 16 MB.
+# Largest number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
 _MAX_ELEMENTS = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class NaturalModes:
-    """Modes of the undamped structure, with the diagonal of the modal damping matrix (coupling by damping neglected).
+    """Modes of the undamped structure, without the coupling of modes by damping.
 
     `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
     """
@@ -84,7 +84,7 @@ class StructuralModel:
         return NaturalModes(omega, shapes, mass, damping)
 
     @cached_property
-    def mobility(self) -> Array:
+    def inverse_mass(self) -> Array:
         """Accelerance at infinite frequency: the inverse of the mass matrix, shape (bodies, bodies), 1/kg."""
         return np.asarray(np.linalg.inv(self.mass))
 
@@ -107,7 +107,7 @@ class StructuralModel:
         return replace(self, mass=mass)
 
     def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
-        """Return the model with each of some bodies (indices from 0) connected to ground by a spring, N/m."""
+        """Return the model with a ground spring, N/m, on each of the given bodies (indices from 0)."""
         stiffness, supported = self.stiffness.copy(), list(bodies)
         stiffness[supported, supported] += spring
         return replace(self, stiffness=stiffness)
@@ -124,7 +124,7 @@ class StructuralModel:
         Raises
         ------
         SceneError
-            If a frequency is exactly a resonance of an undamped structure.
+            If a frequency is exactly an undamped resonance, or 0 for a structure without support.
         """
         response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
         step = max(1, _MAX_ELEMENTS // self.mass.size)
@@ -145,7 +145,7 @@ class StructuralModel:
 def structural_model(scene: Scene) -> StructuralModel:
     """Return the matrices of a scene's structure, without the coil spring, and the masses of its beds.
 
-    A mass ratio refers to the body's mass, with matrices to the diagonal element of the mass matrix.
+    A damper's mass ratio is relative to the mass of its body or, if matrices are given, to the diagonal element of M.
 
     >>> import rig
     >>> model = structural_model(rig.load("fig9"))
@@ -162,19 +162,14 @@ def structural_model(scene: Scene) -> StructuralModel:
     return StructuralModel(mass, damping, stiffness, np.array(bed_masses, dtype=np.float64), body, locked)
 
 
-def receptance(
-    scene: Scene, frequencies_hz: ArrayLike, attached: bool = False, riding: Iterable[int] = ()
-) -> ComplexArray:
-    """Compute the linear frequency response of a scene's structure.
+def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
+    """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
 
-    `scene`: the force acts at its shaker, or without a shaker at its hammer. `frequencies_hz`: shape (frequencies,).
-    `attached`: False: response to the force on the driven body, X / F_1. True: response to the displacement of the
-    table, X / X_0, with the coil spring between table and body. `riding`: numbers of the dampers that ride, from 1;
-    their masses move with their bodies, as do always those of dampers that are locked or have no clearance.
+    `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
+    to their bodies. The masses of dampers that are locked or have no clearance are always added.
 
-    Returns the complex response of each body, shape (bodies, frequencies), m/N or m/m. Raises `SceneError` if a
-    frequency is negative, not finite or exactly an undamped resonance, a damper does not exist, the scene has neither
-    shaker nor hammer, or it has no coil spring to attach.
+    Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
+    or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.
 
     >>> import rig
     >>> scene = rig.load("bare-structure")
@@ -182,17 +177,31 @@ def receptance(
     >>> print(f"{static.real:.4g} m/N")  # 1 / (24.3 kN/m)
     4.115e-05 m/N
     """
+    frequencies = _validated(frequencies_hz)
+    model = structural_model(scene).with_bed_masses(riding)
+    force = np.zeros(len(model.mass))
+    force[driven_bodies(scene)] = 1.0
+    return model.response(frequencies, force)
+
+
+def transmissibility(scene: Scene, frequencies_hz: ArrayLike) -> ComplexArray:
+    """Compute the displacement of each body over that of the table, with the coil spring between table and body.
+
+    Returns X / X_0, complex, shape (bodies, frequencies). Errors as `receptance`, and if the scene has no coil spring.
+    """
+    frequencies, driven, spring = _validated(frequencies_hz), driven_bodies(scene), coil_spring(scene)
+    model = structural_model(scene).with_bed_masses().with_ground_springs(driven, spring)
+    force = np.zeros(len(model.mass))
+    force[driven] = spring
+    return model.response(frequencies, force)
+
+
+def _validated(frequencies_hz: ArrayLike) -> Array:
+    """Return frequencies as an array; raise `SceneError` if one is negative or not finite."""
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
         raise SceneError("frequencies: not a list of finite numbers of at least 0. Give frequencies in Hz.")
-    model, driven = structural_model(scene).with_bed_masses(riding), driven_bodies(scene)
-    force = np.zeros(len(model.mass))
-    if not attached:
-        force[driven] = 1.0
-        return model.response(frequencies, force)
-    spring = coil_spring(scene)
-    force[driven] = spring
-    return model.with_ground_springs(driven, spring).response(frequencies, force)
+    return frequencies
 
 
 def driven_bodies(scene: Scene) -> list[int]:
@@ -260,7 +269,8 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     shape (bodies, bodies): column i is the shape of mode i, its largest element +1. Raises `SceneError` if the
     structure is statically unstable (a negative eigenvalue larger than rounding errors).
     """
-    # `scipy.linalg.eigh` calls the same routine but takes six times as long for a few bodies. A fit makes 10 000 calls.
+    # `scipy.linalg.eigh` calls the same routine, but takes six times as long for a few bodies. A fit makes 10 000
+    # calls.
     squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
     if info:
         raise np.linalg.LinAlgError(f"no natural modes of the mass and stiffness matrices (dsygvd: info {info})")

@@ -122,7 +122,7 @@ class FirstOrderForm:
             row = self.damper_coordinate[j]
             if self.system.finite_contact[j]:
                 if wall != FLIGHT:
-                    bed = int(self.system.bed[j])
+                    bed = int(self.system.gap_coordinate[j])
                     stiffness, damping = (values[j, wall - FLOOR] for values in self._wall_parameters)
                     force[bed, bed] -= stiffness
                     force[bed, n + bed] -= damping
@@ -152,7 +152,7 @@ class FirstOrderForm:
         """Return the row vector whose product with z is the distance of a damper from a wall, m."""
         row = np.full(self.size, self._zero)
         if self.system.finite_contact[j]:
-            row[int(self.system.bed[j])] = self._unit
+            row[int(self.system.gap_coordinate[j])] = self._unit
         else:
             row[self.first_height + j], row[self.damper_coordinate[j]] = self._unit, -self._unit
         if wall == CEILING:
@@ -164,7 +164,7 @@ class FirstOrderForm:
         """Return the row vector of wall force over damper mass, m/s^2; of wall force, N, in finite-duration contact."""
         n = self.system.coordinates
         if self.system.finite_contact[j]:
-            bed = int(self.system.bed[j])
+            bed = int(self.system.gap_coordinate[j])
             stiffness, damping = (values[j, wall - FLOOR] for values in self._wall_parameters)
             row = stiffness * self.gap_row(j, wall)
             row[n + bed] = damping if wall == FLOOR else -damping

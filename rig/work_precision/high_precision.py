@@ -204,7 +204,7 @@ class DecimalMotion:
             self.mode[j] = FLIGHT
             return
         self.advance(guess)
-        gap = float(self.z[int(self.system.bed[j])])
+        gap = float(self.z[int(self.system.gap_coordinate[j])])
         wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
         distance = self.form.gap_row(j, wall)
         # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.

@@ -221,7 +221,7 @@ def _with_prepared_tables(system: HybridSystem, tone: ToneDrive, periods: int) -
 
     def compute() -> ComputedMotion:
         propagator.resume(initial_state)
-        trajectory = propagator.propagate_marks(lengths, rows, np.ones(periods, dtype=bool))
+        trajectory = propagator.propagate_tone(lengths, rows, np.ones(periods, dtype=bool))
         return ComputedMotion(trajectory.state[:, : len(system.points)].T, [])
 
     compute()

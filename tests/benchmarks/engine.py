@@ -60,7 +60,7 @@ def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) 
 
     def run() -> None:
         propagator.resume(start)
-        propagator.propagate_marks(segment_steps, rows, starts_period)
+        propagator.propagate_tone(segment_steps, rows, starts_period)
 
     run()
     return shortest_time(run, repeats) / periods

@@ -1,10 +1,11 @@
 """Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities.
 
 `state.z` has the displacements and velocities of the bodies; `state.height` and `state.speed` are those of dampers in
-flight. `state.mode` is the contact of each damper: FLIGHT, FLOOR or CEILING.
+flight. `state.contact` is FLIGHT, FLOOR or CEILING for each damper. `TABLE_INDEX` -1 means that the matrices of the
+contacts have not been looked up.
 
-`state.multiplicity` describes a damper that has just left a wall, by the zero of its gap at this instant: 1 after a
-rebound, 2 after a separation without relative velocity; negative at the ceiling. Otherwise it is 0.
+`state.multiplicity` is the multiplicity of the gap's zero for a damper that has just left a wall: 1 after a rebound, 2
+after a separation without relative velocity; negative at the ceiling. Otherwise it is 0.
 """
 
 from __future__ import annotations
@@ -65,36 +66,36 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
     return Propagator(assemble(scene), pure_tone(np.ones(1), 60.0), 2e-3)
 
 
-def apply_impact(engine: Propagator, damper: int, wall: int) -> None:
-    """Apply the impact of a damper on a wall 0.25 s after the start of segment 7."""
+def impact_and_release(engine: Propagator, damper: int, wall: int) -> None:
+    """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then release tensile contacts."""
     flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     impact(flow, model, engine.state, engine.log, damper, wall, work)
     release_tensile(flow, model, engine.state, engine.log, work)
 
 
-def randomize(engine: Propagator, modes: list[int], seed: int) -> State:
-    """Set and return a random state with dampers in given contact modes; those in flight are away from their walls."""
+def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
+    """Set and return a random state with given contacts; dampers in flight are away from their walls."""
     random, state, model = np.random.default_rng(seed), engine.state, engine.tables.model
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
     state.z[model.velocity] = random.standard_normal(3)
-    state.mode[:] = modes
+    state.contact[:] = contacts
     state.height[:] = state.z[model.position] + random.uniform(0.2, 0.8, 3) * CLEARANCE
     state.speed[:] = random.standard_normal(3)
     state.counters[TABLE_INDEX] = -1
     return state
 
 
-MODES = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3)
+CONTACTS = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3)
 
 
-@given(modes=MODES, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
-def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finite_contacts: int, seed: int) -> None:
+@given(contacts=CONTACTS, finite_contacts=st.integers(0, 3), seed=st.integers(0, 10_000))
+def test_finite_contact_forces_equal_the_system_matrices(contacts: list[int], finite_contacts: int, seed: int) -> None:
     engine = propagator(0.1, finite_contacts=finite_contacts)
+    state, model, system = randomize(engine, contacts, seed), engine.tables.model, engine.system
     # One bit for the contact of each damper, then one for contact with its ceiling.
-    state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
-    contact_bits = sum((mode != FLIGHT) << j | (mode == CEILING) << 3 + j for j, mode in enumerate(modes))
+    contact_bits = sum((wall != FLIGHT) << j | (wall == CEILING) << (3 + j) for j, wall in enumerate(contacts))
     force, constant = system.contact_forces(contact_bits)
     z, drive = state.z[: system.states], state.z[system.states : engine.tables.size]
     expected = (system.force_state + force) @ z + constant + system.force_constant
@@ -108,42 +109,43 @@ def test_finite_contact_forces_equal_the_system_matrices(modes: list[int], finit
     coupled=st.booleans(),
     restitution=st.sampled_from([0.0, 0.4]),
     wall=st.sampled_from([FLOOR, CEILING]),
-    modes=MODES,
+    contacts=CONTACTS,
     impacting=st.integers(0, 2),
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None)
 def test_impact_obeys_the_contact_laws(
-    coupled: bool, restitution: float, wall: int, modes: list[int], impacting: int, seed: int
+    coupled: bool, restitution: float, wall: int, contacts: list[int], impacting: int, seed: int
 ) -> None:
     engine = propagator(0.15 if coupled else 0.0, restitution)
-    modes[impacting] = FLIGHT
-    state, model = randomize(engine, modes, seed), engine.tables.model
-    position, body = state.z[model.position], state.z[model.velocity]
-    damper = np.where(state.mode == FLIGHT, state.speed, body)
-    sign, closing_speed = SIGN[wall], 0.1 + abs(damper[impacting])
+    contacts[impacting] = FLIGHT
+    state, model = randomize(engine, contacts, seed), engine.tables.model
+    position, body_velocity = state.z[model.position], state.z[model.velocity]
+    damper_velocity = np.where(state.contact == FLIGHT, state.speed, body_velocity)
+    sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
-    damper[impacting] = state.speed[impacting] = body[impacting] - sign * closing_speed
-    apply_impact(engine, impacting, wall)
-    body_after = state.z[model.velocity]
-    damper_after = np.where(state.mode == FLIGHT, state.speed, body_after)
+    damper_velocity[impacting] = state.speed[impacting] = body_velocity[impacting] - sign * closing_speed
+    impact_and_release(engine, impacting, wall)
+    body_velocity_after = state.z[model.velocity]
+    damper_velocity_after = np.where(state.contact == FLIGHT, state.speed, body_velocity_after)
 
     # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
     # is coupled.
-    impulse = model.mass * (damper_after - damper)
-    np.testing.assert_allclose(engine.system.mass @ (body_after - body), -impulse, atol=1e-12)
-    walls = np.array([wall if j == impacting else modes[j] for j in range(3)])
+    impulse = model.mass * (damper_velocity_after - damper_velocity)
+    np.testing.assert_allclose(engine.system.mass @ (body_velocity_after - body_velocity), -impulse, atol=1e-12)
+    walls = np.array([wall if j == impacting else contacts[j] for j in range(3)])
     for j in range(3):
         assert SIGN.get(walls[j], 0.0) * impulse[j] >= -1e-12
         assert j == impacting or (coupled and walls[j] != FLIGHT) or impulse[j] == 0.0
 
     # The damper rebounds with the restitution, from its wall.
-    rebound_speed = sign * (damper_after[impacting] - body_after[impacting])
+    rebound_speed = sign * (damper_velocity_after[impacting] - body_velocity_after[impacting])
     assert rebound_speed == pytest.approx(restitution * closing_speed, abs=1e-12)
-    assert state.height[impacting] == height or not restitution
-    if state.mode[impacting] == wall:
+    if restitution:
+        assert state.height[impacting] == height
+        assert state.multiplicity[impacting] == sign
+    if state.contact[impacting] == wall:
         assert state.multiplicity[impacting] == 0
-    assert state.multiplicity[impacting] == sign or not restitution
 
     # The log has the impact and all separations.
     log, count = engine.log, engine.log.counts[N_EVENTS]
@@ -153,39 +155,39 @@ def test_impact_obeys_the_contact_laws(
     assert log.event_speed[k] == pytest.approx(closing_speed)
     separated = [int(j) for j in log.event_damper[:count][log.event_kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
-    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.contact[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
         # A separated damper has the velocity before the impact, or that of its wall after it.
-        opening_speed = SIGN[walls[j]] * (damper_after[j] - body_after[j])
-        assert damper_after[j] == (body_after[j] if opening_speed == 0.0 else body[j])
+        opening_speed = SIGN[walls[j]] * (damper_velocity_after[j] - body_velocity_after[j])
+        assert damper_velocity_after[j] == (body_velocity_after[j] if opening_speed == 0.0 else body_velocity[j])
         assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
 
 
-@given(coupled=st.booleans(), modes=MODES, seed=st.integers(0, 10_000))
+@given(coupled=st.booleans(), contacts=CONTACTS, seed=st.integers(0, 10_000))
 @settings(deadline=None)
-def test_released_dampers_agree_with_complementarity_by_enumeration(coupled: bool, modes: list[int], seed: int) -> None:
+def test_released_dampers_solve_the_complementarity_problem(coupled: bool, contacts: list[int], seed: int) -> None:
     engine = propagator(0.15 if coupled else 0.0)
-    state, model, system = randomize(engine, modes, seed), engine.tables.model, engine.system
+    state, model, system = randomize(engine, contacts, seed), engine.tables.model, engine.system
     work = engine.workspace.contact
     _sum_forces(model, state, work.force)
-    # Complementarity: acceleration away from the wall (matrix @ reaction + bias) and contact force are not negative,
-    # and one of them is zero for each damper. A damper with a positive acceleration is released.
-    in_contact = np.flatnonzero(np.array(modes) != FLIGHT)
-    sign = np.array([SIGN[modes[j]] for j in in_contact])
+    # Complementarity: acceleration away from the wall (matrix @ reaction + bias) and contact force (reaction) are not
+    # negative, and one of them is zero for each damper. A damper with a positive acceleration is released.
+    in_contact = np.flatnonzero(np.array(contacts) != FLIGHT)
+    sign = np.array([SIGN[contacts[j]] for j in in_contact])
     inverse = np.linalg.inv(system.mass)
-    free = inverse @ work.force[:3]
-    bias = sign * (-model.gravity - free[in_contact])
+    free_acceleration = inverse @ work.force[:3]  # of the bodies without contacts
+    bias = sign * (-model.gravity - free_acceleration[in_contact])
     matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(1.0 / model.mass[in_contact])
     reaction = solve_by_enumeration(matrix, bias)
     release_tensile(engine.tables.flow, model, state, engine.log, work)
     released = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
-    assert set(np.flatnonzero(state.mode == FLIGHT)) - set(np.flatnonzero(np.array(modes) == FLIGHT)) == set(released)
+    assert set(np.flatnonzero(state.contact == FLIGHT)) & set(in_contact) == set(released)
     assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == released.tolist()
     for j in released:
-        floor = modes[j] == FLOOR
+        on_floor = contacts[j] == FLOOR
         assert state.speed[j] == state.z[model.velocity[j]]
-        assert state.height[j] == state.z[model.position[j]] + (0.0 if floor else CLEARANCE)
-        assert state.multiplicity[j] == (2 if floor else -2)
+        assert state.height[j] == state.z[model.position[j]] + (0.0 if on_floor else CLEARANCE)
+        assert state.multiplicity[j] == (2 if on_floor else -2)
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
@@ -193,8 +195,9 @@ def test_released_dampers_agree_with_complementarity_by_enumeration(coupled: boo
 def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
-    # A rebound is negligible if the gap that it would reach is within the rounding error of the coordinates.
-    state.mode[1], row = wall, model.position[1]
+    # A rebound is negligible if its height v^2 / (2 a) is within the rounding error ROUNDING * coordinate_scale of the
+    # gap. With coupling, a is an upper limit of the acceleration.
+    state.contact[1], row = wall, model.position[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
     if not coupled:
@@ -232,7 +235,7 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
     release = _release_coupled if coupled else _release_independent
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     release(engine.tables.flow, model, state, engine.log, work)
-    assert (state.mode[1] == FLIGHT) == releases and engine.log.counts[N_EVENTS] == releases
+    assert (state.contact[1] == FLIGHT) == releases and engine.log.counts[N_EVENTS] == releases
     if releases:
         log = engine.log
         assert (log.event_segment[0], log.event_offset[0], log.event_damper[0]) == (7, 0.25, 1)
@@ -241,10 +244,10 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
 @pytest.mark.parametrize(("closing_speed", "stays"), [(1e-9, True), (1e-3, False)])
-def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: float, stays: bool) -> None:
+def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: float, stays: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
+    state.contact[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
     state.z[model.position] = -1e-3 if wall == FLOOR else 1e-2
     state.z[model.velocity] = 0.25
@@ -252,35 +255,36 @@ def test_low_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: floa
     state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.speed[0] = 0.25 - SIGN[wall] * closing_speed
     momentum = engine.system.mass @ state.z[model.velocity] + model.mass * state.speed
-    apply_impact(engine, 0, wall)
-    assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
+    impact_and_release(engine, 0, wall)
+    assert state.contact.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
-    body = state.z[model.velocity]
-    speed = np.where(state.mode == FLIGHT, state.speed, body)
-    np.testing.assert_allclose(engine.system.mass @ body + model.mass * speed, momentum, atol=1e-15)
-    rebound_speed = SIGN[wall] * (speed[0] - body[0])
+    body_velocity = state.z[model.velocity]
+    damper_velocity = np.where(state.contact == FLIGHT, state.speed, body_velocity)
+    after = engine.system.mass @ body_velocity + model.mass * damper_velocity
+    np.testing.assert_allclose(after, momentum, atol=1e-15)
+    rebound_speed = SIGN[wall] * (damper_velocity[0] - body_velocity[0])
     assert rebound_speed == (0.0 if stays else pytest.approx(0.4 * closing_speed, rel=1e-9))
 
 
 def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
+    state.contact[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
-    apply_impact(engine, 0, FLOOR)
-    assert state.z[model.velocity[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
+    impact_and_release(engine, 0, FLOOR)
+    assert state.z[model.velocity[2]] == 0.0 and state.contact.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize(("ratio", "closed"), [(0.999, True), (1.001, False)])
 def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
-    # An impact opens the contact of damper 1 at `ratio` times the speed whose gap is within rounding. The reactions
-    # solve opening_speed + matrix @ reaction = 0 for the contacts that stay closed (`active`).
+    # An impact opens the contact of damper 1 at `ratio` times the largest speed v at which the gap v^2 / (2 a) stays
+    # within rounding. The reactions solve opening_speed + matrix @ reaction = 0 for the closed contacts (`active`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
-    state.mode[:], row = wall, model.position[1]
+    state.contact[:], row = wall, model.position[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     work.force[:3] = 3.0, -20.0, 5.0
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
@@ -314,13 +318,13 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_damper_in_flight_touches_an_approaching_wall(
+def test_damper_in_flight_touches_only_an_approaching_wall(
     gap: float, closing_speed: float, multiplicity: int, wall: int
 ) -> None:
-    # `gap`, `closing_speed`: to the floor; `wall`: that is touched, FLIGHT if none.
+    # `gap`, `closing_speed`: to the floor; `wall`: the touched wall, or FLIGHT.
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
-    state.mode[1] = FLIGHT
+    state.contact[1] = FLIGHT
     state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
     state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity

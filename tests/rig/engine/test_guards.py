@@ -1,9 +1,9 @@
 """Guards: functions of the state that are positive until a contact changes, such as gaps and contact forces.
 
-From a guard's values and slopes at both ends of a step, the engine computes a margin. A positive margin proves that the
-guard is positive over the step. Otherwise the engine examines the power series of the guard and locates its first zero.
-``tau`` is the time from the start of the step, in full time steps; `length` is the end of a step, which may be shorter
-than a full step. A damper's contact is its mode: FLIGHT, FLOOR or CEILING.
+From a guard's values and slopes at both ends of a step, the engine computes a lower bound. A positive lower bound
+proves that the guard is positive over the step. Otherwise the engine locates the first zero of the guard's power
+series. `tau` is the time from the start of the step, in full time steps; `length` is the end of a step, which may be
+shorter than a full step. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import rig
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
 from rig.engine.power_series import expand_state
 from rig.engine.propagator import Propagator, sampled_propagator
-from rig.engine.screening import _margin, above_margins, reset_envelope, screen, widen_envelope
+from rig.engine.screening import _lower_bound, above_margins, reset_envelope, screen, widen_envelope
 from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
 from rig.system.assembly import assemble
@@ -34,12 +34,12 @@ HERMITE_ERROR = 1.0 / 384.0
 
 
 @cache
-def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
+def propagator(duration: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
     """Return the engine for a chain of three bodies, whose state the tests set.
 
-    `contact`: duration of finite-duration contact, instantaneous impact without; `bodies`: those with a damper.
+    `duration`: of the contacts; without it, impacts are instantaneous; `bodies`: those with a damper.
     """
-    contact_keys = {"contact": {"duration": contact}} if contact else {}
+    contact_keys = {"contact": {"duration": duration}} if duration else {}
     scene = rig.Scene(
         structure={"masses": [1.0, 0.8, 0.6], "springs": [4e3] * 3, "damping": {"modal": 0.01}},
         dampers=[{"body": body, "mass": 0.1, "clearance": clearance, **contact_keys} for body in bodies],
@@ -50,51 +50,52 @@ def propagator(contact: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance
 
 
 @given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, fourth_derivative=st.floats(0.0, 500.0))
-def test_positive_margin_proves_a_positive_guard(
+def test_positive_lower_bound_proves_a_positive_guard(
     start: float, slope: float, end: float, slope_end: float, fourth_derivative: float
 ) -> None:
     cubic = BPoly.from_derivatives([0.0, 1.0], [[start, slope], [end, slope_end]])
     # The Bernstein coefficients bound the cubic from below, and the error bounds its distance from the guard.
     coefficients, error = cubic.c[:, 0], fourth_derivative * HERMITE_ERROR
     assume((np.abs(coefficients - error) > 1e-9).all())
-    margin = _margin(start, slope, end, slope_end, fourth_derivative, 0)
-    assert (margin > 0.0) == (coefficients > error).all()
-    if margin > 0.0:
+    lower_bound = _lower_bound(start, slope, end, slope_end, fourth_derivative, 0)
+    assert (lower_bound > 0.0) == (coefficients > error).all()
+    if lower_bound > 0.0:
         assert (cubic(TAU) - fourth_derivative * TAU**2 * (1 - TAU) ** 2 / 24 > 0.0).all()
-        assert margin == pytest.approx(coefficients[:3].min() - error)
+        assert lower_bound == pytest.approx(coefficients[:3].min() - error)
 
 
 @given(half_curvature=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
-def test_margin_after_a_double_zero_is_exact(half_curvature: float, end: float, error_ratio: float) -> None:
-    # The guard starts with a double zero. It is tau^2 (half_curvature (1 - tau) + end tau) minus the interpolation
-    # error tau^2 (1 - tau)^2 / 24 fourth_derivative. At error_ratio 1 the two are equal near tau = 0.
+def test_lower_bound_after_a_double_zero_is_exact(half_curvature: float, end: float, error_ratio: float) -> None:
+    # The guard starts with a double zero. It is at least tau^2 (half_curvature (1 - tau) + end tau) minus the
+    # interpolation error tau^2 (1 - tau)^2 / 24 fourth_derivative. At error_ratio 1 both are equal near tau = 0.
     assume(abs(error_ratio - 1.0) > 1e-6 and abs(half_curvature) > 1e-3)
     fourth_derivative = error_ratio * 24 * abs(half_curvature)
     assume(end > fourth_derivative * HERMITE_ERROR)
-    margin = _margin(0.0, 0.0, end, 3 * end - half_curvature, fourth_derivative, 2)
-    # Lower bound of the guard divided by tau^2.
-    lower_bound = half_curvature * (1 - TAU) + end * TAU - fourth_derivative * (1 - TAU) ** 2 / 24
+    lower_bound = _lower_bound(0.0, 0.0, end, 3 * end - half_curvature, fourth_derivative, 2)
+    # Smallest possible guard, divided by tau^2.
+    smallest = half_curvature * (1 - TAU) + end * TAU - fourth_derivative * (1 - TAU) ** 2 / 24
     initial_value = half_curvature - fourth_derivative / 24
-    assert (margin > 0.0) == (initial_value > 0.0)
-    assert margin <= 0.0 or (lower_bound > 0.0).all()
+    assert (lower_bound > 0.0) == (initial_value > 0.0)
+    if lower_bound > 0.0:
+        assert (smallest > 0.0).all()
 
 
 @pytest.mark.parametrize("length", [1.0, 0.3])
 def test_series_bounds_contain_the_guard(length: float) -> None:
     engine = propagator()
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
-    state.mode[:] = FLIGHT, FLOOR, CEILING
-    # The guard of a damper in flight is a gap, from the body's position; in contact it is from the acceleration.
+    state.contact[:] = FLIGHT, FLOOR, CEILING
+    # The guard depends on the position of the body in flight, and on its acceleration in contact.
     rows = model.position.copy()
     rows[1:] = model.velocity[1:]
     state_series = engine.workspace.state_series
     state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
     # A state is followed by the accelerations, then by their derivatives.
     end_state, first_acceleration = engine.workspace.end_state, engine.tables.size
-    bound_by_series(model, state.mode, state_series, length, state.z, end_state, first_acceleration, bound)
+    bound_by_series(model, state.contact, state_series, length, state.z, end_state, first_acceleration, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
-        if state.mode[j] != FLIGHT:
+        if state.contact[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position[j]
             for z, tau in ((state.z, 0.0), (end_state, length)):
@@ -110,7 +111,14 @@ def test_series_bound_of_finite_contact_is_infinite() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
     bound_by_series(
-        model, engine.state.mode, work.state_series, 1.0, engine.state.z, work.end_state, engine.tables.size, work.bound
+        model,
+        engine.state.contact,
+        work.state_series,
+        1.0,
+        engine.state.z,
+        work.end_state,
+        engine.tables.size,
+        work.bound,
     )
     assert (work.bound[:3] == np.inf).all()
 
@@ -118,8 +126,9 @@ def test_series_bound_of_finite_contact_is_infinite() -> None:
 class Step:
     """A time step from a random state by power series, and the guard values at any time in the step."""
 
-    def __init__(self, engine: Propagator, modes: list[int], random_values: np.ndarray) -> None:
-        self.engine, self.modes, model, system, state = engine, modes, engine.tables.model, engine.system, engine.state
+    def __init__(self, engine: Propagator, contacts: list[int], random_values: np.ndarray) -> None:
+        self.engine, self.contacts = engine, contacts
+        model, system, state = engine.tables.model, engine.system, engine.state
         size, count, dampers = engine.tables.size, system.coordinates, system.dampers
         z = np.concatenate(
             [
@@ -132,14 +141,14 @@ class Step:
         for j in np.flatnonzero(system.finite_contact):
             # A gap between the walls in flight; in contact, an overlap with the wall.
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
-            z[model.bed[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][modes[j]]
+            z[model.gap_coordinate[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][contacts[j]]
         # One bit for the contact of each damper, then one for a finite-duration contact with its ceiling.
-        self.contact_bits = sum((mode != FLIGHT) << j for j, mode in enumerate(modes))
+        self.contact_bits = sum((contact != FLIGHT) << j for j, contact in enumerate(contacts))
         self.contact_bits |= sum(
-            (modes[j] == CEILING) << dampers + int(j) for j in np.flatnonzero(system.finite_contact)
+            (contacts[j] == CEILING) << (dampers + int(j)) for j in np.flatnonzero(system.finite_contact)
         )
         self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.contact_bits))
-        state.mode[:] = modes
+        state.contact[:] = contacts
         state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.speed[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
@@ -158,14 +167,17 @@ class Step:
         """
         engine, model, state, result = self.engine, self.engine.tables.model, self.engine.state, []
         force, constant = engine.system.contact_forces(self.contact_bits)
-        for j, mode in enumerate(self.modes):
-            sign = -1.0 if mode == CEILING else 1.0
+        for j, contact in enumerate(self.contacts):
+            sign = -1.0 if contact == CEILING else 1.0
             row, offset, flight_terms = np.zeros(engine.tables.size), 0.0, np.zeros(3)
-            if engine.system.finite_contact[j] and mode != FLIGHT:
-                row[: engine.system.states], offset = sign * force[model.bed[j]], sign * constant[model.bed[j]]
+            if engine.system.finite_contact[j] and contact != FLIGHT:
+                row[: engine.system.states], offset = (
+                    sign * force[model.gap_coordinate[j]],
+                    sign * constant[model.gap_coordinate[j]],
+                )
             elif engine.system.finite_contact[j]:
-                row[model.bed[j]] = 1.0
-            elif mode != FLIGHT:
+                row[model.gap_coordinate[j]] = 1.0
+            elif contact != FLIGHT:
                 row = sign * self.matrix[model.velocity[j]]
                 offset = sign * (self.offset[model.velocity[j]] + model.gravity)
             else:
@@ -174,11 +186,11 @@ class Step:
             series = np.polynomial.Polynomial([row @ term for term in self.taylor_terms])
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
-            for guard in walls if mode == FLIGHT else walls[:1]:
+            for guard in walls if contact == FLIGHT else walls[:1]:
                 result.append((j, np.array([guard(tau), guard.deriv()(tau), guard.deriv(4)(tau)])))
         return result
 
-    def margins(self, length: float) -> np.ndarray:
+    def lower_bounds(self, length: float) -> np.ndarray:
         """Return the Bernstein coefficients of every guard's cubic minus its error, (guards, 4).
 
         The guard is proven positive if all four are positive.
@@ -190,7 +202,7 @@ class Step:
         return np.array(result)
 
     def examine(self, length: float) -> tuple[bool, float, int]:
-        """Return whether the engine examined a series, and the time and damper of the first event in the step.
+        """Return whether the engine must examine a series, and the time and damper of the first event in the step.
 
         The time is a fraction of `length`, or NO_CROSSING.
         """
@@ -218,16 +230,16 @@ def draw_state(engine: Propagator, rng: np.random.Generator) -> np.ndarray:
     return rng.standard_normal(engine.tables.size + 2 * engine.system.dampers)
 
 
-@pytest.mark.parametrize("contact", ["", "10 ms"])
+@pytest.mark.parametrize("contact_duration", ["", "10 ms"])
 @given(
-    modes=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
+    contacts=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
     seed=st.integers(0, 100_000),
     length=st.sampled_from([1.0, 0.4]),
 )
 @settings(max_examples=50, deadline=None)
-def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: int, length: float) -> None:
-    engine = propagator(contact)
-    step = Step(engine, modes, draw_state(engine, np.random.default_rng(seed)))
+def test_first_falling_guard_is_located(contact_duration: str, contacts: list[int], seed: int, length: float) -> None:
+    engine = propagator(contact_duration)
+    step = Step(engine, contacts, draw_state(engine, np.random.default_rng(seed)))
     times = np.linspace(0.0, length, 400)
     guards = step.guards(times)
     for j, guard in guards:
@@ -243,58 +255,60 @@ def test_first_falling_guard_is_located(contact: str, modes: list[int], seed: in
         assert abs(value) < 1e-9 * scale and slope < 0.0
 
 
-@pytest.mark.parametrize("contact", ["", "10 ms"])
-@pytest.mark.parametrize("mode", [FLIGHT, FLOOR, CEILING])
+@pytest.mark.parametrize("duration", ["", "10 ms"])
+@pytest.mark.parametrize("contact", [FLIGHT, FLOOR, CEILING])
 @pytest.mark.parametrize("length", [1.0, 0.4])
-def test_proven_guard_is_not_examined(contact: str, mode: int, length: float) -> None:
+def test_proven_guard_is_not_examined(duration: str, contact: int, length: float) -> None:
     rng = np.random.default_rng(8)
-    for clearance in (CLEARANCE, np.inf) if mode == FLIGHT else (CLEARANCE,):
-        engine = propagator(contact, (2,), clearance)
+    for clearance in (CLEARANCE, np.inf) if contact == FLIGHT else (CLEARANCE,):
+        engine = propagator(duration, (2,), clearance)
         draws = [draw_state(engine, rng) * rng.uniform(0.0, 1.0) for _ in range(120)]
-        margins = [Step(engine, [mode], draw).margins(length) for draw in draws]
-        proven_draws = [draw for draw, result in zip(draws, margins, strict=True) if result.min() > 0.0]
-        # For each coefficient of each guard, a state in which this coefficient is not positive.
+        bounds = [Step(engine, [contact], draw).lower_bounds(length) for draw in draws]
+        proven_draws = [draw for draw, result in zip(draws, bounds, strict=True) if result.min() > 0.0]
+        # For each coefficient of each guard, a state in which this coefficient is the lowest and not positive.
         unproven_draws = {
-            int(result.argmin()): draw for draw, result in zip(draws, margins, strict=True) if result.min() <= 0.0
+            int(result.argmin()): draw for draw, result in zip(draws, bounds, strict=True) if result.min() <= 0.0
         }
         assert unproven_draws and proven_draws
         for proven, unproven in zip(cycle(proven_draws), unproven_draws.values()):
             # Bisect between the states until they are close to the limit at which the guard is proven positive.
             for _ in range(24):
                 middle = (proven + unproven) / 2
-                if Step(engine, [mode], middle).margins(length).min() > 0.0:
+                if Step(engine, [contact], middle).lower_bounds(length).min() > 0.0:
                     proven = middle
                 else:
                     unproven = middle
-            assert not Step(engine, [mode], proven).examine(length)[0]
-            assert Step(engine, [mode], unproven).examine(length)[0]
+            assert not Step(engine, [contact], proven).examine(length)[0]
+            assert Step(engine, [contact], unproven).examine(length)[0]
 
 
 @given(
-    modes=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
+    contacts=st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_size=3),
     seed=st.integers(0, 1000),
     duration=st.sampled_from([0.0, 1e-3]),
     low_guard=st.integers(-1, 2),
 )
-def test_one_guard_below_its_margin_is_enough(modes: list[int], seed: int, duration: float, low_guard: int) -> None:
-    # Here a margin is the value that a guard must exceed at both ends of a step. `low_guard`: damper whose guard is
-    # below its margin, or -1. `duration`: time from the state of the dampers to z, s.
+def test_one_guard_below_its_margin_is_detected(
+    contacts: list[int], seed: int, duration: float, low_guard: int
+) -> None:
+    # A margin is the value that a guard must exceed at both ends of a step. `low_guard`: damper whose guard is below
+    # its margin, or -1. `duration`: time from the state of the dampers to z, s.
     engine, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
     z[model.position] = 1e-4 * rng.standard_normal(3)
-    state.mode[:] = modes
+    state.contact[:] = contacts
     state.speed[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     drop = model.gravity * duration**2 / 2
     state.height[:] = z[model.position] + gap - state.speed * duration + drop
     guard = np.empty(3)
-    for j, mode in enumerate(modes):
+    for j, contact in enumerate(contacts):
         relative_acceleration = rng.uniform(0.1, 5.0)
         z[columns + model.position[j]] = -model.gravity + (
-            -relative_acceleration if mode == CEILING else relative_acceleration
+            -relative_acceleration if contact == CEILING else relative_acceleration
         )
-        guard[j] = min(gap[j], CLEARANCE - gap[j]) if mode == FLIGHT else relative_acceleration
+        guard[j] = min(gap[j], CLEARANCE - gap[j]) if contact == FLIGHT else relative_acceleration
     margin = guard * (1 - 1e-9)
     if low_guard >= 0:
         margin[low_guard] = guard[low_guard] * (1 + 1e-9)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, NO_CROSSING, first_crossing
 
 # Rounding error of the guard.
-ALLOWANCE = 1e-15
+ROUNDING = 1e-15
 
 
-def crossing(series: np.ndarray, start: int = 0, allowance: float = ALLOWANCE) -> tuple[float, int]:
-    """Return tau of the first zero and the number of ambiguous intervals; `start`: multiplicity of the zero at 0."""
+def crossing(series: np.ndarray, start: int = 0, rounding: float = ROUNDING) -> tuple[float, int]:
+    """Return tau of the first zero and the number of ambiguous minima; `start`: multiplicity of the zero at 0."""
     work, spans = np.zeros((MAX_HALVINGS + 3, N_COEFFICIENTS)), np.zeros((MAX_HALVINGS + 3, 2))
-    return first_crossing(np.asarray(series, dtype=float), start, allowance, work, spans, BERNSTEIN)
+    return first_crossing(np.asarray(series, dtype=float), start, rounding, work, spans, BERNSTEIN)
 
 
 def power_series(*coefficients: float) -> np.ndarray:
@@ -32,6 +32,7 @@ def test_positive_guard_has_no_crossing() -> None:
 
 
 def test_first_of_two_roots_is_returned() -> None:
+    # (tau - 0.3) (tau - 0.7)
     tau, ambiguous = crossing(power_series(0.3 * 0.7, -1.0, 1.0))
 
     assert tau == pytest.approx(0.3, abs=1e-15)
@@ -39,7 +40,8 @@ def test_first_of_two_roots_is_returned() -> None:
 
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9, 1e-12, 1e-13])
-def test_deep_graze_is_detected(depth: float) -> None:
+def test_minimum_below_zero_is_detected(depth: float) -> None:
+    # (tau - 0.5)^2 - depth
     tau, ambiguous = crossing(power_series(0.25 - depth, -1.0, 1.0))
 
     assert tau == pytest.approx(0.5 - np.sqrt(depth), abs=1e-7)
@@ -47,7 +49,7 @@ def test_deep_graze_is_detected(depth: float) -> None:
 
 
 @pytest.mark.parametrize("height", [1e-3, 1e-9, 1e-13])
-def test_near_miss_is_not_detected(height: float) -> None:
+def test_minimum_above_zero_is_not_detected(height: float) -> None:
     assert crossing(power_series(0.25 + height, -1.0, 1.0)) == (NO_CROSSING, 0)
 
 
@@ -58,11 +60,11 @@ def test_double_root_is_ambiguous() -> None:
     assert ambiguous == 1
 
 
-def test_falling_guard_at_zero_is_an_immediate_event() -> None:
+def test_falling_guard_at_zero_crosses_immediately() -> None:
     assert crossing(power_series(1e-17, -0.3, 0.1))[0] == 0.0
 
 
-def test_rising_guard_at_zero_returns_later() -> None:
+def test_rising_guard_at_zero_crosses_later() -> None:
     tau, _ = crossing(power_series(0.0, 0.4, -1.0))
 
     assert tau == pytest.approx(0.4, abs=1e-15)
@@ -92,6 +94,6 @@ def test_first_of_random_roots_is_located(roots: list[float], multiplicity: int)
         coefficients = [-c for c in coefficients]
     series = power_series(*([0.0] * multiplicity), *(float(c) for c in coefficients))
 
-    tau, _ = crossing(series, start=multiplicity, allowance=1e-16)
+    tau, _ = crossing(series, start=multiplicity, rounding=1e-16)
 
     assert tau == (pytest.approx(inside[0], abs=1e-9) if inside else NO_CROSSING)

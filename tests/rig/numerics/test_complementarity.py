@@ -10,7 +10,7 @@ from rig.numerics.complementarity import allocate_contact_workspace, solve_compl
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the pressures p >= 0 with matrix p + right >= 0, where one of both is zero for each contact."""
+    """Return the reactions p >= 0 with matrix p + right >= 0, where one of both is zero for each contact."""
     count = len(right)
     work = allocate_contact_workspace(count, 8)
     work.matrix[:count, :count] = matrix
@@ -20,7 +20,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the same by a search over all combinations of contacts."""
+    """Return the same reactions by a search over all combinations of active contacts."""
     for pattern in product([False, True], repeat=len(right)):
         active = np.array(pattern)
         reaction = np.zeros(len(right))
@@ -32,7 +32,7 @@ def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 @given(st.integers(0, 10_000), st.integers(1, 6))
-def test_solution_agrees_with_every_combination(seed: int, count: int) -> None:
+def test_pivoting_agrees_with_enumeration(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     factor = rng.standard_normal((count, count))
     matrix = factor @ factor.T + 0.1 * np.eye(count)
@@ -48,5 +48,5 @@ def test_separating_contacts_have_no_force() -> None:
     assert (solve(np.eye(3), np.ones(3)) == 0.0).all()
 
 
-def test_single_contact_closes_exactly() -> None:
+def test_single_contact_has_its_exact_reaction() -> None:
     assert solve(np.array([[4.0]]), np.array([-2.0]))[0] == 0.5

@@ -38,12 +38,13 @@ def test_curve_ends_at_a_border() -> None:
 
 
 def test_failed_convergence_reports_the_last_point() -> None:
-    def half_parabola(x: Vector) -> tuple[Vector, Vector]:
+    # The curve x = 1 + p^1.5 ends at p = 0.
+    def semicubical_parabola(x: Vector) -> tuple[Vector, Vector]:
         with np.errstate(invalid="ignore"):
             root = np.sqrt(x[1]) if x[1] >= 0 else np.nan
         return np.array([x[0] - 1 - root * x[1]]), np.array([[1.0, -1.5 * root]])
 
-    curve = trace(half_parabola, np.array([2.0, 1.0]), (-1, 1.5), np.ones(2))
+    curve = trace(semicubical_parabola, np.array([2.0, 1.0]), (-1, 1.5), np.ones(2))
 
     assert curve.ends[1] == "range"
     assert curve.ends[0].startswith("no convergence: the equations are not finite at parameter ")
@@ -51,6 +52,7 @@ def test_failed_convergence_reports_the_last_point() -> None:
     assert 0 <= curve.points[0, -1] < 1e-6
 
 
-def test_unsolvable_parameter_is_reported() -> None:
+def test_parameter_without_solution_is_reported() -> None:
+    # The unit circle has no point at 2.
     with pytest.raises(NoConvergence):
         solve_at(circle, np.array([0.1, 0.0]), 2.0, np.ones(2), Steps())

@@ -44,9 +44,7 @@ def test_short_contacts_converge_to_instantaneous_impact() -> None:
     ("contact", "frequency", "force"),
     [({"stiffness": 1800.0, "damping": 17.0}, 40.3, 4.1), ({"stiffness": 2.1e5, "damping": 115.0}, 41.7, 6.0)],
 )
-def test_orbit_with_contact_force_returning_during_overlap(
-    contact: dict[str, float], frequency: float, force: float
-) -> None:
+def test_contact_force_may_return_during_overlap(contact: dict[str, float], frequency: float, force: float) -> None:
     # The contact force falls to zero and rises again (PRESS_FLOOR) while the damper still overlaps its floor.
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
     orbit = rig.periodic_orbit(scene, frequency)

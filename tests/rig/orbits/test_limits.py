@@ -9,7 +9,7 @@ from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
 from tests.rig.bouncing_ball import FULL_PERIOD_ACCELERATION_G, fly, take_off_phase
 
-GRAVITY = 9.80665
+GRAVITY = 9.80665  # m/s^2
 
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:

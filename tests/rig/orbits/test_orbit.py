@@ -121,7 +121,7 @@ def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) ->
         unknowns[: len(change)] += change
         propagator, steps = propagator_on_orbit(scene, replace(orbit, unknowns=unknowns))
         # Simulate the cycle, period by period.
-        propagator.propagate_marks(
+        propagator.propagate_tone(
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
         flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
@@ -155,7 +155,7 @@ def test_stable_branches_equal_steady_simulation() -> None:
 
 
 @pytest.mark.thorough
-def test_fig_9_branches_cover_the_band() -> None:
+def test_stable_branches_of_fig_9_cover_the_band() -> None:
     curve = fig9_curve()
 
     intervals = sorted(
@@ -163,13 +163,13 @@ def test_fig_9_branches_cover_the_band() -> None:
         for branch in curve.branches
         if branch.stable.any()
     )
-    # The stable parts cover the band in Hz, except for gaps narrower than 0.03 Hz.
+    # The stable parts cover the band from 48.5 Hz to 51.3 Hz, except for gaps narrower than 0.03 Hz.
     covered = 48.5
     for low, high, _ in intervals:
         assert low < covered + 0.03
         covered = max(covered, high)
     assert covered == pytest.approx(51.3, abs=1e-9)
-    assert {"I", "II", "III"} <= {kind for _, _, kind in intervals}
+    assert {"I", "II", "III"} <= {motion_type for _, _, motion_type in intervals}
     # A missing orbit must be reported; here the motion is not periodic.
     assert all("no periodic motion found" in failure for failure in curve.failures)
 
@@ -201,7 +201,7 @@ def test_multiplier_passes_one_at_a_fold() -> None:
         assert np.abs(branch.value[i : i + 2] - fold).max() < 0.05
 
 
-def test_curves_over_other_parameters_share_an_orbit() -> None:
+def test_curves_over_other_parameters_contain_the_same_orbit() -> None:
     scene = rig.load("fig9")
     orbit = periodic_orbit(scene, 49.7)
     ranges = {"force": (3.0, 3.6), "clearance": (0.95e-3, 1.0e-3), "mass_ratio": (0.95, 1.05)}
@@ -308,7 +308,7 @@ def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_
         phase = np.arctan2(cosine, sine)
         start = np.array([displacement, velocity])
         propagator.set_state(start, np.array([np.cos(phase), np.sin(phase)]))
-        trajectory = propagator.propagate_marks(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
+        trajectory = propagator.propagate_tone(np.array([steps]), np.array([0]), np.zeros(1, dtype=bool))
 
         # Phases (w t) of the first events. In type II the damper leaves the ceiling at the impact.
         instants = [branch.tau_0[i], branch.tau_1[i], *([branch.tau_2[i]] if kind == "III" else [branch.tau_1[i]])]
@@ -324,7 +324,7 @@ def test_single_mode_motion_repeats_in_the_engine(kind: str, force: float, mass_
             assert abs(change[1]) < 1e-10 * amplitude * omega
 
 
-def test_invalid_frequency_of_an_orbit_is_named() -> None:
+def test_error_names_an_invalid_frequency_or_range() -> None:
     with pytest.raises(SceneError, match=r"frequency: got -1\.0; expected a list of positive"):
         periodic_orbit(rig.load("fig9"), -1.0)
     with pytest.raises(SceneError, match="frequency: got 2 values; expected one"):
@@ -348,7 +348,7 @@ def test_motion_without_event_sequence_is_rejected(scene: Scene, frequency: floa
     assert str(raised.value).count("rig.frequency_response") == 1
 
 
-def test_distant_start_reports_the_last_frequency() -> None:
+def test_error_after_a_distant_start_names_the_frequency() -> None:
     scene = rig.load("fig9")
     start = periodic_orbit(scene, 49.7)
 

@@ -47,7 +47,7 @@ def test_shooting_jacobian_equals_finite_differences(
         np.testing.assert_allclose(jacobian[:, column] * family.scale[column], slope, atol=tolerance)
 
 
-def test_drive_of_a_table_changes_with_frequency() -> None:
+def test_jacobian_includes_the_servo_of_a_driven_table() -> None:
     problem, orbit = OrbitProblem(driven_table_scene()), periodic_orbit(driven_table_scene(), 51.0)
     family = OrbitFamily(problem, orbit.plan, orbit.setting, "frequency", orbit.unknowns)
     x, step = np.append(orbit.unknowns, 51.0), np.zeros(orbit.unknowns.size + 1)
@@ -64,9 +64,9 @@ def test_unbalanced_matrix_exponential_equals_scipy(time: float) -> None:
     stiff, soft = 6.1e4, 1.0e3
     matrix = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-stiff, soft, -2.0, 0.5], [soft, -stiff, 0.5, -3.0]])
 
-    computed = exponential(matrix, time, 260.0)
+    computed = exponential(matrix, time, norm_bound=260.0)
 
     expected = expm(matrix * time)
-    # Velocities are about 250 /s (the natural frequency) times displacements: compare in these units.
+    # Velocities are about sqrt(stiff) = 250 rad/s times displacements: compare in these units.
     balance = np.array([1, 1, 250.0, 250.0])
     assert np.abs((computed - expected) / balance[:, None] * balance).max() < 1e-12

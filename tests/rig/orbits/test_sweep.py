@@ -59,7 +59,7 @@ def test_irregular_motion_is_simulated_with_the_reason() -> None:
 
 
 @pytest.mark.parametrize(
-    # N, m, and masses relative to those of the scene.
+    # Values in N, in m, and relative to the damper masses of the scene.
     ("parameter", "values"),
     [("force", [3.0, 3.3, 3.6]), ("clearance", [1.02e-3, 0.98e-3, 0.94e-3]), ("mass_ratio", [0.9, 1.0, 1.1])],
 )
@@ -89,7 +89,7 @@ def test_closely_spaced_points_do_not_affect_later_points() -> None:
 
 
 @pytest.mark.parametrize("values", [[49.2, 49.5, 49.8, 49.5, 49.3], [49.5, 49.5, 49.5], [49.2, 49.5, 49.2]])
-def test_sweep_may_return_or_repeat_values(values: list[float]) -> None:
+def test_sweep_may_reverse_or_repeat_values(values: list[float]) -> None:
     scene = with_ideal_force(rig.load("fig9"))
 
     swept = rig.orbit_response(scene, values)
@@ -99,7 +99,7 @@ def test_sweep_may_return_or_repeat_values(values: list[float]) -> None:
         assert np.abs(orbit.compliance - compliance).max() < 1e-10 * np.abs(compliance).max()
 
 
-def test_invalid_sweep_values_are_named() -> None:
+def test_error_names_invalid_sweep_arguments() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):
         rig.orbit_response(scene, [49.0, -1.0])

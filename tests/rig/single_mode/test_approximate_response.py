@@ -1,7 +1,7 @@
 """The paper's single-mode method, compared with numerical integration, known limits and the laws of mechanics.
 
 A branch is a curve of periodic motions of type I, II or III over frequency. ``tau`` is the phase of the force from the
-floor impact: take-off at tau_0, ceiling impact at tau_1, separation from the ceiling at tau_2.
+floor impact: take-off from the floor at tau_0, ceiling impact at tau_1, take-off from the ceiling at tau_2.
 """
 
 from functools import cache
@@ -64,6 +64,7 @@ class IntegratedMode:
         ).y[:, -1]
 
     def after_plastic_impact(self, state: np.ndarray) -> np.ndarray:
+        """Return the state in which damper and mode have their common velocity."""
         q, u, y, v = state
         common = (u + self.mode.mass_ratio * v) / (1 + self.mode.mass_ratio)
         return np.array([q, common, y, common])
@@ -111,13 +112,15 @@ def test_fig_9_has_type_ii_at_resonance() -> None:
 
     (second,) = branches(result, "II")
     inside = second.frequency[second.valid & second.stable]
+    # Hz; the resonance is at 49.7 Hz.
     assert inside.min() < 48.7
     assert inside.max() > 51.0
     assert inside.min() < result.mode.riding_frequency < result.mode.frequency < inside.max()
     assert [branch.valid.all() for branch in branches(result, "I")] == [True, True]
     assert result.failures == ()
-    worst = np.abs(second.compliance[second.valid]).max()
-    assert worst < 0.25 * np.abs(result.mode.receptance([result.mode.frequency]))[0]
+    # The damper reduces the resonance peak to less than a quarter.
+    highest = np.abs(second.compliance[second.valid]).max()
+    assert highest < 0.25 * np.abs(result.mode.receptance([result.mode.frequency]))[0]
 
 
 @pytest.mark.thorough
@@ -146,6 +149,7 @@ def test_type_ii_ends_where_type_iii_begins() -> None:
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 def test_jacobian_equals_finite_differences(kind: MotionType) -> None:
     setting = dimensionless(single_damper().mode, 0.97)
+    # Any q_0, q'_0, a, b, and instants in order.
     unknowns = np.array([0.3, -1.2, 0.1, 0.25, 0.8, 2.9, 3.6])[: 4 + INSTANTS[kind]]
 
     values, slopes = jacobian(kind, unknowns, setting, "ratio")
@@ -243,7 +247,7 @@ def test_vanishing_damper_moves_as_inelastic_ball(acceleration: float) -> None:
     assert np.angle(np.exp(1j * (landing_phase - flight.end))) == pytest.approx(0, abs=1e-6)
 
 
-def test_zero_clearance_gives_the_linear_response() -> None:
+def test_mode_without_clearance_has_the_riding_response() -> None:
     scene = rig.load("fig9")
     locked = scene.replace(dampers=[scene.dampers[0].replace(clearance=0.0)])
 
@@ -282,26 +286,26 @@ def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
     omega = 2 * np.pi * branch.frequency[i]
     length = mode.gravity / omega**2
 
-    # Work of the force in a period: pi F times the part of the displacement in quadrature with the force.
+    # Work of the force in a period: pi F times the quadrature component of the displacement.
     work = -np.pi * mode.participation * mode.force * (branch.compliance[i] * mode.force).imag
     nodes, weights = np.polynomial.legendre.leggauss(40)
     dissipated = 0.0
     for phase in motion.phases:
-        t = 0.5 * phase.length * (nodes + 1)
+        t = 0.5 * phase.duration * (nodes + 1)
         speed = motion.advance(phase, t).u * length * omega
         damping = 2 * mode.damping_ratio * mode.omega * mode.mass
-        dissipated += damping * 0.5 * phase.length / omega * float(weights @ speed**2)
+        dissipated += damping * 0.5 * phase.duration / omega * float(weights @ speed**2)
     damper_mass = mode.mass_ratio * mode.mass
     impacts = [motion.landing] + ([motion.before_ceiling] if kind != "I" else [])
     for state in impacts:
-        closing = (state.v - state.u) * length * omega
-        dissipated += 0.5 * damper_mass * mode.mass / (damper_mass + mode.mass) * closing**2
+        closing_speed = (state.v - state.u) * length * omega
+        dissipated += 0.5 * damper_mass * mode.mass / (damper_mass + mode.mass) * closing_speed**2
 
     assert dissipated == pytest.approx(work, rel=1e-9)
 
 
-def test_type_i_that_hits_the_ceiling_is_impossible() -> None:
-    setting = dimensionless(single_damper().mode, 0.93)._replace(height=0.1)
+def test_type_i_that_hits_the_ceiling_is_inadmissible() -> None:
+    setting = dimensionless(single_damper().mode, 0.93)._replace(clearance=0.1)
     motions = solutions("I", setting).T
     batch = Batch("I", motions, MotionParameters(*(np.full(motions.shape[1], value) for value in setting)))
 
@@ -313,6 +317,7 @@ def test_printed_weighting_rejects_a_damper_moving_in_antiphase() -> None:
 
     with pytest.raises(SceneError, match=r"Eq\. 13 as printed"):
         single_mode(scene, 3)
+    # The energy weighting and the normalization at the damper agree.
     by_energy = single_mode(scene, 3, weighting="energy")
     at_damper = single_mode(scene, 3, at=1)
     assert by_energy.mass_ratio == pytest.approx(at_damper.mass_ratio, rel=1e-12)

@@ -14,15 +14,17 @@ def test_flight_ends_at_the_first_contact(acceleration: float) -> None:
 
     flight = fly(acceleration, start)
 
+    # Positions in units of g/w^2, times in 1/w: free fall is -t^2 / 2, and take-off is at -1 g.
     t = np.linspace(0, 1, 4001)[1:-1] * (flight.end - flight.start)
     body = acceleration * np.sin(start + t)
     ball = acceleration * (np.sin(start) + np.cos(start) * t) - t**2 / 2
     assert np.sin(start) * acceleration == pytest.approx(1, abs=1e-12)
+    # The first gaps are within rounding.
     assert (ball > body)[20:].all()
     assert (ball > body - 1e-12).all()
-    length = flight.end - start
-    gap = acceleration * (np.sin(start) - np.sin(flight.end) + np.cos(start) * length) - length**2 / 2
-    assert abs(gap) < 1e-12
+    duration = flight.end - start
+    final_gap = acceleration * (np.sin(start) - np.sin(flight.end) + np.cos(start) * duration) - duration**2 / 2
+    assert abs(final_gap) < 1e-12
 
 
 def test_full_period_flight_takes_one_period() -> None:
@@ -51,6 +53,7 @@ def test_ball_bounces_at_high_acceleration() -> None:
 
 
 def test_bouncing_ball_may_stick_again() -> None:
+    # 7.4 g is in a band of several flights before the ball sticks.
     flights = sticking_cycle(7.4)
 
     assert len(flights) > 1

@@ -25,16 +25,16 @@ def scene_of(**parts: object) -> rig.Scene:
 
 def response(system: HybridSystem, column: int = 0) -> dict[str, np.ndarray]:
     """Return the response of each coordinate to a unit of an input at the frequencies of `S`."""
-    n, extra = system.coordinates, len(system.rate_state)
+    n, currents = system.coordinates, len(system.rate_state)
     result = []
     for s in S:
-        dynamic_stiffness = np.zeros((n + extra, n + extra), dtype=complex)
+        dynamic_stiffness = np.zeros((n + currents, n + currents), dtype=complex)
         dynamic_stiffness[:n, :n] = (
             system.mass * s**2 - system.force_state[:, :n] - s * system.force_state[:, n : 2 * n]
         )
         dynamic_stiffness[:n, n:] = -system.force_state[:, 2 * n :]
         dynamic_stiffness[n:, :n] = -system.rate_state[:, :n] - s * system.rate_state[:, n : 2 * n]
-        dynamic_stiffness[n:, n:] = s * np.eye(extra) - system.rate_state[:, 2 * n :]
+        dynamic_stiffness[n:, n:] = s * np.eye(currents) - system.rate_state[:, 2 * n :]
         input_column = np.concatenate([system.force_drive[:, column], system.rate_drive[:, column]])
         result.append(np.linalg.solve(dynamic_stiffness, input_column))
     return dict(zip(system.points, np.array(result).T, strict=False))
@@ -45,10 +45,10 @@ def link(spring: float, dashpot: float) -> np.ndarray:
     return spring + dashpot * S
 
 
-def stiffness_of_body_2(extra: float = 0.0) -> np.ndarray:
-    """Return the dynamic stiffness at body 2 (force / displacement), with an extra spring."""
+def stiffness_of_body_2(ground_spring: float = 0.0) -> np.ndarray:
+    """Return the dynamic stiffness at body 2 (force / displacement), with a spring [N/m] to ground."""
     body_1, link_2 = link(K1, C1) + M1 * S**2, link(K2, C2)
-    return M2 * S**2 + body_1 * link_2 / (body_1 + link_2) + extra
+    return M2 * S**2 + body_1 * link_2 / (body_1 + link_2) + ground_spring
 
 
 def test_table_is_a_critically_damped_servo() -> None:
@@ -117,16 +117,17 @@ def test_dampers_of_all_kinds_are_assembled() -> None:
     system = assemble(scene)
     assert system.damper_number.tolist() == [1, 3, 5]
     assert system.damper_coordinate.tolist() == [1, 3, 2]
-    assert system.bed.tolist() == [-1, 5, 6]
+    assert system.gap_coordinate.tolist() == [-1, 5, 6]
     assert system.damper_mass.tolist() == [0.1, 0.05, 0.02]
     assert system.clearance.tolist() == [1e-3, 3e-3, 4e-3]
     assert system.restitution.tolist() == [0.0, 0.4, 0.7]
-    # Twice the kinetic energy: of bodies with locked dampers, and of dampers whose coordinate is the gap.
+    # Twice the kinetic energy of bodies with locked dampers, and of dampers with finite-duration contact, whose
+    # coordinate is the gap (5 and 6).
     v = np.array([0.3, -0.2, 0.5, 0.7, -0.4, 0.9, -0.6])
     masses_with_locked = np.add(masses, [0.2, 0.0, 0.0, 0.0, 0.01])
     energy = masses_with_locked @ v[:5] ** 2 + 0.05 * (v[3] + v[5]) ** 2 + 0.02 * (v[2] + v[6]) ** 2
     assert v @ system.mass @ v == pytest.approx(energy)
-    # The weight of locked dampers, and of dampers with a coordinate, always acts.
+    # The weight of locked dampers, and of dampers with finite-duration contact, always acts.
     assert system.force_constant == pytest.approx([-2.0, 0.0, -0.2, -0.5, -0.1, -0.5, -0.2])
     reduced_mass = {1: 1.0 / (1.0 / 0.05 + 1.0 / 0.6), 2: 1.0 / (1.0 / 0.02 + 1.0 / 0.8)}
     for j, wall, expected in ((1, 0, (1e-3, 0.4)), (1, 1, (1e-3, 0.4)), (2, 1, (2e-3, 0.7))):
@@ -171,7 +172,7 @@ def test_too_many_moving_dampers_are_rejected(contact: dict[str, object], max_da
         assemble(with_dampers(max_dampers + 1))
 
 
-def test_stiff_contact_does_not_affect_static_equilibrium() -> None:
+def test_extremely_stiff_contact_keeps_the_static_equilibrium() -> None:
     damper = {"body": 1, "mass": 0.1, "clearance": 1e-3, "contact": {"duration": 1e-15}, "restitution": 0.5}
     deflection = 0.1 * 9.80665 / K1
     assert assemble(scene_of(dampers=[damper])).initial[:2] == pytest.approx([-deflection, -deflection])

@@ -1,4 +1,4 @@
-"""The drive of tests without a controller."""
+"""The open-loop drive of a swept sine."""
 
 from __future__ import annotations
 
@@ -28,4 +28,5 @@ def test_sweep_has_its_force_at_narrow_resonances(band: tuple[float, float], spa
         )
     gain = drive_per_level(scene, system, 2.0 * np.pi * frequency)
     expected = 2.0 * (gain * np.exp(2j * np.pi * periods)).imag
+    # The gain is interpolated within 0.1 %, and the force is 2 N.
     assert (abs(drive - expected) < 2.1e-3 * abs(gain)).all()

@@ -1,6 +1,8 @@
-"""Receptances, compared with independent closed forms."""
+"""Receptances and transmissibilities, compared with independent closed forms."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,9 +14,11 @@ import rig
 import rig.system.structural_model as structural_model_module
 from rig.errors import SceneError
 from rig.scene.scene import Scene
-from rig.system.structural_model import receptance, structural_model
+from rig.system.structural_model import receptance, structural_model, transmissibility
 
-FREQUENCIES = np.linspace(1.0, 60.0, 60)
+FREQUENCIES = np.linspace(1.0, 60.0, 60)  # Hz
+# Coil spring and spring of body 1 of the bundled scenes, N/m.
+COIL_SPRING, FIRST_SPRING = 6600.0, 24300.0
 
 
 def chain_response(
@@ -63,14 +67,18 @@ def test_modally_damped_response_is_the_modal_sum() -> None:
 
 
 @pytest.mark.parametrize(
-    ("attached", "peaks"), [(False, (81.911, 218.512, 312.041)), (True, (86.776, 228.231, 318.003))]
+    ("response", "peaks"),
+    # Natural angular frequencies of the paper's structure, rad/s, without and with the coil spring.
+    [(receptance, (81.911, 218.512, 312.041)), (transmissibility, (86.776, 228.231, 318.003))],
 )
-def test_lightly_damped_peaks_are_at_natural_frequencies(attached: bool, peaks: tuple[float, ...]) -> None:
+def test_lightly_damped_peaks_are_at_natural_frequencies(
+    response: Callable[[Scene, list[float]], np.ndarray], peaks: tuple[float, ...]
+) -> None:
     scene = rig.load("bare-structure")
     scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
     for peak in peaks:
         result = minimize_scalar(
-            lambda w: -np.abs(receptance(scene, [w / (2.0 * np.pi)], attached)[2, 0]),
+            lambda w: -np.abs(response(scene, [w / (2.0 * np.pi)])[2, 0]),
             bounds=(peak - 0.5, peak + 0.5),
             method="bounded",
             options={"xatol": 1e-5},
@@ -78,15 +86,12 @@ def test_lightly_damped_peaks_are_at_natural_frequencies(attached: bool, peaks: 
         assert result.x == pytest.approx(peak, abs=6e-4)
 
 
-def test_table_response_follows_from_force_response() -> None:
-    # With the spring force F = k (X_0 - X_1), the receptances X = R F give X / X_0 = k R / (1 + k R_1).
+def test_transmissibility_follows_from_receptance() -> None:
+    # With the spring force F = k (X_0 - X_1), the receptances R give X = R F, so X / X_0 = k R / (1 + k R_1).
     scene = rig.load("fig8-three-dampers")
     force_response = receptance(scene, FREQUENCIES)
-    np.testing.assert_allclose(
-        receptance(scene, FREQUENCIES, attached=True),
-        6600.0 * force_response / (1.0 + 6600.0 * force_response[0]),
-        rtol=1e-9,
-    )
+    expected = COIL_SPRING * force_response / (1.0 + COIL_SPRING * force_response[0])
+    np.testing.assert_allclose(transmissibility(scene, FREQUENCIES), expected, rtol=1e-9)
 
 
 def test_block_size_does_not_change_the_response(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,8 +120,9 @@ def test_undamped_resonance_is_reported() -> None:
 
 def test_response_at_zero_frequency_is_static() -> None:
     scene = rig.load("bare-structure")
-    np.testing.assert_allclose(receptance(scene, [0.0])[:, 0], 1.0 / 24300.0, rtol=1e-12)
-    np.testing.assert_allclose(receptance(scene, [0.0], attached=True)[:, 0], 6600.0 / 30900.0, rtol=1e-12)
+    np.testing.assert_allclose(receptance(scene, [0.0])[:, 0], 1.0 / FIRST_SPRING, rtol=1e-12)
+    expected = COIL_SPRING / (FIRST_SPRING + COIL_SPRING)
+    np.testing.assert_allclose(transmissibility(scene, [0.0])[:, 0], expected, rtol=1e-12)
 
 
 def test_driving_point_response_lags_the_force() -> None:
@@ -128,6 +134,7 @@ def test_dampers_at_rest_add_their_mass() -> None:
         structure={"masses": (0.74, 0.71, 0.64), "springs": (24300.0, 21800.0, 19800.0)},
         dampers=[{"body": 2, "mass": 0.1, "clearance": 1e-3}, {"body": 3, "mass": 0.05, "clearance": 1e-3}],
     )
+    # The riding damper of 0.05 kg is added to body 3; the damper in body 2 flies.
     expected = chain_response((0.74, 0.71, 0.69), (24300.0, 21800.0, 19800.0), (0.0,) * 3, FREQUENCIES)
     np.testing.assert_allclose(receptance(scene, FREQUENCIES, riding=[2]), expected, rtol=1e-9)
 
@@ -147,11 +154,12 @@ def test_force_on_several_bodies_superposes() -> None:
 
 
 def test_hammer_force_acts_on_its_body() -> None:
+    # Hammer and shaker of these scenes act on body 1 of the same structure.
     hammer = rig.load("fig10b-no-damper")
     np.testing.assert_array_equal(receptance(hammer, FREQUENCIES), receptance(rig.load("fig8-no-damper"), FREQUENCIES))
 
 
-def test_missing_response_reports_the_cause() -> None:
+def test_error_names_the_cause_of_a_missing_response() -> None:
     table, force = rig.load("bare-structure"), rig.load("reference-B")
     with pytest.raises(SceneError, match="frequencies"):
         receptance(table, [-1.0])
@@ -160,7 +168,7 @@ def test_missing_response_reports_the_cause() -> None:
     with pytest.raises(SceneError, match=r"damper 2 does not exist.*from 1 to 1"):
         receptance(force, [1.0], riding=[2])
     with pytest.raises(SceneError, match="no coil spring"):
-        receptance(force, [1.0], attached=True)
+        transmissibility(force, [1.0])
     with pytest.raises(SceneError, match="neither shaker nor hammer"):
         receptance(table.replace(shaker=None, test=None), [1.0])
     undamped = Scene(structure={"masses": (1.0,), "springs": (0.0,)}, shaker={"kind": "force", "body": 1})

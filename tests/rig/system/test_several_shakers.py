@@ -61,6 +61,7 @@ def test_force_acts_at_the_named_shaker() -> None:
     assert named.driven == 2 and named.at_driven("table") == "table 2"
     run = rig.simulate(named, duration=6.0, rate=2000.0)
     steady_samples = slice(8000, None)
+    # Rows: body 1, body 2, table 1, table 2. The spring of table 2 has 3 kN/m.
     force = 3000.0 * (run.displacement[3] - run.displacement[1])[steady_samples]
     assert np.abs(force).max() == pytest.approx(2.0, rel=1e-3)
     ideal = with_ideal_force(named)

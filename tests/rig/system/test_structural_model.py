@@ -15,7 +15,7 @@ MASSES = (0.74, 0.71, 0.64)  # kg
 SPRINGS = (24300.0, 21800.0, 19800.0)  # N/m
 
 
-def test_paper_structure_has_known_modes() -> None:
+def test_paper_structure_has_published_modes() -> None:
     mass, _, stiffness = structure_matrices(Structure(masses=MASSES, springs=SPRINGS))
     omega, shapes = natural_modes(mass, stiffness)
     np.testing.assert_allclose(omega, [81.911, 218.512, 312.041], atol=5e-4)
@@ -104,10 +104,10 @@ def test_floating_uniform_chain_is_closed_form(n: int) -> None:
     np.testing.assert_array_equal(shapes.max(axis=0), 1.0)
 
 
-@pytest.mark.parametrize("size", [1e-9, 1e-3])
-def test_slightly_negative_stiffness_is_reported(size: float) -> None:
+@pytest.mark.parametrize("deficit", [1e-9, 1e-3])
+def test_slightly_negative_stiffness_is_reported(deficit: float) -> None:
     with pytest.raises(SceneError, match="not positive semidefinite"):
-        natural_modes(np.eye(3), np.diag([1.0, 2.0, -size]))
+        natural_modes(np.eye(3), np.diag([1.0, 2.0, -deficit]))
 
 
 def test_negative_stiffness_is_reported() -> None:
@@ -115,10 +115,11 @@ def test_negative_stiffness_is_reported() -> None:
         natural_modes(np.eye(2), np.diag([1.0, -2.0]))
 
 
-def test_damper_masses_by_mass_and_ratio() -> None:
+def test_damper_mass_follows_from_mass_or_mass_ratio() -> None:
     scene = rig.load("fig9").replace(
         dampers=[{"body": 3, "mass_ratio": "10 %", "clearance": ".inf"}, {"body": 1, "mass": "30 g", "clearance": 1e-3}]
     )
+    # 10 % of body 3 (0.64 kg), and 30 g.
     np.testing.assert_allclose(structural_model(scene).bed_mass, [0.064, 0.03], rtol=1e-15)
     np.testing.assert_array_equal(structural_model(scene).bed_body, [2, 0])
     assert structural_model(scene.replace(dampers=())).bed_mass.shape == (0,)

@@ -1,4 +1,4 @@
-"""Fixture of the engine tests: the engine advances the motion by power series and step matrices, stored in tables."""
+"""Fixture of the engine tests that selects the tables of power series and step matrices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.engine import flow_tables
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
 def each_table_size(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run a test with tables of series and steps, of steps alone, and without: large structures have fewer tables."""
+    """Run a test with tables of series and steps, of steps alone, and without tables, as for ever larger structures."""
     monkeypatch.setattr(flow_tables, "_CACHE", OrderedDict())
     if request.param != "series and steps":
         monkeypatch.setattr(flow_tables, "MAX_TABULATED_STATES", 0)

@@ -1,7 +1,7 @@
 """The exact motion of a scene between two contact changes, to 40 digits, independent of the engine.
 
-It shares only the matrices of the scene with the engine. The motion is that of an augmented linear system with the
-state: displacements and velocities of the bodies, cos w t, sin w t, 1. The generator is the matrix of this system.
+It shares only the matrices of the scene with the engine. The state z is augmented: displacements and velocities of the
+bodies, cos w t, sin w t, 1. It obeys z' = A z; A is called the generator.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Segment:
         """Return the state after a time, s, by Taylor series over steps that are short enough to lose no digits."""
         rate = mpmath.sqrt(mpmath.mnorm(self.generator, 1))
         steps = max(1, int(mpmath.ceil(abs(duration) * rate / 4)))
-        # Nonzero elements with their columns.
+        # Nonzero elements of each row with their columns.
         size = self.generator.rows
         rows = [[(self.generator[i, k], k) for k in range(size) if self.generator[i, k]] for i in range(size)]
         values = list(state)

@@ -4,8 +4,8 @@ A switched system is linear between contact changes, with other matrices after e
 
 It shares only the matrices of the scene with the engine. The coordinates are absolute heights, and the springs and
 dashpots of the walls are computed independently. A contact is closed while overlap and wall force are both positive,
-which is checked at several times of every short step. The drive is F sin(w t) on some bodies, or zero. The mode of a
-damper is its contact: free, on the floor or at the ceiling. A bed is the mass of a damper.
+which is checked at several times of every short step. The drive is F sin(w t) on some bodies, or zero. The contact of a
+damper is FREE, FLOOR or CEILING. A bed is the mass of a damper.
 """
 
 from __future__ import annotations
@@ -92,12 +92,12 @@ class SwitchedMotion:
             self.omega = 2 * PI * self.frequency
         self.generators: dict[tuple[int, ...], tuple[list, float]] = {}
 
-    def generator(self, modes: tuple[int, ...]):
+    def generator(self, contacts: tuple[int, ...]):
         """Return the system matrix as rows of (column, value), and the magnitude of its largest eigenvalue, 1/s.
 
         The state is (x, y, x', y', cos, sin, 1), with the heights x of the bodies and y of the beds.
         """
-        if modes not in self.generators:
+        if contacts not in self.generators:
             n, nd = self.bodies, len(self.beds)
             coordinates, size = n + nd, 2 * (n + nd) + 3
             rows = [dict.fromkeys(range(size), Decimal(0)) for _ in range(size)]
@@ -109,13 +109,13 @@ class SwitchedMotion:
                     rows[coordinates + i][k] -= self.stiffness[i][k] / body_mass
                     rows[coordinates + i][coordinates + k] -= self.damping[i][k] / body_mass
                 rows[coordinates + i][2 * coordinates + 1] += self.force.get(i, Decimal(0)) / body_mass
-            for j, mode in enumerate(modes):
+            for j, contact in enumerate(contacts):
                 bed, body = n + j, self.bed_body[j]
                 rows[coordinates + bed][size - 1] -= self.gravity
-                if mode == FREE:
+                if contact == FREE:
                     continue
-                k, c = self.walls[j][mode - 1]
-                height = self.clearance[j] if mode == CEILING else Decimal(0)
+                k, c = self.walls[j][contact - 1]
+                height = self.clearance[j] if contact == CEILING else Decimal(0)
                 for row, factor in ((bed, -1 / self.beds[j]), (body, 1 / self.mass[body][body])):
                     for column, value in ((bed, k), (body, -k), (coordinates + bed, c), (coordinates + body, -c)):
                         rows[coordinates + row][column] += factor * value
@@ -124,12 +124,12 @@ class SwitchedMotion:
             rows[2 * coordinates + 1][2 * coordinates] = self.omega
             dense = np.array([[float(row[k]) for k in range(size)] for row in rows])
             max_rate = float(np.abs(np.linalg.eigvals(dense)).max())
-            self.generators[modes] = [[(k, v) for k, v in row.items() if v] for row in rows], max_rate
-        return self.generators[modes]
+            self.generators[contacts] = [[(k, v) for k, v in row.items() if v] for row in rows], max_rate
+        return self.generators[contacts]
 
-    def series(self, modes: tuple[int, ...], state: list[Decimal], step: Decimal) -> list[list[Decimal]]:
+    def series(self, contacts: tuple[int, ...], state: list[Decimal], step: Decimal) -> list[list[Decimal]]:
         """Return the terms of the Taylor series of the state over a step [s], (terms, states)."""
-        rows, _ = self.generator(modes)
+        rows, _ = self.generator(contacts)
         terms = [state]
         while max(map(abs, terms[-1][:-3])) > MAX_OMITTED_TERM or len(terms) < 4:
             factor = step / len(terms)
@@ -137,7 +137,7 @@ class SwitchedMotion:
             terms.append([factor * sum((v * last[k] for k, v in row), Decimal(0)) for row in rows])
         return terms
 
-    def closure(self, j: int, wall: int, gap: Decimal, rate: Decimal) -> Decimal:
+    def contact_measure(self, j: int, wall: int, gap: Decimal, rate: Decimal) -> Decimal:
         """Return a force, N, that is positive exactly while damper j is in contact with a wall.
 
         `gap`: height above the floor, m; `rate`: its derivative, m/s.
@@ -146,17 +146,17 @@ class SwitchedMotion:
         overlap, closing = (-gap, -rate) if wall == FLOOR else (gap - self.clearance[j], rate)
         return min(k * overlap, k * overlap + c * closing)
 
-    def mode_change(self, j: int, mode: int, gap: Decimal, rate: Decimal) -> int | None:
-        """Return the mode to which a damper changes; None without a change."""
-        if mode != FREE:
-            return FREE if self.closure(j, mode, gap, rate) < 0 else None
+    def contact_change(self, j: int, contact: int, gap: Decimal, rate: Decimal) -> int | None:
+        """Return the contact to which a damper changes; None without a change."""
+        if contact != FREE:
+            return FREE if self.contact_measure(j, contact, gap, rate) < 0 else None
         for wall in (FLOOR, CEILING):
-            if (wall == FLOOR or self.clearance[j] is not None) and self.closure(j, wall, gap, rate) > 0:
+            if (wall == FLOOR or self.clearance[j] is not None) and self.contact_measure(j, wall, gap, rate) > 0:
                 return wall
         return None
 
     def propagate(self, start, samples: int, samples_per_period: int, step: Decimal | None = None):
-        """Return displacements of the bodies (bodies, samples) and events (time, damper from 0, new mode).
+        """Return displacements of the bodies (bodies, samples) and events (time, damper from 0, new contact).
 
         `start`: initial state (x, y, x', y'); `step`: sample interval, s, instead of `samples_per_period`.
         """
@@ -167,15 +167,15 @@ class SwitchedMotion:
         n, nd = self.bodies, len(self.beds)
         coordinates = n + nd
         state = [Decimal(float(v)) for v in start] + [Decimal(1), Decimal(0), Decimal(1)]
-        modes, now = (FLOOR,) * nd, Decimal(0)
+        contacts, now = (FLOOR,) * nd, Decimal(0)
         step = step or 1 / (samples_per_period * self.frequency)
         displacements, events = [], []
         for sample in range(samples):
             target = sample * step
             while now < target:
-                max_rate = max(self.generator(modes)[1], 1.0)
+                max_rate = max(self.generator(contacts)[1], 1.0)
                 length = min(target - now, Decimal(MAX_RATE_TIMES_STEP / max_rate))
-                terms = self.series(modes, state, length)
+                terms = self.series(contacts, state, length)
                 # Series of gap and opening speed of each damper.
                 gaps = [
                     [
@@ -184,42 +184,42 @@ class SwitchedMotion:
                     ]
                     for j in range(nd)
                 ]
-                change = self._first_change(modes, gaps)
+                change = self._first_change(contacts, gaps)
                 if change is None:
                     state = [sum(column, Decimal(0)) for column in zip(*terms, strict=True)]
                     now = target if length == target - now else now + length
                     continue
-                fraction, j, mode = change
+                fraction, j, contact = change
                 powers = [fraction**k for k in range(len(terms))]
                 state = [
                     sum((term * power for term, power in zip(column, powers, strict=True)), Decimal(0))
                     for column in zip(*terms, strict=True)
                 ]
                 now += fraction * length
-                modes = (*modes[:j], mode, *modes[j + 1 :])
-                events.append((now, j, mode))
+                contacts = (*contacts[:j], contact, *contacts[j + 1 :])
+                events.append((now, j, contact))
             displacements.append(state[:n])
         return np.array(displacements, dtype=object).T, events
 
-    def _first_change(self, modes, gaps):
-        """Return the first change of a contact in a step: (fraction of the step, damper, new mode), or None."""
+    def _first_change(self, contacts, gaps):
+        """Return the first change of a contact in a step: (fraction of the step, damper, new contact), or None."""
         first = None
-        for check, (j, mode) in itertools.product(range(1, CHECKS_PER_STEP + 1), enumerate(modes)):
+        for check, (j, contact) in itertools.product(range(1, CHECKS_PER_STEP + 1), enumerate(contacts)):
             if first is not None and check > first[0] * CHECKS_PER_STEP + 1:
                 break
             right = Decimal(check) / CHECKS_PER_STEP
-            new_mode = self.mode_change(j, mode, *(_value(series, right) for series in gaps[j]))
-            if new_mode is None or (first is not None and j == first[1]):
+            new_contact = self.contact_change(j, contact, *(_value(series, right) for series in gaps[j]))
+            if new_contact is None or (first is not None and j == first[1]):
                 continue
             left = right - Decimal(1) / CHECKS_PER_STEP
             for _ in range(140):
                 middle = (left + right) / 2
-                if self.mode_change(j, mode, *(_value(series, middle) for series in gaps[j])) is None:
+                if self.contact_change(j, contact, *(_value(series, middle) for series in gaps[j])) is None:
                     left = middle
                 else:
                     right = middle
             if first is None or right < first[0]:
-                first = (right, j, new_mode)
+                first = (right, j, new_contact)
         return first
 
 

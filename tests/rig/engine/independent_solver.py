@@ -13,7 +13,7 @@ import rig
 from rig.system.structural_model import structural_model, structure_matrices
 
 FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: After a separation the gap is at rounding level, so its guards are ignored for this time, s.
+#: After a separation the gap is at rounding level, so the guard of this wall is ignored for this time, s.
 GUARD_DELAY_S = 2e-5
 
 
@@ -31,14 +31,14 @@ class IndependentSolver:
         self.omega = 2 * np.pi * scene.test.frequency
         self.force = np.zeros(self.n)
         self.force[[body - 1 for body in scene.shaker.bodies]] = scene.test.force
-        self.mode = np.full(len(self.damper_mass), FLOOR)
+        self.contact = np.full(len(self.damper_mass), FLOOR)
 
     def _body_accelerations(self, t: float, state: np.ndarray) -> np.ndarray:
         """Return the accelerations of the bodies with the present contacts, m/s^2."""
         n = self.n
         mass = self.mass.copy()
         load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
-        in_contact = self.mode != FLIGHT
+        in_contact = self.contact != FLIGHT
         mass[self.body[in_contact], self.body[in_contact]] += self.damper_mass[in_contact]
         load[self.body[in_contact]] -= self.damper_mass[in_contact] * self.gravity
         return np.linalg.solve(mass, load)
@@ -47,19 +47,19 @@ class IndependentSolver:
         """Return the time derivative of the state: see `events`."""
         n, d = self.n, len(self.damper_mass)
         acceleration = self._body_accelerations(t, state)
-        damper_speed = np.where(self.mode == FLIGHT, state[2 * n + d :], state[n + self.body])
-        damper_acceleration = np.where(self.mode == FLIGHT, -self.gravity, acceleration[self.body])
+        damper_speed = np.where(self.contact == FLIGHT, state[2 * n + d :], state[n + self.body])
+        damper_acceleration = np.where(self.contact == FLIGHT, -self.gravity, acceleration[self.body])
         return np.concatenate([state[n : 2 * n], acceleration, damper_speed, damper_acceleration])
 
     def _guards(self, ignored_until: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
-        """Return the guards of all dampers: (damper from 0, mode after the event, function of time and state).
+        """Return the guards of all dampers: (damper from 0, contact after the event, function of time and state).
 
         `ignored_until`: time until which the guard of a damper and wall is ignored, s.
         """
         n = self.n
         guards: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
-            if self.mode[j] == FLIGHT:
+            if self.contact[j] == FLIGHT:
                 guards.append(
                     (
                         j,
@@ -80,7 +80,7 @@ class IndependentSolver:
                         )
                     )
             else:
-                sign = 1.0 if self.mode[j] == FLOOR else -1.0
+                sign = 1.0 if self.contact[j] == FLOOR else -1.0
                 guards.append(
                     (
                         j,
@@ -115,7 +115,7 @@ class IndependentSolver:
     def _apply_event(self, t, state, j, wall, ignored_until, events) -> None:
         """Apply a separation (wall FLIGHT) or an impact of damper j, with the separations that follow.
 
-        Changes the state, the modes, `ignored_until` and `events`.
+        Changes the state, the contacts, `ignored_until` and `events`.
         """
         n, d = self.n, len(self.damper_mass)
         body = self.body[j]
@@ -127,13 +127,13 @@ class IndependentSolver:
         impulse = (1 + self.restitution[j]) * closing_speed / (1 / self.mass[body, body] + 1 / self.damper_mass[j])
         state[n + body] += impulse / self.mass[body, body]
         events.append((t, j + 1, "floor" if wall == FLOOR else "ceiling"))
-        self.mode[j] = wall
+        self.contact[j] = wall
         if self.restitution[j] > 0:
             self._separate(t, state, j, ignored_until)
             state[2 * n + d + j] = state[n + body] - self.restitution[j] * closing_speed
         for i in range(d):
-            if self.mode[i] != FLIGHT:
-                sign = 1.0 if self.mode[i] == FLOOR else -1.0
+            if self.contact[i] != FLIGHT:
+                sign = 1.0 if self.contact[i] == FLOOR else -1.0
                 if sign * (self._body_accelerations(t, state)[self.body[i]] + self.gravity) < 0:
                     self._separate(t, state, i, ignored_until)
                     events.append((t, i + 1, "separation"))
@@ -141,8 +141,8 @@ class IndependentSolver:
     def _separate(self, t, state, j, ignored_until) -> None:
         """Let damper j leave its wall with the velocity of the body."""
         n, d = self.n, len(self.damper_mass)
-        body, wall = self.body[j], self.mode[j]
+        body, wall = self.body[j], self.contact[j]
         state[2 * n + j] = state[body] + (self.clearance[j] if wall == CEILING else 0.0)
         state[2 * n + d + j] = state[n + body]
-        self.mode[j] = FLIGHT
+        self.contact[j] = FLIGHT
         ignored_until[(j, wall)] = t + GUARD_DELAY_S

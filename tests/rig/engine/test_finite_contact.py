@@ -70,7 +70,7 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
     states = 2 * (bodies + len(scene.dampers))
     exact, events = SwitchedMotion(scene).propagate([0.0] * states, len(run.time), SAMPLES_PER_PERIOD)
     error = np.abs(run.displacement - exact.astype(float)).max() / np.abs(run.displacement).max()
-    kinds = [("touch" if mode else "release", damper + 1) for _, damper, mode in events]
+    kinds = [("touch" if contact else "release", damper + 1) for _, damper, contact in events]
     assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
     assert len(kinds) > 2
     assert error < 1e-12
@@ -81,7 +81,7 @@ def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) ->
 
 @pytest.mark.parametrize("ratio", [0.0, 1e-14, 1e-11, 1e-9, 1e-7])
 @pytest.mark.parametrize("seed", [9000, 9147, 9149])
-def test_weak_dashpot_causes_no_second_landing(seed: int, ratio: float) -> None:
+def test_weak_dashpot_causes_no_second_touch(seed: int, ratio: float) -> None:
     # `ratio`: damping ratio of the contacts. With a weak dashpot the force ends almost at zero overlap, where rounding
     # could cause another touch with zero speed.
     scene = random_scene(seed, 2)
@@ -102,7 +102,7 @@ def test_spring_damper_has_duration_and_restitution(duration: float, restitution
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.499, 0.7, 1.0, 4.0])
-def test_largest_contact_force_is_closed_form(ratio: float) -> None:
+def test_closed_form_of_the_peak_contact_force(ratio: float) -> None:
     # `ratio`: damping ratio. A mass of 70 g hits a spring and dashpot at 1.7 m/s.
     mass, stiffness, speed = 0.07, 3e4, 1.7
     omega = math.sqrt(stiffness / mass)
@@ -114,7 +114,8 @@ def test_largest_contact_force_is_closed_form(ratio: float) -> None:
 
 
 def test_residual_restitution_decreases_with_the_duration() -> None:
-    # A dashpot of finite damping leaves a residual restitution where 0 is required.
+    # A dashpot of finite damping leaves a residual restitution where 0 is required. At 10 ms it is exp(-2), that of
+    # critical damping.
     mass = 0.05
     restitutions = [duration_and_restitution(*spring_damper(t, 0.0, mass), mass)[1] for t in (1e-2, 1e-3, 1e-4, 1e-5)]
     assert restitutions[0] == pytest.approx(math.exp(-2.0))
@@ -123,7 +124,7 @@ def test_residual_restitution_decreases_with_the_duration() -> None:
 
 @pytest.mark.parametrize("restitution", [0.3, 0.6, 0.9])
 def test_free_landing_is_closed_form(restitution: float) -> None:
-    # A hammer accelerates a free body towards its damper. Without gravity only contacts change the motion afterwards.
+    # A hammer accelerates a free body towards its damper. Without gravity, only contacts change the motion afterwards.
     scene = rig.loads(
         f"""
         structure: {{masses: [0.8 kg], springs: [0 N/m]}}
@@ -143,10 +144,11 @@ def test_free_landing_is_closed_form(restitution: float) -> None:
     system = assemble(scene)
     stiffness, damping = system.wall_stiffness[0, 0], system.wall_damping[0, 0]
     peak = peak_force(stiffness, damping, float(system.reduced_mass[0]), float(landing["speed"]))
+    # The body has 0.8 kg.
     assert np.abs(run.acceleration[0, in_contact]).max() == pytest.approx(peak / 0.8, rel=2e-3)
 
 
-def test_short_landings_converge_to_instant_contact() -> None:
+def test_short_contacts_converge_to_instant_contact() -> None:
     instant = rig.load("reference-A")
     reference = rig.simulate(instant, 0.3, rate=2000.0).displacement
     errors = []

@@ -1,7 +1,7 @@
 """Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks.
 
 A break is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists the values
-before and after each break. Contact modes: 0 in flight, 1 on the floor, 2 at the ceiling.
+before and after each break. Contacts: 0 in flight, 1 on the floor, 2 at the ceiling.
 """
 
 from __future__ import annotations
@@ -95,16 +95,16 @@ def test_contact_force_at_rest_is_compressive(scene: rig.Scene) -> None:
     run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
     sign = np.select([run.contact == 1, run.contact == 2], [1.0, -1.0], 0.0)
     body = [damper.body - 1 for damper in scene.dampers]
-    pressure = sign * (run.acceleration[body] + scene.gravity)
-    assert pressure.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
+    force_per_mass = sign * (run.acceleration[body] + scene.gravity)
+    assert force_per_mass.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
 
 
 @pytest.mark.thorough
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
-def test_event_screening_over_blocks_misses_no_event(scene: rig.Scene, seed: int) -> None:
-    # In a block, the engine skips the search for events while the state is within an envelope, an upper bound of the
-    # magnitudes. With blocks of one sample there is no envelope.
+def test_envelope_of_a_block_misses_no_event(scene: rig.Scene, seed: int) -> None:
+    # In a block, the engine omits the search for events while the state is within an envelope (upper limits of its
+    # magnitudes) and all gaps and contact forces exceed their margins. Blocks of one sample have no envelope.
     random = np.random.default_rng(seed)
     rate = 800 * scene.test.frequency
     time = np.arange(1000) / rate
@@ -147,16 +147,16 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     motion = rig.Plant(scene, rate).advance(drive)
     system = assemble(scene)
     time = (motion.break_sample - 1) / rate + motion.break_offset
-    mode = np.ones(system.dampers, dtype=int)
-    mode[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
+    contacts = np.ones(system.dampers, dtype=int)
+    contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
     events = motion.events[motion.events["time"] > 0.0]
     # Several breaks may coincide within rounding. The list of events does not show to which break each belongs.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
             simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
-            next_mode = modes_after_breaks(system, motion, breaks.tolist(), simultaneous, mode)
-            assert next_mode is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
-            mode = next_mode
+            next_contacts = contacts_after_breaks(system, motion, breaks.tolist(), simultaneous, contacts)
+            assert next_contacts is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
+            contacts = next_contacts
 
 
 #: Impacts within this time, s, are treated as simultaneous in these tests.
@@ -166,39 +166,41 @@ SIMULTANEITY_S = 1e-9
 MIN_SEPARATION_SPEED = 1e-6
 
 
-def modes_after_breaks(
-    system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], mode: np.ndarray
+def contacts_after_breaks(
+    system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], contacts: np.ndarray
 ) -> np.ndarray | None:
-    """Return the contact modes after several breaks, or None if no assignment of the events conserves momentum.
+    """Return the contacts after several breaks, or None if no assignment of the events conserves momentum.
 
-    `breaks`: indices of the breaks; `events`: assigned to the breaks in order; `mode`: contact modes before.
+    `breaks`: indices of the breaks; `events`: to be assigned to the breaks in order; `contacts`: before the breaks.
     """
     if not breaks:
-        return mode if not events else None
+        return contacts if not events else None
     # `count`: number of events that are assigned to the first break.
     for count in range(len(events) + 1):
-        after = modes_after_break(system, motion, breaks[0], events[:count], mode)
-        next_mode = None if after is None else modes_after_breaks(system, motion, breaks[1:], events[count:], after)
-        if next_mode is not None:
-            return next_mode
+        after = contacts_after_break(system, motion, breaks[0], events[:count], contacts)
+        next_contacts = (
+            None if after is None else contacts_after_breaks(system, motion, breaks[1:], events[count:], after)
+        )
+        if next_contacts is not None:
+            return next_contacts
     return None
 
 
-def modes_after_break(
-    system: HybridSystem, motion: Motion, k: int, events: list[np.void], mode: np.ndarray
+def contacts_after_break(
+    system: HybridSystem, motion: Motion, k: int, events: list[np.void], contacts: np.ndarray
 ) -> np.ndarray | None:
-    """Return the contact modes after break k with these events; None if they do not conserve momentum."""
+    """Return the contacts after break k with these events; None if they do not conserve momentum."""
     before, after = motion.break_velocity[:, :, k]
     impulse = system.mass @ (after - before)
     scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
-    mode, closing_speeds, separated = mode.copy(), {}, set()
+    contacts, closing_speeds, separated = contacts.copy(), {}, set()
     for event in events:
         j = int(event["damper"]) - 1
         if event["kind"] == "separation":
             separated.add(j)
         else:
             closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
-            mode[j] = 1 if event["kind"] == "floor" else 2
+            contacts[j] = 1 if event["kind"] == "floor" else 2
     # Sum of the momentum changes of bodies and dampers, which is zero. A damper that keeps contact at a small jump may
     # or may not have separated during the impact: both possibilities are tried.
     balance = impulse.copy()
@@ -209,11 +211,11 @@ def modes_after_break(
         if j in closing_speeds:
             # Before the impact the damper moved slower than the floor by the closing speed.
             balance[body] += system.damper_mass[j] * (change + closing_speeds[j])
-        elif mode[j] and not (j in separated and separates(mode[j], change)):
+        elif contacts[j] and not (j in separated and separates(contacts[j], change)):
             balance[body] += system.damper_mass[j] * change
-        elif mode[j] and abs(change) < MIN_SEPARATION_SPEED:
+        elif contacts[j] and abs(change) < MIN_SEPARATION_SPEED:
             undecided.append((body, system.damper_mass[j] * change))
-    mode[list(separated)] = 0
+    contacts[list(separated)] = 0
     for choice in product((0.0, 1.0), repeat=len(undecided)):
         undecided_impulse = np.bincount(
             [body for body, _ in undecided],
@@ -221,13 +223,13 @@ def modes_after_break(
             balance.size,
         )
         if np.abs(balance + undecided_impulse).max() < 1e-12 * max(scale, 1e-12):
-            return mode
+            return contacts
     return None
 
 
-def separates(mode: int, change: float) -> bool:
+def separates(contact: int, change: float) -> bool:
     """Return whether a damper in contact separates if the velocity of its body jumps by `change`, m/s."""
-    return change < 0.0 if mode == 1 else change > 0.0
+    return change < 0.0 if contact == 1 else change > 0.0
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])

@@ -68,10 +68,10 @@ def test_hundred_thousand_periods_do_not_drift() -> None:
     scene = single_body({"clearance": 1.5e-3}, frequency=8.0)
     periods_per_sample, periods = 128, 102_400
     run = rig.simulate(scene, periods / 8.0, rate=8.0 / periods_per_sample)
-    settled = run.displacement[0, len(run.time) // 10 :]
+    steady = run.displacement[0, len(run.time) // 10 :]
     assert len(run.events) > 2 * periods
     # The samples are whole periods apart: in steady state all are equal.
-    assert np.ptp(settled) < 1e-16
+    assert np.ptp(steady) < 1e-16
 
 
 def test_million_linear_periods_are_exact() -> None:
@@ -90,13 +90,12 @@ def test_very_light_damper_is_inelastic_bouncing_ball() -> None:
     run = rig.simulate(scene, 12.0, rate=100.0)
     omega = 2 * np.pi * scene.test.frequency
     amplitude = -1j * 25.0 * receptance(scene, [scene.test.frequency])[0, 0]
-    peak = abs(amplitude) * omega**2 / scene.gravity
+    acceleration_g = abs(amplitude) * omega**2 / scene.gravity
     separations = run.events["time"][run.events["kind"] == "separation"]
     landings = run.events["time"][run.events["kind"] == "floor"]
-    # `peak`: acceleration amplitude of the body, g. The displacement is |X| sin(w t + phase); the phases of the last
-    # flight have closed forms.
+    # The displacement of the body is |X| sin(w t + phase). The phases of the last flight have closed forms.
     phase = np.angle(amplitude) + np.pi / 2
-    flight = fly(peak, take_off_phase(peak))
+    flight = fly(acceleration_g, take_off_phase(acceleration_g))
     take_off_time = separations[separations < landings[-1]][-1]
     assert (omega * take_off_time + phase) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
     assert omega * (landings[-1] - take_off_time) == pytest.approx(flight.end - flight.start, abs=1e-7)
@@ -137,8 +136,9 @@ def test_floating_chain_momentum_changes_by_weight_alone() -> None:
     np.testing.assert_allclose(momentum[in_contact], expected[in_contact], rtol=1e-12, atol=1e-12)
 
 
-def test_free_floating_chain_is_closed_form() -> None:
+def test_floating_chain_moves_as_closed_form() -> None:
     run = rig.simulate(free_chain([1.0, 3.0], [0.0, 4e3], [1.0, 0.0]), 2.0, rate=100.0)
+    # Bodies of 1 kg and 3 kg with a spring of 4 kN/m; body 1 starts at 1 m/s.
     omega = np.sqrt(4e3 * (1 + 1 / 3))
     center_of_mass = 0.25 * run.time
     exact = center_of_mass + 0.75 * np.sin(omega * run.time) / omega
@@ -159,7 +159,7 @@ def test_extremely_stiff_spring_is_exact() -> None:
     assert abs(motion_with_damper.energy.residual) < 1e-10 * exchanged_energy
 
 
-def test_restitution_bounces_end_in_finite_time() -> None:
+def test_rebounds_end_in_finite_time() -> None:
     # Strong damping soon stops the body: a light damper then bounces on a body at rest, in a geometric sequence.
     scene = rig.Scene(
         structure={"masses": [1.0], "springs": [OMEGA**2], "damping": {"modal": 0.9}},
@@ -168,11 +168,11 @@ def test_restitution_bounces_end_in_finite_time() -> None:
     )
     run = rig.simulate(scene, 12.0, rate=100.0)
     impacts = run.events[run.events["kind"] == "floor"]
-    settled = impacts[impacts["time"] > 2.0]
-    speeds = settled["speed"][settled["speed"] > 1e-6]
+    at_rest = impacts[impacts["time"] > 2.0]  # impacts on the body at rest
+    speeds = at_rest["speed"][at_rest["speed"] > 1e-6]
     np.testing.assert_allclose(speeds[1:] / speeds[:-1], 0.95, rtol=1e-6)
     # Sum of the geometric sequence of flight times: restitution 0.95, 1 - 0.95 = 0.05.
-    end_time = settled["time"][0] + 2 * 0.95 * settled["speed"][0] / scene.gravity / 0.05
+    end_time = at_rest["time"][0] + 2 * 0.95 * at_rest["speed"][0] / scene.gravity / 0.05
     assert impacts["time"][-1] == pytest.approx(end_time, rel=1e-6)
     assert run.contact[0, -1] == 1
     assert 100 < len(impacts) < 1000
@@ -200,8 +200,8 @@ def test_hundred_bodies_balance_energy() -> None:
     assert abs(run.energy.residual) < 1e-10 * exchanged_energy
 
 
-def test_motion_from_rest_without_gravity_starts() -> None:
-    # The motion of the first body, which the chain transmits from the last, grows from 1e-44 m within a time step.
+def test_motion_from_rest_starts_without_gravity() -> None:
+    # The chain transmits the motion from the last body to the first, where it grows from 1e-44 m within a time step.
     scene = rig.Scene(
         structure={
             "masses": [0.11002458568653148, 1.1563741336422235, 0.8650154381354124, 0.5589685712008674],

@@ -1,6 +1,8 @@
-"""The engine, compared with exact events, an independent solver, and 40-digit solutions of single events.
+"""The engine, compared with exact events, an independent solver, 40-digit solutions and closed forms; invalid
+arguments.
 
-The reference cases A, B and C are bundled scenes of the published problem, from rest over 100 periods of the drive.
+The reference cases A, B and C are bundled scenes of the published problem, from rest over 100 periods of the drive. The
+tests with `each_table_size` run for each set of tables that the engine may compute (`conftest`).
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from rig.errors import RunError, SceneError
 from tests.rig.engine.exact import Segment
 from tests.rig.engine.independent_solver import IndependentSolver
 
-# Kinds of events: names in the reference file and in the engine.
+# Kinds of events: names in the reference file, and in the engine.
 KINDS = {
     "takeoff_floor": "separation",
     "land_floor": "floor",
@@ -33,7 +35,7 @@ def simulate_scene(name: str, **changes: object) -> rig.Run:
 
 
 def single_body(**test: object) -> rig.Scene:
-    """Return a body of 1 kg at 10 Hz with a damper of 50 g, driven by a force of 6 N at 9 Hz."""
+    """Return a body of 1 kg at 10 Hz with a damper of 50 g, driven by a force of 6 N at 9 Hz; `test`: changed keys."""
     stiffness = (2 * np.pi * 10.0) ** 2
     return rig.Scene(
         structure={"masses": [1.0], "springs": [stiffness], "damping": {"modal": 0.01}},
@@ -67,8 +69,9 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
     segments: dict[tuple[int, ...], Segment] = {}
     on_floor, current_time, flight_velocity = (0, 1, 2), mpf(0), {}
     state = Segment(scene, on_floor).initial_state()
-    # Change of the body's velocity in an impact, relative to the closing speed; the dampers have 10 % of the body mass.
-    ratio = [mpf(0.1 * mass) / (mpf(0.1 * mass) + mpf(mass)) for mass in scene.structure.masses]
+    # Change of the body's velocity in a perfectly plastic impact, relative to the closing speed. The dampers have 10 %
+    # of the body mass.
+    velocity_transfer = [mpf(0.1 * mass) / (mpf(0.1 * mass) + mpf(mass)) for mass in scene.structure.masses]
     end = len(run.time) - 1
     for time, damper, kind in [*reference_events(), (mpf(end) / 2000, 0, "end")]:
         segment = segments.setdefault(on_floor, Segment(scene, on_floor))
@@ -80,7 +83,7 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
             flight_velocity[j] = state[3 + j]
             on_floor = tuple(k for k in on_floor if k != j)
         elif kind == "floor":
-            state[3 + j] += ratio[j] * (flight_velocity.pop(j) - state[3 + j])
+            state[3 + j] += velocity_transfer[j] * (flight_velocity.pop(j) - state[3 + j])
             on_floor = tuple(sorted((*on_floor, j)))
     for j in range(3):
         assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
@@ -88,19 +91,19 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
 
 @pytest.mark.usefixtures("each_table_size")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
-def test_reference_cases_b_and_c_event_counts(name: str, count: int) -> None:
+def test_reference_cases_b_and_c_have_known_event_counts(name: str, count: int) -> None:
     run = simulate_scene(name)
     assert len(run.events) == count
     assert run.ambiguous == 0
 
 
-def test_case_b_grazes_a_ceiling_once() -> None:
+def test_case_b_has_one_near_grazing_impact() -> None:
     events = simulate_scene("reference-B").events
-    # The drive of case B has 312.4 rad/s. The impact in period 80 has only 7 mm/s.
+    # The drive of case B has 312.4 rad/s. The ceiling impact in period 80 has a closing speed of only 7 mm/s.
     period = events["time"] * 312.4 / (2 * np.pi)
-    graze = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
-    assert len(graze) == 1
-    assert graze["speed"][0] == pytest.approx(7e-3, rel=0.05)
+    impacts = events[(period > 80) & (period < 81) & (events["kind"] == "ceiling")]
+    assert len(impacts) == 1
+    assert impacts["speed"][0] == pytest.approx(7e-3, rel=0.05)
 
 
 @pytest.mark.thorough
@@ -161,22 +164,22 @@ def first_flight_peak(scene: rig.Scene) -> tuple[mpf, mpf]:
     def contact_acceleration(t: mpf) -> mpf:
         return on_floor.acceleration(on_floor.propagate(start, t), 0) + on_floor.gravity
 
-    take_off = findroot(contact_acceleration, (mpf(separation), mpf(separation) + mpf("1e-9")), tol=1e-60)
-    take_off_state = on_floor.propagate(start, take_off)
+    exact_separation = findroot(contact_acceleration, (mpf(separation), mpf(separation) + mpf("1e-9")), tol=1e-60)
+    separation_state = on_floor.propagate(start, exact_separation)
 
     def relative_velocity(t: mpf) -> mpf:
-        state = in_flight.propagate(take_off_state, t - take_off)
-        return take_off_state[1] - in_flight.gravity * (t - take_off) - state[1]
+        state = in_flight.propagate(separation_state, t - exact_separation)
+        return separation_state[1] - in_flight.gravity * (t - exact_separation) - state[1]
 
     exact_peak_time = findroot(relative_velocity, (mpf(peak_time), mpf(peak_time) + mpf("1e-7")), tol=1e-60)
-    flight_time = exact_peak_time - take_off
-    height = take_off_state[0] + take_off_state[1] * flight_time - in_flight.gravity * flight_time**2 / 2
-    return height - in_flight.propagate(take_off_state, flight_time)[0], exact_peak_time
+    flight_time = exact_peak_time - exact_separation
+    height = separation_state[0] + separation_state[1] * flight_time - in_flight.gravity * flight_time**2 / 2
+    return height - in_flight.propagate(separation_state, flight_time)[0], exact_peak_time
 
 
 @pytest.mark.parametrize("distance", [1e-6, 1e-9, 1e-12, 1e-15])
 def test_only_a_ceiling_within_reach_is_hit(distance: float) -> None:
-    # `distance`: of the ceiling from the highest point of the flight, below it or above it, m.
+    # `distance`: between the ceiling and the apex of the flight, m. The ceiling is first below (sign 1), then above it.
     scene = single_body(start="empty")
     largest_gap, peak_time = first_flight_peak(scene)
     kinds = {}
@@ -212,7 +215,7 @@ def test_damper_separates_only_at_negative_contact_force(depth: float) -> None:
     assert 0.0 < float(lowest_time) - events[1]["time"][0] < 0.05 * np.sqrt(depth)
 
 
-def test_undamped_resonance_grows_as_closed_form() -> None:
+def test_undamped_resonance_agrees_to_forty_digits() -> None:
     scene = single_body().replace(dampers=())
     structure = scene.structure.replace(damping=None)
     natural_frequency = np.sqrt(structure.springs[0]) / (2 * np.pi)
@@ -223,8 +226,9 @@ def test_undamped_resonance_grows_as_closed_form() -> None:
     for k in (1, 10, 100, 500):
         state, previous = segment.propagate(state, mpf(k - previous) / 50), k
         exact = float(state[0])
-        envelope = 6.0 * run.time[k] / (2 * 2 * np.pi * natural_frequency)
-        assert abs(run.displacement[0, k] - exact) < 1e-12 * envelope
+        # At resonance the amplitude grows as F t / (2 m w), here with 6 N and 1 kg.
+        amplitude = 6.0 * run.time[k] / (2 * 2 * np.pi * natural_frequency)
+        assert abs(run.displacement[0, k] - exact) < 1e-12 * amplitude
 
 
 def test_critically_damped_return_is_closed_form() -> None:
@@ -260,7 +264,7 @@ def test_response_without_dampers_is_linear_receptance() -> None:
         ({"frequency": 0.0}, "frequency"),
     ],
 )
-def test_invalid_arguments_are_named(change: dict[str, object], message: str) -> None:
+def test_error_names_the_invalid_argument(change: dict[str, object], message: str) -> None:
     arguments = {"duration": 0.1, "rate": 1000.0, **change}
     with pytest.raises(SceneError) as error:
         rig.simulate("reference-A", **arguments)
@@ -276,13 +280,13 @@ def test_invalid_arguments_are_named(change: dict[str, object], message: str) ->
         ([[1j] * 101], "drive: the values are not real numbers"),
     ],
 )
-def test_invalid_drive_is_named(drive: object, message: str) -> None:
+def test_error_describes_the_invalid_drive(drive: object, message: str) -> None:
     with pytest.raises(RunError) as error:
         rig.simulate("reference-A", 0.1, 1000.0, drive=drive)
     assert message in str(error.value)
 
 
-def test_drive_sample_that_is_not_finite_is_named() -> None:
+def test_error_gives_the_sample_of_the_whole_run() -> None:
     plant = rig.Plant(rig.load("fig9"), 5120.0)
     plant.advance(np.zeros((1, 10)))
     drive = np.zeros((1, 10))

@@ -1,4 +1,4 @@
-"""Simplified models of a bed of grains, compared with the grains: required properties, and the written results."""
+"""Simplified models of a bed of grains, compared with the grains."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.rig.grain_beds.scenes import with_grains
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Shorten the simulated blocks."""
+    """Shorten the simulated blocks to two periods."""
     monkeypatch.setattr(models, "PERIODS", 2)
 
 

@@ -84,7 +84,7 @@ def test_error_decreases_with_the_step(scheme: object, settings: tuple[int, int]
     assert fine < 2e-3
 
 
-def test_scipy_finds_events_at_its_tolerance(case: CaseB) -> None:
+def test_scipy_locates_events_at_its_tolerance(case: CaseB) -> None:
     problem, exact, run = case
     outcome = integrate(problem, scipy_solver("DOP853", 1e-9, np.inf), GUARD_PAUSE_S, 60.0)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
@@ -92,7 +92,7 @@ def test_scipy_finds_events_at_its_tolerance(case: CaseB) -> None:
 
 
 @pytest.mark.parametrize(("rtol", "allowed"), [(1e-6, 1e-3), (1e-9, 1e-6), (1e-12, 1e-9)])
-def test_compiled_solver_finds_events_at_its_tolerance(case: CaseB, rtol: float, allowed: float) -> None:
+def test_compiled_solver_locates_events_at_its_tolerance(case: CaseB, rtol: float, allowed: float) -> None:
     problem, exact, run = case
     outcome = DormandPrince(problem).integrate(rtol, GUARD_PAUSE_S, np.inf)
     assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
@@ -143,13 +143,13 @@ def test_engine_is_exact_with_mixed_contacts() -> None:
     assert study.points[0].error < 1e-12
 
 
-def test_linear_orbit_solves_the_equations() -> None:
+def test_exact_orbit_without_damper_is_linear() -> None:
     scene = rig.load("fig8-no-damper")
     exact = exact_orbit(with_ideal_force(scene), rig.periodic_orbit(scene, 34.8))
     assert exact.error(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 
-def test_driven_table_refers_to_the_spring_force() -> None:
+def test_compliance_of_a_driven_table_refers_to_the_spring_force() -> None:
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}\n"
         "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\n"
@@ -164,6 +164,7 @@ def test_driven_table_refers_to_the_spring_force() -> None:
 
 def test_irregular_motion_uses_a_nearby_frequency() -> None:
     study = steady_study(rig.load("fig8-three-dampers"), 33.1275)
+    # Frequencies within 8 % are tried.
     assert 0.0 < abs(study.frequency / 33.1275 - 1.0) < 0.081
     assert study.points and study.motion_type
 
@@ -180,7 +181,7 @@ def test_cost_without_shaker_is_rejected() -> None:
         default_frequency(without_shaker, assemble(without_shaker))
 
 
-def test_failing_solver_is_still_listed(case: CaseB, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_solver_is_listed(case: CaseB, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise RunError("too many events at one instant")
 
@@ -190,7 +191,7 @@ def test_failing_solver_is_still_listed(case: CaseB, monkeypatch: pytest.MonkeyP
 
 def test_approximate_method_rejects_restitution() -> None:
     scene = rig.load("fig9", {"dampers[1].restitution": 0.2})
-    # It raises the error before any comparison.
+    # The error is raised before any comparison with the exact orbit.
     point = _approximate(scene, 49.7, cast(ExactOrbit, None))
     assert point.note.startswith("not applicable: damper in body 2: restitution 0.2")
 

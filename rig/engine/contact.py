@@ -12,8 +12,8 @@ A Zeno sequence is an infinite number of ever lower rebounds in a finite time. I
 rounding.
 
 Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains displacements
-and velocities of the bodies, `state.height` and `state.speed` those of the dampers in flight. The `multiplicity` of a
-gap's zero is the number of leading terms of its power series in time (gap, rate, ...) that are exactly zero.
+and velocities of the bodies, `state.height` and `state.velocity` those of the dampers in flight. The `multiplicity` of
+a gap's zero is the number of leading terms of its power series in time (gap, rate, ...) that are exactly zero.
 
 References
 ----------
@@ -36,14 +36,14 @@ _RELEASE_MULTIPLICITY = 2
 
 
 @inlined_kernel
-def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, multiplicity: int) -> None:
-    """Change damper j from rest on its wall to flight with the velocity `speed`, m/s, positive upwards."""
-    height = state.z[model.position[j]]
+def _set_flying(flow: Flow, model: Model, state: State, j: int, velocity: float, multiplicity: int) -> None:
+    """Change damper j from rest on its wall to flight with a velocity, m/s, positive upwards."""
+    height = state.z[model.position_index[j]]
     if state.contact[j] == CEILING:
         height += model.clearance[j]
         multiplicity = -multiplicity
     state.height[j] = height
-    state.speed[j] = speed
+    state.velocity[j] = velocity
     state.contact[j] = FLIGHT
     state.multiplicity[j] = multiplicity
     toggle_contact(flow, model, state, j)
@@ -52,7 +52,7 @@ def _set_flying(flow: Flow, model: Model, state: State, j: int, speed: float, mu
 @inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
     """Separate damper j from its wall, at the velocity of the wall, and log the event."""
-    _set_flying(flow, model, state, j, state.z[model.velocity[j]], multiplicity)
+    _set_flying(flow, model, state, j, state.z[model.velocity_index[j]], multiplicity)
     log_event(log, j, SEPARATION, 0.0)
 
 
@@ -82,7 +82,7 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
     With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper limit of its
     acceleration is used. A damper that is wrongly set to rest has a tensile contact force and is released immediately.
     """
-    row = model.position[j]
+    row = model.position_index[j]
     if model.coupled:
         approach_acceleration = model.gravity
         for c in range(model.inverse_mass.shape[0]):
@@ -104,11 +104,11 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, rebound_speed: f
     """Set damper j in flight from the wall that it hit (`state.contact`), or at rest on it for rebound speed 0."""
     sign = _contact_direction(state.contact[j])
     if rebound_speed > 0.0:
-        height = state.z[model.position[j]]
+        height = state.z[model.position_index[j]]
         if state.contact[j] == CEILING:
             height += model.clearance[j]
         state.height[j] = height
-        state.speed[j] = state.z[model.velocity[j]] + sign * rebound_speed
+        state.velocity[j] = state.z[model.velocity_index[j]] + sign * rebound_speed
         state.contact[j] = FLIGHT
         state.multiplicity[j] = 1 if sign > 0.0 else -1
     else:
@@ -119,9 +119,9 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, rebound_speed: f
 @kernel
 def _touched_wall(model: Model, state: State, j: int) -> int:
     """Return the wall that a flying damper touches within rounding while approaching it, or FLIGHT."""
-    position = state.z[model.position[j]]
+    position = state.z[model.position_index[j]]
     gap = state.height[j] - position
-    floor_approach_speed = state.z[model.velocity[j]] - state.speed[j]
+    floor_approach_speed = state.z[model.velocity_index[j]] - state.velocity[j]
     rounding = ROUNDING * (abs(position) + abs(state.height[j]))
     if floor_approach_speed > 0.0 and state.multiplicity[j] <= 0 and gap <= rounding:
         return FLOOR
@@ -135,16 +135,16 @@ def _independent_impact(
     flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace
 ) -> None:
     """Apply the impact of damper j if the mass matrix does not couple it to other dampers."""
-    body = model.velocity[j]
+    velocity_index = model.velocity_index[j]
     state.contact[j] = wall
     sign = _contact_direction(wall)
-    closing_speed = sign * (state.z[body] - state.speed[j])
+    closing_speed = sign * (state.z[velocity_index] - state.velocity[j])
     rebound_speed = model.restitution[j] * closing_speed
     if rebound_speed > 0.0 and _rebound_is_negligible(model, state, j, rebound_speed, work.force):
         rebound_speed = 0.0
-    inverse_mass = model.inverse_mass[model.position[j], model.position[j]]
+    inverse_mass = model.inverse_mass[model.position_index[j], model.position_index[j]]
     impulse = (closing_speed + rebound_speed) / (inverse_mass + 1.0 / model.mass[j])
-    state.z[body] -= sign * impulse * inverse_mass
+    state.z[velocity_index] -= sign * impulse * inverse_mass
     log_event(log, j, wall, closing_speed)
     _end_impact(flow, model, state, j, rebound_speed)
 
@@ -190,8 +190,10 @@ def _coupled_impact(
         sign = _contact_direction(state.contact[i])
         work.damper[count] = i
         work.sign[count] = sign
-        work.velocity_before[count] = state.z[model.velocity[i]]
-        work.opening_speed[count] = sign * (state.speed[i] - work.velocity_before[count]) if work.flying[count] else 0.0
+        work.velocity_before[count] = state.z[model.velocity_index[i]]
+        work.opening_speed[count] = (
+            sign * (state.velocity[i] - work.velocity_before[count]) if work.flying[count] else 0.0
+        )
         rebound_speed = -model.restitution[i] * work.opening_speed[count]
         if rebound_speed > 0.0 and _rebound_is_negligible(model, state, i, rebound_speed, work.force):
             rebound_speed = 0.0
@@ -201,15 +203,15 @@ def _coupled_impact(
     solve_complementarity(work, count)
     _close_slow_openings(model, state, work, count)
     for a in range(count):
-        column = model.position[work.damper[a]]
+        column = model.position_index[work.damper[a]]
         for row in range(model.inverse_mass.shape[0]):
             change = model.inverse_mass[row, column] * work.sign[a] * work.reaction[a]
             state.z[model.first_velocity + row] -= change
     for a in range(count):
         i = work.damper[a]
-        body_velocity = state.z[model.velocity[i]]
+        body_velocity = state.z[model.velocity_index[i]]
         if work.flying[a]:
-            damper_velocity = state.speed[i] + work.sign[a] * work.reaction[a] / model.mass[i]
+            damper_velocity = state.velocity[i] + work.sign[a] * work.reaction[a] / model.mass[i]
             rebound_speed = work.sign[a] * (damper_velocity - body_velocity)
             has_no_rebound = work.rhs[a] == work.opening_speed[a]
             if work.active[a] and has_no_rebound:
@@ -236,7 +238,7 @@ def _release_independent(flow: Flow, model: Model, state: State, log: Log, work:
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
             continue
-        row = model.position[i]
+        row = model.position_index[i]
         # Upward contact force on the damper divided by its mass, if it moves with its body.
         relative_acceleration = force[row] * model.inverse_mass[row, row] + model.gravity
         if _contact_direction(state.contact[i]) * relative_acceleration >= 0.0:
@@ -255,7 +257,7 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
             continue
-        row = model.position[i]
+        row = model.position_index[i]
         free_acceleration = 0.0
         magnitude = model.gravity
         for c in range(model.inverse_mass.shape[0]):

@@ -63,11 +63,11 @@ class Flow(NamedTuple):
 class Model(NamedTuple):
     """Constants of a system for the contact laws and the guards, in SI units; further fields as in `HybridSystem`.
 
-    step: step length, s. mass: of each damper.
-    position, velocity: indices in the state of the position and velocity of each damper's body. first_velocity: index
-    of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations that
-    are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
-    coordinates. coupled: whether the contacts of one instant affect each other.
+    step: step length, s. mass: of each damper. position_index, velocity_index: of the position and velocity of each
+    damper's body in the state. first_velocity: index of the first velocity, which equals the number of coordinates.
+    first_acceleration: index of the accelerations that are stored after the state. inverse_mass: inverse of the mass
+    matrix. force, force_constant: forces on the coordinates. coupled: whether the contacts of one instant affect each
+    other.
     """
 
     gravity: float
@@ -79,8 +79,8 @@ class Model(NamedTuple):
     wall_stiffness: np.ndarray
     wall_damping: np.ndarray
     toggles: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
+    position_index: np.ndarray
+    velocity_index: np.ndarray
     first_velocity: int
     first_acceleration: int
     inverse_mass: np.ndarray

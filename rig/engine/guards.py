@@ -62,8 +62,8 @@ def bound_by_series(
             bound[j] = np.inf
             continue
         at_rest = contact[j] != FLIGHT
-        row = model.velocity[j] if at_rest else model.position[j]
-        index = first_acceleration + model.position[j]
+        row = model.velocity_index[j] if at_rest else model.position_index[j]
+        index = first_acceleration + model.position_index[j]
         lost_terms = 1 if at_rest else 0  # by differentiation
         end_value = 0.0
         end_slope = 0.0
@@ -94,16 +94,16 @@ def _gap_series(
     Returns the multiplicity of the gap's zero at tau = 0, and its magnitude.
     """
     series = workspace.guard_series
-    row = model.position[j]
+    row = model.position_index[j]
     duration = model.step * length
     power = 1.0
     for k in range(N_COEFFICIENTS):
         series[k] = -workspace.state_series[k, row] * power
         power *= length
     series[0] += state.height[j]
-    series[1] += state.speed[j] * duration
+    series[1] += state.velocity[j] * duration
     series[2] -= 0.5 * model.gravity * duration * duration
-    magnitude = abs(state.height[j]) + duration * (abs(state.speed[j]) + model.gravity * duration)
+    magnitude = abs(state.height[j]) + duration * (abs(state.velocity[j]) + model.gravity * duration)
     magnitude += workspace.bound[model.mass.shape[0] + j]
     if not ceiling:
         return state.multiplicity[j], magnitude
@@ -117,7 +117,7 @@ def _gap_series(
 def _force_series(model: Model, state: State, workspace: Workspace, j: int, length: float) -> tuple[int, float]:
     """Fill `workspace.guard_series` with a contact force per mass, m/s^2; return the same as `_gap_series`."""
     series = workspace.guard_series
-    row = model.velocity[j]
+    row = model.velocity_index[j]
     sign = 1.0 if state.contact[j] == FLOOR else -1.0
     power = sign / model.step
     for k in range(N_COEFFICIENTS):

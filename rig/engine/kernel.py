@@ -70,8 +70,8 @@ def _advance_flights(model: Model, state: State, duration: float) -> None:
     """Propagate every flying damper by a duration, s, and reset the multiplicities of all guards."""
     for j in range(model.mass.shape[0]):
         if state.contact[j] == FLIGHT and model.gap_coordinate[j] < 0:
-            state.height[j] += duration * (state.speed[j] - 0.5 * model.gravity * duration)
-            state.speed[j] -= model.gravity * duration
+            state.height[j] += duration * (state.velocity[j] - 0.5 * model.gravity * duration)
+            state.velocity[j] -= model.gravity * duration
         state.multiplicity[j] = 0
 
 

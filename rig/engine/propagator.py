@@ -370,7 +370,7 @@ def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple
             for part in (log.event_segment, log.event_offset, log.event_damper, log.event_kind, log.event_speed)
         ),
         *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.state_before, log.state_after)),
-        *(part[:breaks].copy() for part in (log.speed_before, log.speed_after)),
+        *(part[:breaks].copy() for part in (log.damper_velocity_before, log.damper_velocity_after)),
         *tables.table_indices(log.configuration[:breaks]).T,
     )
 

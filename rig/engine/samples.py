@@ -71,7 +71,7 @@ def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, 
         if model.gap_coordinate[j] >= 0:
             gap = bed_gap(model, state.z, j)
         elif contact == FLIGHT:
-            gap = max(state.height[j] - state.z[model.position[j]], 0.0)
+            gap = max(state.height[j] - state.z[model.position_index[j]], 0.0)
         motion.contact[j, column] = contact
         motion.buffer[row, 3 * coordinates + j] = gap
     first = column - row

@@ -127,7 +127,7 @@ def screen(
     contact of damper j may have a zero; `unproven_ceilings`: the same for the gap to the ceiling.
     """
     unproven = unproven_ceilings = 0
-    speed_change = model.gravity * duration
+    velocity_change = model.gravity * duration  # of free fall, downwards
     # The bounds are for a full step, with derivatives with respect to the time relative to it.
     fourth_power = length**4
     for j in range(model.mass.shape[0]):
@@ -139,13 +139,15 @@ def screen(
                 unproven |= 1 << j
             continue
         if contact == FLIGHT:
-            position, velocity = model.position[j], model.velocity[j]
-            value = state.height[j] - state.z[position]
-            slope = (state.speed[j] - state.z[velocity]) * duration
+            position_index, velocity_index = model.position_index[j], model.velocity_index[j]
+            value = state.height[j] - state.z[position_index]
+            slope = (state.velocity[j] - state.z[velocity_index]) * duration
             value_end = (
-                state.height[j] + duration * (state.speed[j] - 0.5 * speed_change) - workspace.end_state[position]
+                state.height[j]
+                + duration * (state.velocity[j] - 0.5 * velocity_change)
+                - workspace.end_state[position_index]
             )
-            slope_end = (state.speed[j] - speed_change - workspace.end_state[velocity]) * duration
+            slope_end = (state.velocity[j] - velocity_change - workspace.end_state[velocity_index]) * duration
             multiplicity = state.multiplicity[j]
             clearance = model.clearance[j]
             if clearance < np.inf:
@@ -155,7 +157,7 @@ def screen(
                 if lower_bound <= 0.0:
                     unproven_ceilings |= 1 << j
         else:
-            index = first_acceleration + model.position[j]
+            index = first_acceleration + model.position_index[j]
             value = model.gravity + state.z[index]
             value_end = model.gravity + workspace.end_state[index]
             slope = state.z[index + model.first_velocity] * length
@@ -193,11 +195,11 @@ def above_margins(model: Model, state: State, margin: Array, z: Array, columns: 
         if model.gap_coordinate[j] >= 0:
             lowest = lowest_guard(model, state, z, j)
         elif state.contact[j] == FLIGHT:
-            height = state.height[j] + duration * (state.speed[j] - 0.5 * model.gravity * duration)
-            gap = height - z[model.position[j]]
+            height = state.height[j] + duration * (state.velocity[j] - 0.5 * model.gravity * duration)
+            gap = height - z[model.position_index[j]]
             lowest = min(gap, model.clearance[j] - gap) - 2 * ROUNDING * abs(height)
         else:
-            lowest = model.gravity + z[columns + model.position[j]]
+            lowest = model.gravity + z[columns + model.position_index[j]]
             if state.contact[j] != FLOOR:
                 lowest = -lowest
         if not lowest > margin[j]:

@@ -31,7 +31,7 @@ class State(NamedTuple):
     """State of a system in motion; every field is an array, so that the kernel can update it.
 
     `z`: coordinates, velocities, further states and drive states in SI units, padded; accelerations may follow.
-    `height`, `speed`: position and velocity of each damper in flight, m and m/s. `contact`: `FLIGHT`, `FLOOR` or
+    `height`, `velocity`: position and velocity of each damper in flight, m and m/s. `contact`: `FLIGHT`, `FLOOR` or
     `CEILING` of each damper.
 
     The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` is the number of leading
@@ -42,7 +42,7 @@ class State(NamedTuple):
 
     z: np.ndarray
     height: np.ndarray
-    speed: np.ndarray
+    velocity: np.ndarray
     contact: np.ndarray
     multiplicity: np.ndarray
     recovering: np.ndarray
@@ -69,8 +69,8 @@ class Log(NamedTuple):
     break_offset: np.ndarray
     state_before: np.ndarray
     state_after: np.ndarray
-    speed_before: np.ndarray
-    speed_after: np.ndarray
+    damper_velocity_before: np.ndarray
+    damper_velocity_after: np.ndarray
     configuration: np.ndarray
 
 
@@ -79,7 +79,7 @@ def state_at_rest(size: int, dampers: int) -> State:
     return State(
         z=aligned_zeros(size),
         height=np.zeros(dampers),
-        speed=np.zeros(dampers),
+        velocity=np.zeros(dampers),
         contact=np.full(dampers, FLOOR, dtype=np.int64),
         multiplicity=np.zeros(dampers, dtype=np.int64),
         recovering=np.zeros(dampers, dtype=np.int64),
@@ -101,8 +101,8 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
         break_offset=np.zeros(rows),
         state_before=np.zeros((rows, size)),
         state_after=np.zeros((rows, size)),
-        speed_before=np.zeros((rows, dampers)),
-        speed_after=np.zeros((rows, dampers)),
+        damper_velocity_before=np.zeros((rows, dampers)),
+        damper_velocity_after=np.zeros((rows, dampers)),
         configuration=np.zeros((rows, 2), dtype=np.int64),
     )
 
@@ -132,16 +132,16 @@ def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
     """Store the velocity of each damper in `out`, m/s, positive upwards."""
     for j in range(model.mass.shape[0]):
         if model.gap_coordinate[j] >= 0:
-            out[j] = state.z[model.velocity[j]] + state.z[model.first_velocity + model.gap_coordinate[j]]
+            out[j] = state.z[model.velocity_index[j]] + state.z[model.first_velocity + model.gap_coordinate[j]]
         else:
-            out[j] = state.speed[j] if state.contact[j] == FLIGHT else state.z[model.velocity[j]]
+            out[j] = state.velocity[j] if state.contact[j] == FLIGHT else state.z[model.velocity_index[j]]
 
 
 @inlined_kernel
 def open_break(model: Model, state: State, log: Log) -> None:
     """Log a break of the present instant: the state before the contacts change."""
     row = log.counts[N_BREAKS]
-    _store_damper_velocities(model, state, log.speed_before[row])
+    _store_damper_velocities(model, state, log.damper_velocity_before[row])
     log.break_segment[row] = log.counts[PRESENT_SEGMENT]
     log.break_offset[row] = log.present_offset[0]
     log.configuration[row, 0] = state.counters[CONFIGURATION]
@@ -153,7 +153,7 @@ def open_break(model: Model, state: State, log: Log) -> None:
 def close_break(model: Model, state: State, log: Log) -> None:
     """Complete the break that `open_break` has begun: log the state after the contacts have changed."""
     row = log.counts[N_BREAKS]
-    _store_damper_velocities(model, state, log.speed_after[row])
+    _store_damper_velocities(model, state, log.damper_velocity_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
     for i in range(state.z.shape[0]):
         log.state_after[row, i] = state.z[i]

@@ -53,9 +53,9 @@ class Trajectory:
     state_before: Array
     state_after: Array
     """state_before, state_after: shape (breaks, states)."""
-    speed_before: Array
-    speed_after: Array
-    """speed_before, speed_after: velocities of the dampers, m/s; shape (breaks, dampers)."""
+    damper_velocity_before: Array
+    damper_velocity_after: Array
+    """damper_velocity_before, damper_velocity_after: velocities of the dampers, m/s; shape (breaks, dampers)."""
     table_index_before: NDArray[np.int64]
     table_index_after: NDArray[np.int64]
     """table_index_before, table_index_after: shape (breaks,)."""

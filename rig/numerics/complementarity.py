@@ -82,7 +82,7 @@ def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
         i = work.damper[a]
         for b in range(count):
             k = work.damper[b]
-            coupling = model.inverse_mass[model.position[i], model.position[k]]
+            coupling = model.inverse_mass[model.position_index[i], model.position_index[k]]
             work.matrix[a, b] = work.sign[a] * work.sign[b] * coupling
         work.matrix[a, a] += 1.0 / model.mass[i]
 

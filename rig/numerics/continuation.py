@@ -31,6 +31,8 @@ PointWithTangent = tuple[Vector, Vector]
 
 # Distance of the last point from a border, relative to the step length.
 BORDER_TOLERANCE = 1e-9
+# Reason for the end of a curve with `Steps.max_points`.
+POINT_LIMIT = "the largest number of points is reached"
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,7 @@ class Curve:
     """Unit tangents in scaled unknowns, in the order of the points; shape (points, n + 1)."""
     ends: tuple[str, str] = ("", "")
     """Reasons for the ends before the first and after the last point: ``"range"`` (end of the parameter's range),
-    ``"closed"`` (back at the start), ``"points"`` (largest number of points), ``"no convergence: ..."``, or the name of
-    a border."""
+    ``"closed"`` (back at the start), `POINT_LIMIT`, ``"no convergence: ..."``, or the name of a border."""
     scale: Vector = field(default_factory=lambda: np.ones(0))
     """Magnitude of each unknown; unknowns divided by it are the scaled unknowns; shape (n + 1,)."""
 
@@ -240,7 +241,7 @@ def _trace_one_way(
             step = min(2.0 * step, steps.max_step)
         elif iterations >= 6:
             step = max(0.5 * step, steps.min_step)
-    return path, "points"
+    return path, POINT_LIMIT
 
 
 def _predict(path: list[PointWithTangent], step: float, scale: Vector) -> Vector:

@@ -59,22 +59,22 @@ def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, 
 
 @cached_njit
 def _crossing_rate(
-    equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, acc_unit: float
+    equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, acceleration_unit: float
 ) -> float:
     """Return the rate of a finite-duration contact's guard at its event, at most 1.
 
-    It is a speed in g/w, or the rate of a force per mass in g w. `acc_unit`: g, or without gravity another
+    It is a speed in g/w, or the rate of a force per mass in g w. `acceleration_unit`: g, or without gravity another
     acceleration, m/s^2.
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
     if kind == kinds.RELEASE:
-        return min(1.0, -guard[1] / (acc_unit * omega))
+        return min(1.0, -guard[1] / (acceleration_unit * omega))
     if kind in (kinds.PRESS_FLOOR, kinds.PRESS_CEILING):
         sign = -1.0 if kind == kinds.PRESS_FLOOR else 1.0
         force_rate = _contact_force(equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2])
-        return min(1.0, force_rate / (equations.mass[j] * acc_unit * omega))
-    return min(1.0, closing_speed * omega / acc_unit)
+        return min(1.0, force_rate / (equations.mass[j] * acceleration_unit * omega))
+    return min(1.0, closing_speed * omega / acceleration_unit)
 
 
 @cached_njit
@@ -89,10 +89,11 @@ def _finite_contact_margins(
     event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are examined
     twice in order, and only the second round determines the margins.
     """
-    events, acc_unit = sequence.kind.shape[0], length_unit * equations.omega**2
+    events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]
     overlapped_wall = 0
     segments = track.times.shape[0]
+    # s: segment in `track`; k: the same in `sequence`.
     for visit in range(2 * segments):
         is_second_round, s = visit >= segments, visit % segments
         k, end_event = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
@@ -106,7 +107,7 @@ def _finite_contact_margins(
             if not ends_with_own_event:
                 lowest_force = min(lowest_force, guard[-1, 0])
             if is_second_round:
-                _reduce_margin(distances, LEAVES_WALL, j, lowest_force / acc_unit)
+                _reduce_margin(distances, LEAVES_WALL, j, lowest_force / acceleration_unit)
             continue
         if starts_with_own_event:
             overlapped_wall = sequence.wall[s, j]
@@ -125,7 +126,7 @@ def _finite_contact_margins(
             first_free += 1
         if not is_second_round:
             continue
-        _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acc_unit)
+        _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
         floor_gap, ceiling_gap = np.inf, np.inf
         if first_free < guard.shape[0]:
             floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, first_free)
@@ -150,12 +151,12 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
     """
     omega, gravity = equations.omega, equations.gravity
     length_unit = gravity / omega**2 if gravity > 0.0 else np.abs(track.extremes).max()
-    acc_unit = length_unit * omega**2
+    acceleration_unit = length_unit * omega**2
     body_of, nq = equations.body_coordinate, equations.inverse_mass.shape[1]
     events, nd = sequence.kind.shape[0], body_of.shape[0]
     distances = np.ones((N_BORDER_KINDS, max(events, nd, 1)))
     for s in range(track.times.shape[0]):
-        k = s + 1 if events > 0 else 0
+        k = s + 1 if events > 0 else 0  # index of the segment in `sequence`
         end_event = (s + 1) % max(events, 1)
         if events > 0 and sequence.kind[end_event] != kinds.INDUCED_SEPARATION:
             distances[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
@@ -182,12 +183,12 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             lowest = min(lowest, sign * guard[0, 0])
             if not ends_with_own_event:
                 lowest = min(lowest, sign * guard[-1, 0])
-            _reduce_margin(distances, LEAVES_WALL, j, lowest / acc_unit)
+            _reduce_margin(distances, LEAVES_WALL, j, lowest / acceleration_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
         if equations.gap_coordinate[j] >= 0:
             distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
-                equations, sequence, track, event, closing_speed[event], acc_unit
+                equations, sequence, track, event, closing_speed[event], acceleration_unit
             )
             continue
         separates = kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION)
@@ -197,12 +198,12 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
         away_sign = -1.0 if ceiling else 1.0
         if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
-            _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acc_unit)
+            _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acceleration_unit)
         if kind == kinds.SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]
-            distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acc_unit * omega))
+            distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acceleration_unit * omega))
         elif kind != kinds.INDUCED_SEPARATION:
-            distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acc_unit)
+            distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acceleration_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or separates them.
             for i in range(nd):
                 body = body_of[i]
@@ -210,7 +211,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
                     speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
-                    _reduce_margin(distances, SEPARATED_BY_IMPACT, i, sign * speed_change * omega / acc_unit)
+                    _reduce_margin(distances, SEPARATED_BY_IMPACT, i, sign * speed_change * omega / acceleration_unit)
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
             next_event = (event + 1) % events

@@ -205,13 +205,13 @@ class _Explorer:
         if reason in ("range", "closed"):
             return None
         location = f"at {self.parameter} {value:.8g} (Type {orbit.motion_type}, events [{orbit.plan.label}])"
-        if reason.startswith("no convergence") or reason == "points":
+        if reason.startswith("no convergence") or reason == continuation.POINT_LIMIT:
             self.failures.append(f"{location}: {reason}")
         direction = np.sign(branch.curve.tangents[index, -1]) * (1 if at_end else -1)
         try:
             return self._orbit_past_border(orbit, value, float(direction))
         except RunError as failure:
-            self.failures.append(f"beyond {location}, where {reason}: {failure}")
+            self.failures.append(f"beyond the end of a branch {location}, {reason}: {failure}")
             return None
 
     def _orbit_past_border(self, orbit: Orbit, value: float, direction: float) -> Orbit:

@@ -224,12 +224,12 @@ def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tup
     """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
     contacts = state.contact.astype(np.int8)
-    heights, speeds = state.height.copy(), state.speed.copy()
+    heights, velocities = state.height.copy(), state.velocity.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
     plan, order = derive_plan(trajectory, contacts, repetition, system)
     instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
-    flights = np.array([[heights[j], speeds[j]] for j in plan.flying]).ravel()
+    flights = np.array([[heights[j], velocities[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])
 
 
@@ -241,7 +241,7 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     propagator.start_period(1.0)
     state.contact[:], state.multiplicity[:] = contacts_from_walls(walls), 0
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
-    state.height[orbit.plan.flying], state.speed[orbit.plan.flying] = flights.T
+    state.height[orbit.plan.flying], state.velocity[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT
     # A damper without contact force may still overlap a wall from which it was released.
     for j in np.flatnonzero(walls == kinds.FORCELESS):

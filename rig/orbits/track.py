@@ -210,7 +210,7 @@ def track_orbit(equations: Equations, sequence: Sequence, instants: Array, state
     harmonic = np.zeros(n, dtype=np.complex128)
     start, x, rate = np.ones(n + 3), np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
     for s in range(segments):
-        k = s + 1 if sequence.kind.shape[0] > 0 else 0
+        k = s + 1 if sequence.kind.shape[0] > 0 else 0  # index of the segment in `sequence`
         configuration, step = sequence.configuration[k], durations[s] / steps
         a = equations.generator[configuration]
         start[:n] = states[k, :n]

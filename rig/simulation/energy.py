@@ -311,12 +311,12 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
     is_flying = state.contact == FLIGHT
     wall_height = z[body] + np.where(state.contact == CEILING, system.clearance, 0.0)
     height = np.where(is_flying, state.height, wall_height)
-    speed = np.where(is_flying, state.speed, z[n + body])
+    velocity = np.where(is_flying, state.velocity, z[n + body])
     energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
     energy += float(_contact_energy(system, state.contact[None], z[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
-    return energy + float(masses @ (system.gravity * height + 0.5 * speed**2))
+    return energy + float(masses @ (system.gravity * height + 0.5 * velocity**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
@@ -324,11 +324,11 @@ def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     n = system.coordinates
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     loss = 0.0
-    for sign, states, damper_speeds in (
-        (1.0, trajectory.state_before, trajectory.speed_before),
-        (-1.0, trajectory.state_after, trajectory.speed_after),
+    for sign, states, damper_velocities in (
+        (1.0, trajectory.state_before, trajectory.damper_velocity_before),
+        (-1.0, trajectory.state_after, trajectory.damper_velocity_after),
     ):
         velocity = states[:, n : 2 * n]
         loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))
-        loss += sign * 0.5 * float((damper_speeds**2 @ masses).sum())
+        loss += sign * 0.5 * float((damper_velocities**2 @ masses).sum())
     return loss

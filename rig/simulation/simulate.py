@@ -171,7 +171,8 @@ def simulate(
         return _simulate_tone(scene, system, tone, duration, samples, rate)
     if drive is None and samples < 2:
         raise SceneError(
-            f"duration: got {duration:g} s, less than a sample at {rate:g} Hz; expected at least {1.0 / rate:g} s"
+            f"duration: got {duration:g} s, less than a sample interval at {rate:g} Hz; "
+            f"expected at least {1.0 / rate:g} s"
         )
     if grains and tone is not None:
         return _simulate_grains(scene, tone, samples, rate, keep, progress)

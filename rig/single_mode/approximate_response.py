@@ -207,7 +207,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
                 continue
             branches.append(branch)
             for end, index in zip(branch.ends, (0, -1), strict=True):
-                if end.startswith("no convergence") or end == "points":
+                if end.startswith("no convergence") or end == continuation.POINT_LIMIT:
                     failures.append(f"Type {kind}, last converged point {branch.frequency[index]:.6g} Hz: {end}")
     return Approximation(mode, tuple(branches), riding, tuple(failures))
 

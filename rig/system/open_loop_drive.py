@@ -192,8 +192,8 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
         drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep_drive(scene, system, test, time)
     elif test is not None and test.kind != "free":
         raise SceneError(
-            f"a {test.kind} test is generated during the recording (daq.record). To simulate open loop, "
-            "give frequency for a tone at its level, or drive, an array of shape (inputs, samples)."
+            f"test: the signal of a {test.kind} test is generated during a recording. Use daq.record, or give "
+            "frequency (of a tone at the test's level) or drive (an array of shape (inputs, samples))."
         )
     return drive
 

@@ -1,7 +1,7 @@
 """Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities.
 
-`state.z` has the displacements and velocities of the bodies; `state.height` and `state.speed` are those of dampers in
-flight. `state.contact` is FLIGHT, FLOOR or CEILING for each damper. `TABLE_INDEX` -1 means that the matrices of the
+`state.z` has the displacements and velocities of the bodies; `state.height` and `state.velocity` are those of dampers
+in flight. `state.contact` is FLIGHT, FLOOR or CEILING for each damper. `TABLE_INDEX` -1 means that the matrices of the
 contacts have not been looked up.
 
 `state.multiplicity` is the multiplicity of the gap's zero for a damper that has just left a wall: 1 after a rebound, 2
@@ -79,10 +79,10 @@ def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
     random, state, model = np.random.default_rng(seed), engine.state, engine.tables.model
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
-    state.z[model.velocity] = random.standard_normal(3)
+    state.z[model.velocity_index] = random.standard_normal(3)
     state.contact[:] = contacts
-    state.height[:] = state.z[model.position] + random.uniform(0.2, 0.8, 3) * CLEARANCE
-    state.speed[:] = random.standard_normal(3)
+    state.height[:] = state.z[model.position_index] + random.uniform(0.2, 0.8, 3) * CLEARANCE
+    state.velocity[:] = random.standard_normal(3)
     state.counters[TABLE_INDEX] = -1
     return state
 
@@ -120,14 +120,14 @@ def test_impact_obeys_the_contact_laws(
     engine = propagator(0.15 if coupled else 0.0, restitution)
     contacts[impacting] = FLIGHT
     state, model = randomize(engine, contacts, seed), engine.tables.model
-    position, body_velocity = state.z[model.position], state.z[model.velocity]
-    damper_velocity = np.where(state.contact == FLIGHT, state.speed, body_velocity)
+    position, body_velocity = state.z[model.position_index], state.z[model.velocity_index]
+    damper_velocity = np.where(state.contact == FLIGHT, state.velocity, body_velocity)
     sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
-    damper_velocity[impacting] = state.speed[impacting] = body_velocity[impacting] - sign * closing_speed
+    damper_velocity[impacting] = state.velocity[impacting] = body_velocity[impacting] - sign * closing_speed
     impact_and_release(engine, impacting, wall)
-    body_velocity_after = state.z[model.velocity]
-    damper_velocity_after = np.where(state.contact == FLIGHT, state.speed, body_velocity_after)
+    body_velocity_after = state.z[model.velocity_index]
+    damper_velocity_after = np.where(state.contact == FLIGHT, state.velocity, body_velocity_after)
 
     # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
     # is coupled.
@@ -185,8 +185,8 @@ def test_released_dampers_solve_the_complementarity_problem(coupled: bool, conta
     assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == released.tolist()
     for j in released:
         on_floor = contacts[j] == FLOOR
-        assert state.speed[j] == state.z[model.velocity[j]]
-        assert state.height[j] == state.z[model.position[j]] + (0.0 if on_floor else CLEARANCE)
+        assert state.velocity[j] == state.z[model.velocity_index[j]]
+        assert state.height[j] == state.z[model.position_index[j]] + (0.0 if on_floor else CLEARANCE)
         assert state.multiplicity[j] == (2 if on_floor else -2)
 
 
@@ -197,7 +197,7 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     # A rebound is negligible if its height v^2 / (2 a) is within the rounding error ROUNDING * coordinate_scale of the
     # gap. With coupling, a is an upper limit of the acceleration.
-    state.contact[1], row = wall, model.position[1]
+    state.contact[1], row = wall, model.position_index[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
     if not coupled:
@@ -249,17 +249,17 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
     state, model = engine.state, engine.tables.model
     state.contact[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
-    state.z[model.position] = -1e-3 if wall == FLOOR else 1e-2
-    state.z[model.velocity] = 0.25
-    state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.25
-    state.height[0] = state.z[model.position[0]] + (CLEARANCE if wall == CEILING else 0.0)
-    state.speed[0] = 0.25 - SIGN[wall] * closing_speed
-    momentum = engine.system.mass @ state.z[model.velocity] + model.mass * state.speed
+    state.z[model.position_index] = -1e-3 if wall == FLOOR else 1e-2
+    state.z[model.velocity_index] = 0.25
+    state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.25
+    state.height[0] = state.z[model.position_index[0]] + (CLEARANCE if wall == CEILING else 0.0)
+    state.velocity[0] = 0.25 - SIGN[wall] * closing_speed
+    momentum = engine.system.mass @ state.z[model.velocity_index] + model.mass * state.velocity
     impact_and_release(engine, 0, wall)
     assert state.contact.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
-    body_velocity = state.z[model.velocity]
-    damper_velocity = np.where(state.contact == FLIGHT, state.speed, body_velocity)
+    body_velocity = state.z[model.velocity_index]
+    damper_velocity = np.where(state.contact == FLIGHT, state.velocity, body_velocity)
     after = engine.system.mass @ body_velocity + model.mass * damper_velocity
     np.testing.assert_allclose(after, momentum, atol=1e-15)
     rebound_speed = SIGN[wall] * (damper_velocity[0] - body_velocity[0])
@@ -270,10 +270,10 @@ def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
     state.contact[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
-    state.height[:], state.speed[:] = state.z[model.position] + 0.5 * CLEARANCE, 0.0
-    state.height[0], state.speed[0] = state.z[model.position[0]], -0.5
+    state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.0
+    state.height[0], state.velocity[0] = state.z[model.position_index[0]], -0.5
     impact_and_release(engine, 0, FLOOR)
-    assert state.z[model.velocity[2]] == 0.0 and state.contact.tolist() == [FLOOR, FLIGHT, FLOOR]
+    assert state.z[model.velocity_index[2]] == 0.0 and state.contact.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 
 
@@ -284,7 +284,7 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
     # within rounding. The reactions solve opening_speed + matrix @ reaction = 0 for the closed contacts (`active`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
-    state.contact[:], row = wall, model.position[1]
+    state.contact[:], row = wall, model.position_index[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     work.force[:3] = 3.0, -20.0, 5.0
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
@@ -325,8 +325,8 @@ def test_damper_in_flight_touches_only_an_approaching_wall(
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
     state.contact[1] = FLIGHT
-    state.z[model.position[1]], state.z[model.velocity[1]] = -1.0 / 64, 0.5
-    state.height[1], state.speed[1] = -1.0 / 64 + gap, 0.5 - closing_speed
+    state.z[model.position_index[1]], state.z[model.velocity_index[1]] = -1.0 / 64, 0.5
+    state.height[1], state.velocity[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity
     assert _touched_wall(model, state, 1) == wall
 

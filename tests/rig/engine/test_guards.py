@@ -86,8 +86,8 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
     state.contact[:] = FLIGHT, FLOOR, CEILING
     # The guard depends on the position of the body in flight, and on its acceleration in contact.
-    rows = model.position.copy()
-    rows[1:] = model.velocity[1:]
+    rows = model.position_index.copy()
+    rows[1:] = model.velocity_index[1:]
     state_series = engine.workspace.state_series
     state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
     # A state is followed by the accelerations, then by their derivatives.
@@ -97,7 +97,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
         if state.contact[j] != FLIGHT:
             series = series.deriv() / model.step
-            index = first_acceleration + model.position[j]
+            index = first_acceleration + model.position_index[j]
             for z, tau in ((state.z, 0.0), (end_state, length)):
                 assert z[index] == pytest.approx(series(tau))
                 assert z[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
@@ -149,8 +149,8 @@ class Step:
         )
         self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.contact_bits))
         state.contact[:] = contacts
-        state.height[:] = z[model.position] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
-        state.speed[:] = 0.1 * speed
+        state.height[:] = z[model.position_index] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
+        state.velocity[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
         self.taylor_terms = [z]
         for k in range(1, 25):
@@ -178,11 +178,11 @@ class Step:
             elif engine.system.finite_contact[j]:
                 row[model.gap_coordinate[j]] = 1.0
             elif contact != FLIGHT:
-                row = sign * self.matrix[model.velocity[j]]
-                offset = sign * (self.offset[model.velocity[j]] + model.gravity)
+                row = sign * self.matrix[model.velocity_index[j]]
+                offset = sign * (self.offset[model.velocity_index[j]] + model.gravity)
             else:
-                row[model.position[j]] = -1.0
-                flight_terms[:] = (state.height[j], state.speed[j] * model.step, -model.gravity * model.step**2 / 2)
+                row[model.position_index[j]] = -1.0
+                flight_terms[:] = (state.height[j], state.velocity[j] * model.step, -model.gravity * model.step**2 / 2)
             series = np.polynomial.Polynomial([row @ term for term in self.taylor_terms])
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
             walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
@@ -296,16 +296,16 @@ def test_one_guard_below_its_margin_is_detected(
     engine, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
-    z[model.position] = 1e-4 * rng.standard_normal(3)
+    z[model.position_index] = 1e-4 * rng.standard_normal(3)
     state.contact[:] = contacts
-    state.speed[:] = 0.01 * rng.standard_normal(3)
+    state.velocity[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     drop = model.gravity * duration**2 / 2
-    state.height[:] = z[model.position] + gap - state.speed * duration + drop
+    state.height[:] = z[model.position_index] + gap - state.velocity * duration + drop
     guard = np.empty(3)
     for j, contact in enumerate(contacts):
         relative_acceleration = rng.uniform(0.1, 5.0)
-        z[columns + model.position[j]] = -model.gravity + (
+        z[columns + model.position_index[j]] = -model.gravity + (
             -relative_acceleration if contact == CEILING else relative_acceleration
         )
         guard[j] = min(gap[j], CLEARANCE - gap[j]) if contact == FLIGHT else relative_acceleration

@@ -124,7 +124,7 @@ def test_multipliers_equal_finite_differences(scene: Scene, frequency: float) ->
         propagator.propagate_tone(
             np.full(orbit.repetition, steps), np.full(orbit.repetition, -1), np.ones(orbit.repetition, dtype=bool)
         )
-        flights = [[propagator.state.height[j], propagator.state.speed[j]] for j in orbit.plan.flying]
+        flights = [[propagator.state.height[j], propagator.state.velocity[j]] for j in orbit.plan.flying]
         return np.concatenate([propagator.state.z[: system.states], np.ravel(flights)])
 
     step = 1e-6

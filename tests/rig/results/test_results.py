@@ -95,7 +95,7 @@ def test_too_short_duration_is_reported() -> None:
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m]}, test: {kind: free, displacement: [1 mm], duration: 1 s}}"
     )
-    with pytest.raises(SceneError, match="duration: got 1e-12 s, less than a sample at 1000 Hz"):
+    with pytest.raises(SceneError, match="duration: got 1e-12 s, less than a sample interval at 1000 Hz"):
         rig.simulate(scene, 1e-12, rate=1000.0)
 
 

@@ -39,15 +39,9 @@ def bound_by_tables(flow: Flow, table_index: int, z: Array, workspace: Workspace
 
 @kernel
 def bound_by_series(
-    model: Model,
-    contact: Array,
-    state_series: Array,
-    length: float,
-    z: Array,
-    end_state: Array,
-    first_acceleration: int,
-    bound: Array,
-) -> None:
+    model: Model, contact: Array, state_series: Array, length: float, z: Array, end_state: Array,
+    first_acceleration: int, bound: Array,
+) -> None:  # fmt: skip
     """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest.
 
     `contact`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the

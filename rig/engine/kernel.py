@@ -1,10 +1,10 @@
 """The kernel: compiled code that propagates a system through flights, contacts and impacts.
 
-Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where
-A and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is
-one matrix product; a shorter step is the sum of a power series. A guard is a gap or a contact force. Either every guard
-is proven free of zeros over the step (`rig.engine.screening`), or the step ends at the first crossing
-(`rig.engine.guards`). Each proof is rigorous, so the motion does not depend on which proof succeeded.
+Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A
+and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is one
+matrix product if its matrix is tabulated; every other step is the sum of a power series. A guard is a gap or a contact
+force. Either every guard is proven free of zeros over the step (`rig.engine.screening`), or the step ends at the first
+crossing (`rig.engine.guards`). Each proof is rigorous, so the motion does not depend on which proof succeeded.
 
 Terms:
 
@@ -77,17 +77,9 @@ def _advance_flights(model: Model, state: State, duration: float) -> None:
 
 @inlined_kernel
 def advance(
-    flow: Flow,
-    model: Model,
-    state: State,
-    workspace: Workspace,
-    log: Log,
-    segment: int,
-    steps: float,
-    remaining: float,
-    status: int,
-    accelerations: bool,
-) -> tuple[int, float, int]:
+    flow: Flow, model: Model, state: State, workspace: Workspace, log: Log, segment: int, steps: float,
+    remaining: float, status: int, accelerations: bool,
+) -> tuple[int, float, int]:  # fmt: skip
     """Propagate to the end of a segment, or return earlier if the caller must act.
 
     `segment`: number of the segment, for the log.
@@ -158,26 +150,14 @@ def advance(
                 store_accelerations(flow, model, table_index, state.z, workspace.derivative, status)
             # After a full step the accelerations at its end are known, but their derivatives only if there was room.
             if not (full_step and has_derivatives):
-                store_accelerations(
-                    flow,
-                    model,
-                    table_index,
-                    workspace.end_state,
-                    workspace.derivative,
-                    WITH_ACCELERATIONS if full_step else STATE_ONLY,
-                )
+                end_status = WITH_ACCELERATIONS if full_step else STATE_ONLY
+                store_accelerations(flow, model, table_index, workspace.end_state, workspace.derivative, end_status)
             bound_by_tables(flow, table_index, state.z, workspace)
         else:
             bound_by_series(
-                model,
-                state.contact,
-                workspace.state_series,
-                length,
-                state.z,
-                workspace.end_state,
-                columns,
+                model, state.contact, workspace.state_series, length, state.z, workspace.end_state, columns,
                 workspace.bound,
-            )
+            )  # fmt: skip
         unproven, unproven_ceilings = screen(model, state, workspace, columns, length, duration)
         if full_step and unproven | unproven_ceilings != 0:
             expand_state(flow, model, table_index, state.z, workspace.state_series)

@@ -2,7 +2,7 @@
 
 Time is divided into segments. Sampled drive: each sample interval is a segment; the linear interpolation of the drive
 (first-order hold) is integrated exactly. Pure tone: a segment ends at each sample instant and at each start of a
-period. There the phase of the drive is reset, so that it is exact after any number of periods.
+period. At the start of a period the phase of the drive is reset, so that it is exact after any number of periods.
 
 The drive states are the part of the state from which the inputs are computed. An event is a contact change of one
 damper. A break is an instant at which velocities or accelerations jump. Both are logged. A table index identifies the

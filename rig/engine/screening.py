@@ -69,10 +69,8 @@ def _recovery_may_end(
     `duration`: of the step, s; `fourth_derivative`: bound of that of the gap with respect to tau, m.
     """
     wall, z, z_end = state.recovering[j], state.z, workspace.end_state
-    slope, slope_end = (
-        -wall_force_rate(model, z, j, wall) * duration,
-        -wall_force_rate(model, z_end, j, wall) * duration,
-    )
+    slope = -wall_force_rate(model, z, j, wall) * duration
+    slope_end = -wall_force_rate(model, z_end, j, wall) * duration
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
     of_force = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * fourth_derivative
     force, force_end = wall_force(model, z, j, wall), wall_force(model, z_end, j, wall)
@@ -94,10 +92,8 @@ def _contact_may_change(
     """
     contact, z, z_end = state.contact[j], state.z, workspace.end_state
     if contact != FLIGHT:
-        slope, slope_end = (
-            wall_force_rate(model, z, j, contact) * duration,
-            wall_force_rate(model, z_end, j, contact) * duration,
-        )
+        slope = wall_force_rate(model, z, j, contact) * duration
+        slope_end = wall_force_rate(model, z_end, j, contact) * duration
         force, force_end = wall_force(model, z, j, contact), wall_force(model, z_end, j, contact)
         return _lower_bound(force, slope, force_end, slope_end, fourth_derivative, 0) <= 0.0
     if state.recovering[j] != FLIGHT:

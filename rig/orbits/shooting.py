@@ -85,10 +85,8 @@ def _propagate(
     flow = exponential(a, duration, equations.norm_bound[configuration])
     x[:] = flow @ initial
     dinitial[:n] = dx[:, n_unknowns]
-    dinitial[n], dinitial[n + 1] = (
-        -start_time * derivatives.omega * initial[n + 1],
-        start_time * derivatives.omega * initial[n],
-    )
+    dinitial[n] = -start_time * derivatives.omega * initial[n + 1]
+    dinitial[n + 1] = start_time * derivatives.omega * initial[n]
     dx[:] = np.ascontiguousarray(flow[:n, :n]) @ dx
     dx[:, n_unknowns] = exponential_derivative(
         a, derivatives.generator[configuration], initial, dinitial, duration, equations.norm_bound[configuration]
@@ -115,15 +113,9 @@ def _propagate(
 
 @cached_njit
 def _contact_force_condition(
-    equations: Equations,
-    derivatives: EquationDerivatives,
-    configuration: int,
-    body: int,
-    motion: MotionState,
-    time: float,
-    row: int,
-    jacobian: Array,
-) -> float:
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, body: int, motion: MotionState,
+    time: float, row: int, jacobian: Array,
+) -> float:  # fmt: skip
     """Return body acceleration plus gravity [m/s^2], zero at zero contact force; write its derivatives into a row."""
     n, n_unknowns, x, dx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
     acceleration_row = equations.inverse_mass.shape[1] + body
@@ -153,15 +145,9 @@ def _separate(equations: Equations, derivatives: EquationDerivatives, wall: int,
 
 @cached_njit
 def _apply_impact(
-    equations: Equations,
-    derivatives: EquationDerivatives,
-    configuration: int,
-    kind: int,
-    j: int,
-    motion: MotionState,
-    row: int,
-    jacobian: Array,
-) -> tuple[float, float]:
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, j: int,
+    motion: MotionState, row: int, jacobian: Array,
+) -> tuple[float, float]:  # fmt: skip
     """Apply the impact of damper j on a wall; return the gap [m], which must be zero, and the closing speed [m/s].
 
     The impulse is (1 + e) v_rel / (1 / m_d + (M^-1)_bb), with the damper's mass m_d and its body's diagonal element of
@@ -210,15 +196,9 @@ def _apply_impact(
 
 @cached_njit
 def _finite_contact_condition(
-    equations: Equations,
-    derivatives: EquationDerivatives,
-    kind: int,
-    wall: int,
-    j: int,
-    motion: MotionState,
-    row: int,
-    jacobian: Array,
-) -> tuple[float, float]:
+    equations: Equations, derivatives: EquationDerivatives, kind: int, wall: int, j: int, motion: MotionState,
+    row: int, jacobian: Array,
+) -> tuple[float, float]:  # fmt: skip
     """Return the condition [m] of an event of damper j with finite-duration contact, and the closing speed [m/s].
 
     With the gap g, and the gap g_w at which the wall is touched (0 or the clearance), the condition of a touch is
@@ -287,16 +267,9 @@ def shoot(
         if k == events:
             # The last segment ends with the period, which may depend on the parameter.
             _propagate(
-                equations,
-                derivatives,
-                configuration,
-                motion,
-                time,
-                equations.period,
-                previous_row,
-                n_unknowns,
+                equations, derivatives, configuration, motion, time, equations.period, previous_row, n_unknowns,
                 derivatives.period,
-            )
+            )  # fmt: skip
             break
         event_time = unknowns[row]
         _propagate(equations, derivatives, configuration, motion, time, event_time, previous_row, row, 1.0)

@@ -56,12 +56,7 @@ class Motion:
     def decimated(self, step: int, interval: float) -> Self:
         """Return the same motion at every sample whose number is a multiple of `step`.
 
-        Parameters
-        ----------
-        step : int
-            Decimation factor; the block must end at a multiple of it.
-        interval : float
-            Sample interval of this motion, s.
+        The block must end at a multiple of `step`. `interval`: sample interval of this motion, s.
         """
         selected = slice(-self.first % step, None, step)
         # Number of the last retained sample before each break, and the time from it to the last original sample.

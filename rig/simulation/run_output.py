@@ -30,10 +30,7 @@ def default_duration(scene: Scene) -> float:
 
 
 def check_suffix(path: Path) -> None:
-    """Reject a file name with an unknown extension before the simulation.
-
-    Raises `SceneError` if the extension is unknown.
-    """
+    """Raise `SceneError` if the extension of a file name is unknown."""
     if path.suffix not in SUFFIXES:
         raise SceneError(
             f"{path}: unknown extension {path.suffix!r}. Give a name that ends in {' or '.join(SUFFIXES)}."

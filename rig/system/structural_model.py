@@ -72,13 +72,7 @@ class StructuralModel:
 
     @cached_property
     def modes(self) -> NaturalModes:
-        """Natural modes without beds.
-
-        Raises
-        ------
-        SceneError
-            If the structure is statically unstable.
-        """
+        """Natural modes without beds; raises `SceneError` if the structure is statically unstable."""
         omega, shapes = natural_modes(self.mass, self.stiffness)
         mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
         return NaturalModes(omega, shapes, mass, damping)
@@ -113,18 +107,10 @@ class StructuralModel:
         return replace(self, stiffness=stiffness)
 
     def response(self, frequencies_hz: Array, force: Array) -> ComplexArray:
-        """Compute the displacement of each body under harmonic forces, shape (bodies, frequencies), m.
+        """Compute the complex displacement amplitude of each body under harmonic forces, m, (bodies, frequencies).
 
-        Parameters
-        ----------
-        frequencies_hz : ndarray, shape (frequencies,)
-        force : ndarray, shape (bodies,)
-            Amplitudes, N.
-
-        Raises
-        ------
-        SceneError
-            If a frequency is exactly an undamped resonance, or 0 for a structure without support.
+        `frequencies_hz`: shape (frequencies,); `force`: amplitudes, N, shape (bodies,). Raises `SceneError` if a
+        frequency is exactly an undamped resonance, or 0 for a structure without support.
         """
         response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
         step = max(1, _MAX_ELEMENTS // self.mass.size)

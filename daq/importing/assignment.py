@@ -86,7 +86,7 @@ def choose_signals(
                 listed = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
                 name = channel.name if column is None else column.column
                 raise ValueError(
-                    f"several signals are called {name!r}: {listed}. Give its column and file in the table."
+                    f"several signals are called {name!r}: {listed}. Give column and file of one in the channel table."
                 )
         except ValueError as error:
             mistakes.append(f"{channel.name}: {error}")
@@ -98,7 +98,7 @@ def choose_signals(
         chosen.append(ChosenSignal(channel, position, signal, column or Column(signal.name)))
         channels_of_signal.setdefault(id(signal), []).append(channel.name)
     mistakes += [
-        f"{' and '.join(channel_names)}: the same signal. Assign a different one to each."
+        f"{' and '.join(channel_names)}: the same signal. Assign a different signal to each."
         for channel_names in channels_of_signal.values()
         if len(channel_names) > 1
     ]
@@ -107,8 +107,8 @@ def choose_signals(
     if not chosen:
         listed = "\n".join(f"  {signal.file}, {signal.number}: {signal}" for signal in signals)
         raise SceneError(
-            f"none of the scene's channels, {', '.join(missing)}, is the name of a signal. The files hold\n{listed}\n"
-            f"Assign them in a table (--table FILE.yaml) with lines such as {EXAMPLE}"
+            f"none of the scene's channels, {', '.join(missing)}, is the name of a signal. The files contain\n"
+            f"{listed}\nAssign signals in a channel table (--table FILE.yaml) with lines such as {EXAMPLE}"
         )
     notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
@@ -118,7 +118,7 @@ def choose_signals(
 
 
 def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
-    """Return notes on units in the table that contradict the file; a file in volts does not contradict any unit."""
+    """Return notes on units in the table that contradict the file; volts in the file contradict no unit."""
     notes = []
     for choice in chosen:
         signal, unit = choice.signal, choice.column.unit
@@ -129,20 +129,20 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
             continue
         factor = table_scale / scale
         if file_quantity == table_quantity and abs(factor - 1.0) > _UNIT_TOLERANCE:
-            effect = f", {factor:.4g} times as large"
+            effect = f"the values are {factor:.4g} times as large"
         elif file_quantity not in (table_quantity, "voltage"):
-            effect = f", {table_quantity} instead of {file_quantity}"
+            effect = f"the values are {table_quantity} instead of {file_quantity}"
         else:
             continue
         notes.append(
-            f"{choice.channel.name}: the table gives {unit}, {signal.file} {signal.unit} for {signal.name!r}. The "
-            f"table's unit is used{effect}. Remove unit from the table if the file is right."
+            f"{choice.channel.name}: the channel table gives the unit {unit}, {signal.file} {signal.unit} for "
+            f"{signal.name!r}. The table's unit is used: {effect}. Remove unit from the table if the file is right."
         )
     return notes
 
 
 def assign(scene: Scene, chosen: Sequence[ChosenSignal], rate: float) -> list[AssignedSignal]:
-    """Determine the factors to volts at a sample rate in Hz; raise `SceneError` with all mistakes at once."""
+    """Determine the factor to volts of each signal; `rate` in Hz. Raises `SceneError` with all mistakes at once."""
     skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[AssignedSignal] = []
     mistakes: list[str] = []
@@ -165,14 +165,14 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
     channel, signal, column = chosen.channel, chosen.signal, chosen.column
     unit, converter_range = column.unit or signal.unit, complete_from_preset(scene.converter).range
     if not unit and signal.full_scale is not None and converter_range is not None:
-        # Full scale of the file is the converter's range.
+        # The full scale of the file is the converter's range.
         unit = f"{converter_range!r} V"
     if not unit:
         has_full_scale = signal.full_scale is not None
         hint = " (full scale; or state the converter's range in the scene)" if has_full_scale else ""
         raise ValueError(
             f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in the table, such as unit: m/s^2, "
-            f"or the meaning of 1 in the file{hint}, such as unit: 5 V."
+            f"or the value of 1 in the file{hint}, such as unit: 5 V."
         )
     measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
@@ -182,7 +182,7 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
     if measured == info.quantity:
         if column.sensitivity is not None and measured != "voltage":
             raise ValueError(
-                f"sensitivity given, but {signal.name!r} is in {unit}, not in volts. Remove the wrong key."
+                f"sensitivity given, but {signal.name!r} is in {unit}, not in volts. Remove it, or correct unit."
             )
         is_calibrated = measured == "voltage" or _has_sensitivity(channel)
         return AssignedSignal(channel, info, signal, column, column.sign * scale * info.sensitivity, is_calibrated)
@@ -213,7 +213,7 @@ def _volts_per_unit(channel: Channel, info: ChannelInfo, column: Column) -> floa
         unit_kinds = {"acceleration": ACCELERATION_SENSITIVITY, "force": FORCE_SENSITIVITY}
         if info.quantity not in unit_kinds:
             raise ValueError(
-                f"sensitivity of a {info.quantity}. Give the meaning of a volt instead, such as unit: 2.5 mm."
+                f"a {info.quantity} sensor takes no sensitivity. Give the value of 1 V instead, such as unit: 2.5 mm."
             )
         value = parse(column.sensitivity, unit_kinds[info.quantity])
         if not 0 < value < float("inf"):
@@ -250,7 +250,7 @@ def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Si
 
 
 def _signals_with_name(name: str, signals: Sequence[Signal]) -> list[Signal]:
-    """Return the signals with a name; if there are none, those whose name, or its last part, is spelled similarly."""
+    """Return the signals of a name, or those whose name, or its last part, differs only in case or separators."""
     same_name = [signal for signal in signals if signal.name == name]
 
     def normalized(text: str) -> str:

@@ -52,7 +52,7 @@ def read_table(path: Path) -> dict[str, Column]:
     for line, name, values in rows:
         try:
             if name in table:
-                raise ValueError("a second line for this channel")
+                raise ValueError("a second line for this channel. Remove one of them.")
             table[name] = column(values)
         except ValueError as error:
             mistakes.append(f"{path}:{line}: {name}: {error}")

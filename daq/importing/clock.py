@@ -26,12 +26,12 @@ TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 _RATE_ROUNDING = 1e-12
 # Largest deviation of a time from evenly spaced times, samples. Beyond it samples are missing, or there is no clock.
 _MAX_DEVIATION = 0.5
-# Deviation beyond rounding that is reported, samples.
-_JITTER_SHARE = 0.02
-# Difference of successive times above which rows are missing between them, sample intervals.
-_GAP_INTERVALS = 1.5
-# Tolerance of the other differences, and of a gap from a whole number of intervals, sample intervals.
-_STEP_TOLERANCE = 0.25
+# Deviation from evenly spaced times, in addition to rounding, above which jitter is reported, samples.
+_MAX_UNREPORTED_JITTER = 0.02
+# Longest interval between successive times without missing rows, sample intervals.
+_MAX_REGULAR_INTERVALS = 1.5
+# Tolerance of an interval without missing rows, and of a gap from a whole number of intervals, sample intervals.
+_INTERVAL_TOLERANCE = 0.25
 # Maximum number of gaps in the times of a clock.
 _MAX_GAPS = 10_000
 
@@ -47,10 +47,10 @@ class Clock(NamedTuple):
     missing: Sequence[MissingRows] = ()
 
 
-def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
-    """Return the rate (Hz) with the fewest digits that agrees with a sample interval rounded to `resolution` (s).
+def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
+    """Return the rate (Hz) with the fewest digits that agrees with a sample interval (s) within `max_error` (s).
 
-    It is 1 / interval if the interval has fewer digits than the rate.
+    If the interval has fewer digits than this rate, it is exact: the rate is 1 / interval.
 
     >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
     (65536.0, 51200.0)
@@ -62,13 +62,13 @@ def rate_of_interval(interval: float, resolution: float = 0.0) -> float:
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
         raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
-    if resolution >= interval:
+    if max_error >= interval:
         raise RecordingError(
-            f"a sample interval of {interval!r} s with an error of {resolution!r} s determines no rate. Add digits"
+            f"a sample interval of {interval!r} s with an error of {max_error!r} s determines no rate. Add digits"
         )
-    error = max(resolution / interval, _RATE_ROUNDING)
+    relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval
-    rate, digits = _shortest_number(reciprocal * (1.0 - error), reciprocal * (1.0 + error))
+    rate, digits = _shortest_number(reciprocal * (1.0 - relative_error), reciprocal * (1.0 + relative_error))
     # An interval of few digits, such as 39 µs, is exact.
     _, digits_of_interval = _shortest_number(interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING))
     return rate if digits <= digits_of_interval else reciprocal
@@ -86,7 +86,7 @@ def _shortest_number(low: float, high: float) -> tuple[float, int]:
 
 
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
-    """Estimate the clock from times (s, written to `resolution` s); warn of missing rows and jitter.
+    """Estimate the clock from times (s), rounded to `resolution` (s); warn of missing rows and jitter.
 
     Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
     """
@@ -96,7 +96,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     first, last = float(times[0]), float(times[-1])
     # Deviations from evenly spaced times show the rounding.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
-    tolerated = (last - first) * _JITTER_SHARE / (times.size - 1) + resolution
+    tolerated = (last - first) * _MAX_UNREPORTED_JITTER / (times.size - 1) + resolution
     if last > first and deviation > tolerated:
         # Evenly spaced times by least squares.
         centered_number = np.arange(times.size) - (times.size - 1) / 2.0
@@ -121,44 +121,45 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
 
 
 def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
-    """Return (row, number of rows missing before it) for each gap in times (s, in blocks, written to `resolution` s).
+    """Return (row, number of rows missing before it) for each gap in times.
 
-    The result is empty if there is no gap, or if the other times are unevenly spaced, so that no gap can be measured.
+    `times` are blocks of times in s, rounded to `resolution` (s). Unevenly spaced times give an empty list, because the
+    size of a gap is then unknown.
 
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
     [(3, 2)]
     """
-    step, rows, regular_time, regular_steps = 0.0, 0, 0.0, 0
+    interval, rows, regular_time, regular_count = 0.0, 0, 0.0, 0
     previous_time = np.empty(0)
-    jumps: list[tuple[int, float]] = []
+    gaps: list[tuple[int, float]] = []
     for times_block in times:
-        steps = np.diff(np.concatenate([previous_time, times_block]))
+        intervals = np.diff(np.concatenate([previous_time, times_block]))
         if not rows:
-            step = float(np.median(steps)) if steps.size else 0.0
-            if not (step > 0.0 and resolution <= _STEP_TOLERANCE * step):
+            interval = float(np.median(intervals)) if intervals.size else 0.0
+            if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval):
                 return []
-        is_gap = steps > _GAP_INTERVALS * step
-        regular = steps[~is_gap]
-        if not (abs(regular - step) <= _STEP_TOLERANCE * step + 2.0 * resolution).all():
+        is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
+        regular = intervals[~is_gap]
+        if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
             return []
-        # From the second block on, the first step begins in the block before.
+        # From the second block on, the first interval begins in the block before.
         first = rows if previous_time.size else 1
-        jumps += [(first + int(index), float(steps[index])) for index in np.flatnonzero(is_gap)]
-        if len(jumps) > _MAX_GAPS:
+        gaps += [(first + int(index), float(intervals[index])) for index in np.flatnonzero(is_gap)]
+        if len(gaps) > _MAX_GAPS:
             return []
-        regular_time, regular_steps = regular_time + float(regular.sum()), regular_steps + regular.size
+        regular_time, regular_count = regular_time + float(regular.sum()), regular_count + regular.size
         rows, previous_time = rows + times_block.size, times_block[-1:]
-    if not jumps or not regular_steps:
+    if not gaps or not regular_count:
         return []
     try:
-        rate = rate_of_interval(regular_time / regular_steps, 2.0 * resolution * (len(jumps) + 1) / regular_steps)
+        rate = rate_of_interval(regular_time / regular_count, 2.0 * resolution * (len(gaps) + 1) / regular_count)
     except RecordingError:
         return []
-    lost_counts = [round(jump * rate) - 1 for _, jump in jumps]
-    errors = [abs(jump * rate - count - 1) for (_, jump), count in zip(jumps, lost_counts, strict=True)]
-    if max(errors) > _STEP_TOLERANCE + 2.0 * resolution * rate or sum(lost_counts) > rows:
+    lost_counts = [round(gap * rate) - 1 for _, gap in gaps]
+    errors = [abs(gap * rate - count - 1) for (_, gap), count in zip(gaps, lost_counts, strict=True)]
+    if max(errors) > _INTERVAL_TOLERANCE + 2.0 * resolution * rate or sum(lost_counts) > rows:
         return []
-    return [(row, count) for (row, _), count in zip(jumps, lost_counts, strict=True)]
+    return [(row, count) for (row, _), count in zip(gaps, lost_counts, strict=True)]
 
 
 def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
@@ -175,7 +176,7 @@ def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> N
 def rate_with_gaps(
     first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
 ) -> float:
-    """Estimate the rate in Hz from the first and the last time, s; warn where rows are missing."""
+    """Estimate the rate (Hz) from first and last time (s) and the missing rows; warn of the missing rows."""
     if not last > first:
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost_total = sum(count for _, count in missing)

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from rig.arrays import Array
 
-# Minimum ratio of the real part of the power to its magnitude; other spectral lines are omitted.
-_CLEAR_RATIO = 0.3
-# Share of the real part that must be negative. Far from resonances phase errors give either sign.
+# Minimum real part of the power at a line with a clear sign, as a ratio to the magnitude. Other lines count only in the
+# total.
+_MIN_REAL_RATIO = 0.3
+# Share of the real part that must be negative. Far from resonances, phase errors can reverse the sign.
 _REVERSED_SHARE = 0.8
-# Minimum share of the lines with a clear sign in the whole power; an antiresonance alone has less.
+# Smallest share of the total power at lines with a clear sign. Lines near an antiresonance alone have less.
 _MIN_CLEAR_SHARE = 0.02
-# Minimum ratio of the force at a line to its largest line.
-_DRIVEN_RATIO = 0.1
-#: Integrations from acceleration to a quantity of motion.
+# Minimum force at a driven line, as a ratio to the largest line of the force.
+_MIN_FORCE_RATIO = 0.1
+#: Number of integrations from acceleration to a quantity of motion.
 MOTION_INTEGRATIONS: dict[Quantity, int] = {"acceleration": 0, "velocity": 1, "displacement": 2}
 
 
@@ -32,14 +33,14 @@ def returns_energy(power: NDArray[np.complex128]) -> bool:
 
 
 def _power_sums(power: NDArray[np.complex128]) -> Array:
-    """Return three sums: of the magnitude, and of the real part's magnitude and value over lines with a clear sign."""
-    clear_parts = power.real[abs(power.real) > _CLEAR_RATIO * abs(power)]
+    """Return the sums of the magnitude at all lines, and of |real part| and real part at lines with a clear sign."""
+    clear_parts = power.real[abs(power.real) > _MIN_REAL_RATIO * abs(power)]
     return np.array([abs(power).sum(), abs(clear_parts).sum(), clear_parts.sum()])
 
 
 def _is_returned(power_sums: Array) -> bool:
-    total, clear_magnitude, supplied = power_sums
-    return bool(clear_magnitude > _MIN_CLEAR_SHARE * total and -supplied > _REVERSED_SHARE * clear_magnitude)
+    total, clear_magnitude, clear_sum = power_sums
+    return bool(clear_magnitude > _MIN_CLEAR_SHARE * total and -clear_sum > _REVERSED_SHARE * clear_magnitude)
 
 
 class DrivingPower:
@@ -50,12 +51,12 @@ class DrivingPower:
         self._power_sums = np.zeros(3)
 
     def add(self, force: Array, motion: Array) -> None:
-        """Add the next samples in volts; NaN where there are none."""
+        """Add the next samples in volts; NaN where samples are lost."""
         if force.size < 2:
             return
         frequency = np.fft.rfftfreq(force.size, 1.0 / self._force.rate)[1:]
         spectrum = np.fft.rfft(np.nan_to_num(force))[1:]
-        driven = abs(spectrum) > _DRIVEN_RATIO * abs(spectrum).max()
+        driven = abs(spectrum) > _MIN_FORCE_RATIO * abs(spectrum).max()
         driven_hz = frequency[driven]
         integrations = 1 - MOTION_INTEGRATIONS[self._motion.quantity]
         velocity = np.fft.rfft(np.nan_to_num(motion))[1:][driven] / self._motion.response(driven_hz)
@@ -69,6 +70,6 @@ class DrivingPower:
             return ""
         return (
             f"{self._motion.name} / {self._force.name}: the structure would supply energy at the driving point, "
-            f"the sign of a reversed channel. Reverse the force, or {self._motion.name} if it alone is wrong: sign: -1 "
-            "in the table."
+            f"so a channel is reversed. Give sign: -1 in the channel table for {self._force.name}, or for "
+            f"{self._motion.name} if it alone is reversed."
         )

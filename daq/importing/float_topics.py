@@ -26,13 +26,13 @@ from daq.mcap_file.chunk import (
     MAGIC,
     RECORD_HEAD,
     Damage,
-    Stored,
+    StoredMessage,
     parse_message,
     record_at,
     records_in,
     unpack_chunk,
 )
-from daq.mcap_file.summary import parse
+from daq.mcap_file.summary import parse_record
 from daq.recording import layout
 from rig.arrays import Array
 from rig.errors import RecordingError, ShotrigError
@@ -42,8 +42,8 @@ from rig.numerics.memory import require_memory_with_program
 _MULTI_ARRAYS = {"std_msgs/msg/Float32MultiArray": "f4", "std_msgs/msg/Float64MultiArray": "f8"}
 # Names of fields that state the sample rate in Hz.
 _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
-# Largest memory for decoding, bytes per byte of a message, measured: JSON `0.0,` as a list of numbers and an array,
-# protobuf `0` in one byte.
+# Largest memory for decoding, bytes per byte of a message, measured with JSON numbers `0.0,` (a list and an array) and
+# with protobuf numbers of one byte.
 _DECODED_BYTES = 20
 # Number of copies of a schema or channel record in memory.
 _DESCRIPTION_COPIES = 4
@@ -56,16 +56,16 @@ Decoder = Callable[[bytes], Mapping[str, Any]]
 
 @dataclass
 class _Field:
-    """A field of a topic: its numbers; for each message their count and the time (ns); the stated rate (Hz)."""
+    """A field of a topic."""
 
-    values: array[float] = field(default_factory=lambda: array("d"))
-    counts: array[int] = field(default_factory=lambda: array("q"))
-    times: array[int] = field(default_factory=lambda: array("Q"))
-    rate: float | None = None
+    values: array[float] = field(default_factory=lambda: array("d"))  # numbers of all messages
+    counts: array[int] = field(default_factory=lambda: array("q"))  # count of numbers in each message
+    times: array[int] = field(default_factory=lambda: array("Q"))  # time of each message, ns
+    rate: float | None = None  # Hz; None if not stated
 
 
 def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
-    """List the fields that contain an array of numbers, or a number, in each message, as signals in memory.
+    """List the fields of topics that contain numbers or arrays of numbers, as signals in memory.
 
     The sample rate is stated by a field such as ``sample_rate``, or follows from the times of the messages.
     """
@@ -78,11 +78,12 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in a decoder.
         raise RecordingError(
-            f"{path} is not an MCAP file, or it is cut off or damaged: {type(error).__name__} {error}"[:300]
+            f"{path} is not an MCAP file, or it is cut off or damaged ({type(error).__name__}: {error!s:.200}). "
+            "Export it again."
         ) from error
     if not reader.fields:
         raise RecordingError(
-            f"{path} contains no topic with numbers. Record them as JSON, protobuf or ROS 2's Float32/64MultiArray."
+            f"{path} contains no topic with numbers. Record numbers as JSON, protobuf or ROS 2's Float32/64MultiArray."
         )
     fields_per_topic = Counter(topic for topic, _ in reader.fields)
     return [
@@ -133,12 +134,12 @@ class _TopicReader:
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._in_memory += _DESCRIPTION_COPIES * len(content)
             self._require_memory(chunk_bytes)
-            record = parse(opcode, content)
+            record = parse_record(opcode, content)
             self._descriptions[opcode][record.id] = record
         elif opcode == Opcode.MESSAGE:
             self._message(parse_message(content), chunk_bytes)
 
-    def _message(self, message: Stored, chunk_bytes: int) -> None:
+    def _message(self, message: StoredMessage, chunk_bytes: int) -> None:
         channel = self._descriptions[Opcode.CHANNEL].get(message.channel)
         if channel is None:
             raise Damage(f"a message belongs to channel {message.channel}, which no earlier record describes")
@@ -171,14 +172,14 @@ def _signal(path: Path, number: int, name: str, field: _Field, unit: str) -> Sig
     if (times[1:] < times[:-1]).any():
         time_order = np.argsort(times, kind="stable")
         messages = np.split(values, np.cumsum(counts)[:-1])
-        values = np.concatenate([messages[at] for at in time_order])
+        values = np.concatenate([messages[index] for index in time_order])
         counts, times = counts[time_order], times[time_order]
     elapsed_s = (times - times[0]) * 1e-9
     clock = Clock(field.rate)
     if field.rate is None and values.size == times.size:
         clock = clock_of_times(elapsed_s, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
     elif field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
-        # The time from the first message to the last covers all arrays but one.
+        # The time from the first message to the last covers all arrays but the last.
         n_intervals = values.size - int(counts[-1])
         clock = Clock(rate_of_interval(float(elapsed_s[-1]) / n_intervals, 1e-9 / n_intervals))
     return Signal.from_array(path, number, name, unit, values, clock, int(times[0]))
@@ -227,15 +228,15 @@ def _read_multi_array(data: bytes, number_type: str) -> Array:
     """Read the numbers of a MultiArray message, which follow its layout: a list of dimensions with labels."""
     byte_order = "<" if data[1] & 1 else ">"
 
-    def number(at: int) -> int:
-        return int(struct.unpack_from(f"{byte_order}I", data, at)[0])
+    def read_integer(position: int) -> int:
+        return int(struct.unpack_from(f"{byte_order}I", data, position)[0])
 
-    def aligned(at: int, size: int) -> int:
+    def aligned(position: int, size: int) -> int:
         """Return the next position that is a multiple of `size` bytes after the four-byte head."""
-        return 4 + -(-(at - 4) // size) * size
+        return 4 + -(-(position - 4) // size) * size
 
-    dimensions, at = number(4), 8
+    dimensions, position = read_integer(4), 8
     for _ in range(dimensions):
-        at = aligned(at + 4 + number(at), 4) + 8
-    count, at = number(at + 4), at + 8
-    return np.frombuffer(data, f"{byte_order}{number_type}", count, aligned(at, int(number_type[1]))).astype(float)
+        position = aligned(position + 4 + read_integer(position), 4) + 8
+    count, begin = read_integer(position + 4), aligned(position + 8, int(number_type[1]))
+    return np.frombuffer(data, f"{byte_order}{number_type}", count, begin).astype(float)

@@ -36,16 +36,16 @@ from rig.scene.scene import Scene
 _BLOCK_SAMPLES = 1 << 16
 # Relative difference below which two sample rates are equal, because files round them.
 _RATE_TOLERANCE = 2e-5
-# Frequency band of a test whose scene states none, as ratios to the sample rate.
+# Frequency band of a test if its scene states none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
 # Largest plausible readings of a vibration test, SI.
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
-# Number of lost segments of a channel above which segments with short pauses between them are merged.
+# Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
-# Longest pause between two lost segments that are merged.
+# Longest pause between two lost segments that are merged, s.
 _LOST_PAUSE_S = 0.1
-# Longest pause between two overloads that are merged.
+# Longest pause between two overloads that are merged, s.
 _OVERLOAD_PAUSE_S = 0.01
 # Latest position of the largest motion of a free decay, as a share of its duration.
 _MAX_PEAK_SHARE = 0.05
@@ -65,8 +65,8 @@ def import_files(
     r"""Make a recording of time histories that other programs have measured.
 
     Signals become the channels of the scene, by name or as a table states, in SI. Missing samples are marked `lost`,
-    clipped samples `overload`. The excitation is that of the scene's test: hits are detected in the force channel, and
-    the steps of a sine or stepped sine where a tone is held; any other excitation is one measurement from end to end.
+    clipped samples `overload`. The scene's test states the excitation: hits are detected in the force channel, steps of
+    a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
     table_rates = {choice.column.rate for choice in chosen if choice.column.rate is not None}
     if len(table_rates) > 1:
         raise SceneError(
-            f"the table gives several rates, {rate_list(table_rates)}. Give one rate: a recording has one."
+            f"the channel table gives several rates, {rate_list(table_rates)}. Give one rate: a recording has one."
         )
     if table_rates:
         return table_rates.pop()
@@ -198,7 +198,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
 
 
 def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSignal]:
-    """Turn differences of the start below half a sample into delays; raise `RecordingError` for larger differences."""
+    """Convert differences of the start below half a sample to delays; raise `RecordingError` for larger differences."""
     undelayed = [assignment.signal for assignment in assigned if assignment.column.delay is None]
     delayed = []
     for assignment in assigned:
@@ -212,8 +212,8 @@ def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSigna
         if abs(delay_s) * assignment.info.rate > 0.5:
             raise RecordingError(
                 f"{assignment.signal.name!r} of {assignment.signal.file} begins {delay_s:.6g} s after "
-                f"{undelayed[0].name!r} of {undelayed[0].file}: their samples were not taken together. Import them one "
-                "by one or, if the files are wrong, give delay: 0 s for both in the table."
+                f"{undelayed[0].name!r} of {undelayed[0].file}: their samples are not simultaneous. Import them one "
+                "by one or, if the stated times are wrong, give delay: 0 s for both in the channel table."
             )
         delayed.append(
             replace(assignment, info=replace(assignment.info, delay=assignment.info.delay - delay_s))
@@ -280,7 +280,7 @@ class _RecordingWriter:
         self._overloads = list(map(Overloads, limits, offsets))
         forces = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
-        # The power at the driving point, if one channel measures force, and a channel the motion where it acts.
+        # The power at the driving point is known if there is one force channel and a motion channel where it acts.
         places = [f"body {number}" for number in scene.force_on]
         motions = [
             row for row, info in enumerate(self._infos) if info.quantity in MOTION_INTEGRATIONS and [info.at] == places
@@ -349,9 +349,9 @@ class _RecordingWriter:
         test = self._scene.test
         if isinstance(test, Free):
             motion_peaks = [
-                (overloads.peak_at, assignment.channel.name)
+                (overloads.peak_sample, assignment.channel.name)
                 for assignment, overloads in zip(self._assigned, self._overloads, strict=True)
-                if assignment.channel.body is not None and overloads.peak_at is not None
+                if assignment.channel.body is not None and overloads.peak_sample is not None
             ]
             latest_peak, name = max(motion_peaks, default=(0, ""))
             if latest_peak >= _MAX_PEAK_SHARE * self._samples:
@@ -370,7 +370,7 @@ class _RecordingWriter:
             return
         if isinstance(test, Impulse):
             yield (
-                "no hit was detected: the scene's test is an impulse, but no channel holds a force pulse. "
+                "no hit was detected: the scene's test is an impulse, but no channel contains a force pulse. "
                 "Check for swapped columns or another test."
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
@@ -397,6 +397,6 @@ def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Ove
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
     if overloads.limit_is_wrong:
         yield (
-            f"{where} reads up to {overloads.largest:.4g} V, above the converter's range of {overloads.limit:.4g} V. "
-            "Correct unit, sensitivity or range."
+            f"{where} reads up to {overloads.largest_reading:.4g} V, above the converter's range of "
+            f"{overloads.limit:.4g} V. Correct unit, sensitivity or range."
         )

@@ -42,7 +42,10 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
             content: dict[str, Any] | str = pickle.load(reader.stdout)
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
-            raise RecordingError(f"{path} is damaged: reading it ended with code {code}. Save it again.") from None
+            raise RecordingError(
+                f"{path} cannot be read: it is damaged, or the memory is exhausted (exit code {code}). Save it again, "
+                "or free memory."
+            ) from None
     if content == _H5PY_MISSING:
         raise RunError(
             f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py. Install it: "
@@ -97,23 +100,23 @@ class _HdfReader:
     def __init__(self, file: Any) -> None:
         self._file = file
         self._value_count = 0
-        # Value of each item at each depth, and the number of values in it: a hostile file refers to an item many times.
-        self._read: dict[tuple[int, int, int], tuple[Any, int]] = {}
+        # Value of each item at each depth, and the number of values in it. A hostile file refers to an item many times.
+        self._cache: dict[tuple[int, int, int], tuple[Any, int]] = {}
 
     def value(self, item: Any, depth: int = 0) -> Any:
         """Return the value of an item; None if it is nested deeper than `MAX_DEPTH`."""
         from h5py import h5o
 
-        place = h5o.get_info(item.id)
-        key = (place.fileno, place.addr, depth)
-        if key in self._read:
-            value, count = self._read[key]
+        info = h5o.get_info(item.id)
+        key = (info.fileno, info.addr, depth)
+        if key in self._cache:
+            value, count = self._cache[key]
             self._count(count)
             return value
         count_before = self._value_count
         self._count(1)
         value = self._unread_value(item, depth) if depth <= MAX_DEPTH else None
-        self._read[key] = (value, self._value_count - count_before)
+        self._cache[key] = (value, self._value_count - count_before)
         return value
 
     def _count(self, count: int) -> None:

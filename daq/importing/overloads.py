@@ -25,7 +25,7 @@ class _FlatTops:
     def __init__(self, sign: int) -> None:
         self._sign = sign
         self.top = self._last_value = -np.inf
-        # First sample of each run, the sample after it, and how far the samples next to it are below.
+        # First sample of each run, the sample after it, and the larger drop to the samples next to it.
         self._runs: list[tuple[int, int, float]] = []
         # First sample of the run at the end of the last block, and the value before the run.
         self._open_run: tuple[int, float] | None = None
@@ -63,7 +63,7 @@ class _FlatTops:
     def runs(self, stop: int, min_length: int, min_drop: float) -> list[tuple[int, int]]:
         """Return the segments [first, stop) of at least `min_length` samples at the largest value.
 
-        They exceed the samples next to them by more than `min_drop`; `stop` is the number of all samples.
+        On at least one side, the next sample is lower by more than `min_drop`. `stop` is the number of all samples.
         """
         if self._open_run is not None:
             self._close_run(stop, np.nan)
@@ -78,7 +78,7 @@ class Overloads:
 
     def __init__(self, limit: float | None, offset: float = 0.0) -> None:
         self.limit, self._offset = limit, offset
-        self._sides = _FlatTops(1), _FlatTops(-1)
+        self._extremes = _FlatTops(1), _FlatTops(-1)
         self._smallest_step = np.inf
         self._samples = 0
         self._at_limit: list[tuple[int, int]] = []
@@ -86,27 +86,27 @@ class Overloads:
     @property
     def peak(self) -> float:
         """Largest magnitude so far."""
-        return max(side.top for side in self._sides)
+        return max(extreme.top for extreme in self._extremes)
 
     @property
-    def peak_at(self) -> int | None:
+    def peak_sample(self) -> int | None:
         """First sample of the largest magnitude; None before the first number."""
-        return max(self._sides, key=lambda side: side.top).top_sample
+        return max(self._extremes, key=lambda extreme: extreme.top).top_sample
 
     @property
     def value_range(self) -> float:
         """Difference between the largest and the smallest value so far."""
-        return self._sides[0].top + self._sides[1].top
+        return self._extremes[0].top + self._extremes[1].top
 
     @property
-    def largest(self) -> float:
+    def largest_reading(self) -> float:
         """Largest magnitude of the converter's readings so far, which include the offset."""
-        return max(side.top + sign * self._offset for sign, side in zip((1, -1), self._sides, strict=True))
+        return max(extreme.top + sign * self._offset for sign, extreme in zip((1, -1), self._extremes, strict=True))
 
     @property
     def limit_is_wrong(self) -> bool:
         """Whether readings exceed the limit so far that the limit must be wrong."""
-        return self.limit is not None and self.largest > _WRONG_LIMIT_RATIO * self.limit
+        return self.limit is not None and self.largest_reading > _WRONG_LIMIT_RATIO * self.limit
 
     def add(self, first: int, samples: Array) -> None:
         """Add the next samples; the first has the number `first`."""
@@ -115,8 +115,8 @@ class Overloads:
         self._smallest_step = min(
             self._smallest_step, float(np.nanmin(np.where(steps > 0, steps, np.inf), initial=np.inf))
         )
-        for side in self._sides:
-            side.add(first, samples)
+        for extreme in self._extremes:
+            extreme.add(first, samples)
         if self.limit is not None and len(self._at_limit) < _MAX_STORED:
             is_at_limit = abs(samples + self._offset) >= _CLIPPED_RATIO * self.limit
             self._at_limit += [(first + a, first + b) for a, b in runs_of(is_at_limit)]
@@ -125,9 +125,9 @@ class Overloads:
         """Return the segments [first, stop) in which the signal was clipped, in order."""
         flat_tops = [
             run
-            for side in self._sides
+            for extreme in self._extremes
             # A constant near zero, such as a force between hits, is not a flat top.
-            if side.top > 0.5 * self.peak
-            for run in side.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
+            if extreme.top > 0.5 * self.peak
+            for run in extreme.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
         ]
         return merge_spans([*flat_tops, *([] if self.limit_is_wrong else self._at_limit)])

@@ -19,16 +19,16 @@ from rig.scene.scene import Scene
 
 # Ratio by which the searched frequency band exceeds that of the scene's test at either end.
 _BAND_RATIO = 1.5
-# Number of windows whose phases determine a frequency.
-_MIN_WINDOWS = 8
-# Maximum number of samples of a window.
-_MAX_WINDOW = 1 << 16
+# Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
+_BLOCKS_PER_TONE = 8
+# Maximum number of samples of a block.
+_MAX_BLOCK = 1 << 16
 # Relative difference of frequency below which two steps are the same.
 _SAME_FREQUENCY = 1e-5
 
 
 class StepDetector:
-    """Detects steps, block by block, in the reference: the channel that shows the excitation best."""
+    """Detects steps in the reference, the channel that shows the excitation best; takes samples block by block."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         assert isinstance(scene.test, Sine | SteppedSine)
@@ -59,8 +59,8 @@ class StepDetector:
         tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), reference.volts, self._rate)
         if not tones:
             return [
-                f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} holds no "
-                "tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
+                f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} contains "
+                "no tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
                 "test (test: kind: swept_sine, random)."
             ]
         for number, (direction, steps) in enumerate(_passes([tone.frequency for tone in tones])):
@@ -78,7 +78,7 @@ class StepDetector:
         return []
 
     def _level(self, tones: Sequence[HeldTone], number: int) -> float:
-        """Return the level of a pass: the level nearest to the measured force, or without a force the next level."""
+        """Return the level of a pass: the nearest to the measured force or, without a force channel, the next one."""
         test = self._test
         if isinstance(test, Sine):
             return float(test.force if test.force is not None else test.drive or 0.0)
@@ -111,24 +111,24 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
 
 
 def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
-    """Return the tones with frequencies refined by the phases of successive windows, fitted with harmonics."""
-    windows = []
+    """Return the tones with frequencies refined by the phases of successive blocks, fitted with harmonics."""
+    tone_blocks = []
     for tone in tones:
         frequency, tone_samples = tone.frequency * rate, tone.stop - tone.first
-        window_samples = whole_periods(frequency, rate, min(tone_samples // _MIN_WINDOWS, _MAX_WINDOW) / rate)
-        if window_samples < min_samples(frequency, rate) or 2 * window_samples > tone_samples:
-            window_samples = tone_samples // 2
-        windows.append((tone, window_samples))
+        block_samples = whole_periods(frequency, rate, min(tone_samples // _BLOCKS_PER_TONE, _MAX_BLOCK) / rate)
+        if block_samples < min_samples(frequency, rate) or 2 * block_samples > tone_samples:
+            block_samples = tone_samples // 2
+        tone_blocks.append((tone, block_samples))
     segments = [
-        (start, start + size) for tone, size in windows for start in range(tone.first, tone.stop - size + 1, size)
+        (start, start + size) for tone, size in tone_blocks for start in range(tone.first, tone.stop - size + 1, size)
     ]
     samples = _read_segments(read, segments)
-    return [replace(tone, frequency=_refined_frequency(tone, size, samples, rate)) for tone, size in windows]
+    return [replace(tone, frequency=_refined_frequency(tone, size, samples, rate)) for tone, size in tone_blocks]
 
 
-def _refined_frequency(tone: HeldTone, window_samples: int, samples: Iterator[Array], rate: float) -> float:
-    """Return the frequency from the advance of the phase from window to window, periods per sample."""
-    starts = np.arange(tone.first, tone.stop - window_samples + 1, window_samples)
+def _refined_frequency(tone: HeldTone, block_samples: int, samples: Iterator[Array], rate: float) -> float:
+    """Return the frequency from the advance of the phase from block to block, periods per sample."""
+    starts = np.arange(tone.first, tone.stop - block_samples + 1, block_samples)
     phases = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
     # Phase advance that the present frequency does not explain.
     residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
@@ -143,7 +143,7 @@ def _read_segments(read: Callable[[int, int], Array], segments: Sequence[tuple[i
     position = 0
     for first, stop in segments:
         while position < first:
-            end = min(first, position + _MAX_WINDOW)
+            end = min(first, position + _MAX_BLOCK)
             read(position, end)
             position = end
         yield read(first, stop)

@@ -1,7 +1,7 @@
 """Detect the layout of a text table: encoding, delimiter, decimal mark, and the names and units in its heading.
 
-LabVIEW's text tables (.lvm) have a heading with names, units, clocks, and the columns that contain times: NI,
-"Specification for the LabVIEW Measurement File (.lvm)", 2022. Each line has a key, and a cell for each channel. The
+LabVIEW's text tables (.lvm) have a heading with names, units, clocks, and the columns that contain times (NI,
+"Specification for the LabVIEW Measurement File (.lvm)", 2022). Each line has a key, and a cell for each channel. The
 heading has two parts, for the file and for the first segment. The names of the columns and the numbers follow.
 """
 
@@ -33,7 +33,7 @@ UNNAMED = "column {}"
 _SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
 # A date or time of day is read to microseconds.
 _MAX_FRACTION_DIGITS = 6
-# First words of LabVIEW's files.
+# First words of a LabVIEW file.
 LABVIEW_BEGIN = "LabVIEW Measurement"
 # Last line of each part of a heading.
 _LABVIEW_END = "***End_of_Header***"
@@ -43,12 +43,12 @@ _LABVIEW_TIME = re.compile(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?"
 
 
 class Layout(NamedTuple):
-    """How a table is written."""
+    """The layout of a text table."""
 
     encoding: str
     delimiter: str | None  # None: any number of blanks
     decimal_comma: bool
-    heading: int  # Lines in front of the first line of numbers
+    heading_lines: int  # number of lines before the first line of numbers
     names: list[str]
     units: list[str]
     cells: tuple[int, ...] | None = None  # positions of the cells of a line that are read; None: all
@@ -197,7 +197,7 @@ class LabviewHeading(NamedTuple):
     separator: str
     decimal_comma: bool
     lines: int
-    has_times: bool  # Whether the first cell of every line is its time
+    has_times: bool  # whether the first cell of every line is its time
     channels: list[LabviewChannel]
 
 

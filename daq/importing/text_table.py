@@ -43,12 +43,13 @@ from rig.errors import RecordingError
 from rig.numerics.memory import require_memory_with_program
 from rig.scene.quantities import TIME, parse
 
+# Longest line that is read as one line, characters.
 _MAX_LINE = 1 << 20
 # Relative uncertainty of a sample rate above which it is reported.
 _MAX_RATE_UNCERTAINTY = 2e-5
-# Maximum number of lines that are examined for the digits of times.
-_MAX_SAMPLED_LINES = 50
-# Minimum number of lines for detecting a last number with fewer digits than usual.
+# Number of lines at the beginning that are examined for the digits of times.
+_MAX_EXAMINED_LINES = 50
+# Minimum number of lines from which the usual length of the last number in a line is known.
 _MIN_LINES = 10
 # Number of lines in a block.
 BLOCK_LINES = 1 << 16
@@ -97,20 +98,20 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     stated_samples = max(channel.samples for channel in channels)
     if stated_samples > table.rows:
         warn(
-            f"{path}: the header states {stated_samples} samples, the table has {table.rows}. Check that the file is "
+            f"{path}: the heading states {stated_samples} samples, the table has {table.rows}. Check that the file is "
             "complete."
         )
     if 0 < stated_samples < table.rows and not has_times:
         warn(
-            f"{path}: its heading states segments of {stated_samples} samples, its table has {table.rows} lines: they "
-            "are joined without a gap. Import the segments one by one with --from and --to if there was one."
+            f"{path}: the heading states {stated_samples} samples, the table has {table.rows}. They are imported "
+            "without a gap. If there was a pause in the measurement, import the parts one by one with --from and --to."
         )
     uncertain = [each for each in channels if each.rate and each.rate_error > _MAX_RATE_UNCERTAINTY * each.rate]
     if uncertain and not has_times:
         rate, error = uncertain[0].rate or 0.0, uncertain[0].rate_error
         warn(
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
-            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. Give rate: in the table if it was another."
+            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. If that is wrong, give rate: in the channel table."
         )
     signals = []
     for position, channel in enumerate(channels, 1):
@@ -120,7 +121,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
             channel.unit,
             position - 1 + has_times,
             clock or Clock(channel.rate, channel.start_s),
-            # Programs append lines without changing the heading, which therefore only shows that a channel is shorter.
+            # Programs append lines without updating the heading. Its count is used only if other channels have more.
             table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
         )
         signals.append(replace(signal, start_ns=channel.start_ns))
@@ -133,22 +134,22 @@ class _Table:
     def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
         self._path, self._layout = path, layout
         self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
-        self._times_written: tuple[Clock, float, float] | None = None  # Clock, resolution and unit of the times, s
-        self._sample_lines: list[str] = []  # the first lines, and the last line
+        self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times, s
+        self._examined_lines: list[str] = []  # the first lines, and the last line
         self.rows = 0
         previous_line, last_line = "", (0, "")
         for numbered_line in self._lines():
-            if self.rows < _MAX_SAMPLED_LINES:
-                self._sample_lines.append(numbered_line[1])
+            if self.rows < _MAX_EXAMINED_LINES:
+                self._examined_lines.append(numbered_line[1])
             previous_line, last_line = last_line[1], numbered_line
             self.rows += 1
         if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
             warn(f"{path}: its last line is cut off and is omitted ({reason})")
             self.rows -= 1
-            self._sample_lines = self._sample_lines[: self.rows]
+            self._examined_lines = self._examined_lines[: self.rows]
             last_line = (0, previous_line)
         if self.rows:
-            self._sample_lines.append(last_line[1])
+            self._examined_lines.append(last_line[1])
             block_bytes = min(1.0, BLOCK_LINES / self.rows) * path.stat().st_size
             require_memory_with_program(_MEMORY_PER_BYTE * block_bytes, f"{path}: importing it")
         self._line_iterator = self._lines()
@@ -161,7 +162,7 @@ class _Table:
             self._parse_line(line_number, line)
         except RecordingError as error:
             return str(error)
-        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._sample_lines[:-1], line)]
+        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
         lengths = [len(cell.lstrip("+-")) for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
             return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
@@ -170,29 +171,29 @@ class _Table:
     @property
     def has_times_of_day(self) -> bool:
         """Whether the first column contains times of day, with or without dates."""
-        return bool(self._sample_lines) and stamp_seconds(self._first_cell(self._sample_lines[0])) is not None
+        return bool(self._examined_lines) and stamp_seconds(self._first_cell(self._examined_lines[0])) is not None
 
     def first_column_can_only_be_times(self) -> bool:
         """Return whether the first column of a table without heading can only be times; warn if so."""
         if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
             return False
-        first_times = np.array([self._parse_line(0, line)[0] for line in self._sample_lines[:-1]])
-        if not looks_like_times(first_times, self._parse_line(0, self._sample_lines[-1])[0], self.rows):
+        first_times = np.array([self._parse_line(0, line)[0] for line in self._examined_lines[:-1]])
+        if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):
             return False
         warn_taken_for_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
         return True
 
     def estimate_clock(self, unit: str) -> Clock:
-        """Estimate the clock from the first column, times in `unit`."""
+        """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
         try:
             scale = parse(f"1 {unit}", TIME) if unit and not self.has_times_of_day else 1.0
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
-            raise RecordingError(f"{where}: {self.rows} line of numbers; expected at least 2")
-        first, last = (self._parse_line(0, self._sample_lines[end])[0] * scale for end in (0, -1))
-        time_cells = [self._first_cell(line) for line in self._sample_lines]
+            raise RecordingError(f"{where}: got {self.rows}; expected at least 2")
+        first, last = (self._parse_line(0, self._examined_lines[end])[0] * scale for end in (0, -1))
+        time_cells = [self._first_cell(line) for line in self._examined_lines]
         if self.has_times_of_day:
             resolution = min(map(stamp_resolution, time_cells))
         else:
@@ -201,7 +202,7 @@ class _Table:
         missing = missing_rows(self._times(scale), resolution)
         rate = rate_with_gaps(first, last, self.rows, missing, resolution, where)
         clock = Clock(rate, first, missing)
-        self._times_written = clock, resolution, scale
+        self._time_column = clock, resolution, scale
         return clock
 
     def _first_cell(self, line: str) -> str:
@@ -222,7 +223,7 @@ class _Table:
     def signal(
         self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
     ) -> Signal:
-        """Return the signal of a column, counted from 0; `position` is its number in the file, from 1."""
+        """Return the signal of a column, counted from 0; `position` is the number of the signal, from 1."""
 
         def read(start: int, stop: int) -> Array:
             return self._read_block(start, stop)[:, column]
@@ -232,7 +233,7 @@ class _Table:
         return signal.with_gaps(clock)
 
     def _read_block(self, start: int, stop: int) -> Array:
-        """Return lines of numbers, shape (lines, columns); the last block is stored for the other columns."""
+        """Return lines of numbers, shape (lines, columns); the block is cached for the other columns."""
         if self._cached_block[:2] == (start, stop):
             return self._cached_block[2]
         if start < self._position:
@@ -242,8 +243,8 @@ class _Table:
         lines = list(islice(self._line_iterator, stop - start))
         self._position = start + len(lines)
         values = self._parse_lines(lines)
-        if self._times_written is not None:
-            (rate, first, missing), resolution, scale = self._times_written
+        if self._time_column is not None:
+            (rate, first, missing), resolution, scale = self._time_column
             numbers = sample_numbers(np.arange(start, start + len(values)), missing)
             where = f"{self._path}: the times in its first column"
             require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
@@ -256,7 +257,7 @@ class _Table:
         line_number = 0
         while line := self._file.readline(_MAX_LINE):
             line_number += 1
-            if line_number <= self._layout.heading or not line.strip():
+            if line_number <= self._layout.heading_lines or not line.strip():
                 continue
             if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT_BEGINS):
                 raise RecordingError(
@@ -274,7 +275,7 @@ class _Table:
             if values.shape == shape:
                 return values
         except ValueError:
-            # Empty cells, times of day and errors require reading cell by cell.
+            # Lines with empty cells, times of day or errors are read cell by cell.
             pass
         return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
 

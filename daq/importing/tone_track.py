@@ -14,9 +14,9 @@ from rig.arrays import Array, ComplexArray
 
 # Blocks overlap: each begins one hop after the last. A hop is about one period of the lowest tone that they resolve.
 HOPS_PER_BLOCK = 4
-# Averages per hop: enough to resolve the tone, and few enough for recordings at high rates.
-_SAMPLES_PER_HOP = 24
-# Ratio of successive block lengths, and width of the frequency band of each length.
+# Number of averages in a hop: enough to resolve the tone, and few enough for recordings at high rates.
+_AVERAGES_PER_HOP = 24
+# Ratio of successive block lengths, and of the limits of each length's frequency band.
 _LENGTH_RATIO = 2**0.5
 # Ratio by which the bands overlap, so that no tone lies between two.
 _BAND_OVERLAP = 1.1
@@ -28,7 +28,7 @@ _MAX_FREQUENCY_RATIO = 0.35
 class Track:
     """The blocks of one length that resolve the strongest tone of the reference."""
 
-    hop: int  # Samples from one block to the next; a block consists of `HOPS_PER_BLOCK` hops
+    hop: int  # samples from one block to the next; a block consists of `HOPS_PER_BLOCK` hops
     number: NDArray[np.int64]  # Numbers of the blocks, from 0
     frequency: Array  # Approximate frequency of the tone in each block, periods per hop
     phase: Array  # Phase at the middle of each block, rad
@@ -40,8 +40,8 @@ class Track:
 class ToneTracker:
     """Tracks the tone of the channel `reference` in blocks of several lengths.
 
-    A block contains four to six periods of the tones that it resolves: shorter blocks resolve higher tones. It is a
-    series of averages over a few samples. `rate`, and the band of the tones from `low` to `high`, are in Hz.
+    A block contains four to six periods of the tones that it resolves: shorter blocks resolve higher tones. Its samples
+    are averaged in small groups. `rate`, and the band of the tones from `low` to `high`, are in Hz.
     """
 
     def __init__(self, rate: float, low: float, high: float, reference: int) -> None:
@@ -60,7 +60,7 @@ class ToneTracker:
 
 
 def _append(waiting: Array | None, samples: Array) -> Array:
-    """Return samples of shape (channels, samples) after those that wait since the previous call."""
+    """Append samples, shape (channels, samples), to those not yet processed."""
     return samples if waiting is None else np.concatenate([waiting, samples], axis=1)
 
 
@@ -69,18 +69,18 @@ class _BlockAnalyzer:
 
     def __init__(self, rate: float, low: float, reference: int) -> None:
         self._reference = reference
-        self._samples_per_average = max(1, int(rate / (_SAMPLES_PER_HOP * low)))
-        self._hop = max(_SAMPLES_PER_HOP // 2, round(rate / (low * self._samples_per_average)))
+        self._samples_per_average = max(1, int(rate / (_AVERAGES_PER_HOP * low)))
+        self._hop = max(_AVERAGES_PER_HOP // 2, round(rate / (low * self._samples_per_average)))
         self._size = HOPS_PER_BLOCK * self._hop
         # Spectral lines of a block per Hz.
         lines_per_hz = self._size * self._samples_per_average / rate
         self._lowest_line = low / _BAND_OVERLAP * lines_per_hz
         self._highest_line = low * _LENGTH_RATIO * _BAND_OVERLAP * lines_per_hz
         self._window = window = np.hanning(self._size + 1)[:-1]
-        bins = np.arange(int(self._lowest_line), int(np.ceil(self._highest_line)) + 1)
-        rotation = np.exp(-2j * np.pi * bins[:, None] * np.arange(self._size) / self._size)
+        lines = np.arange(int(self._lowest_line), int(np.ceil(self._highest_line)) + 1)
+        rotation = np.exp(-2j * np.pi * lines[:, None] * np.arange(self._size) / self._size)
         # Phases refer to the middle of the block, where they are the same at each line around the tone.
-        self._first_bin, self._kernels = int(bins[0]), window * rotation * (-1.0) ** bins[:, None]
+        self._first_line, self._kernels = int(lines[0]), window * rotation * (-1.0) ** lines[:, None]
         self._waiting_samples: Array | None = None
         self._waiting_averages: Array | None = None
         self._n_blocks = 0
@@ -118,11 +118,11 @@ class _BlockAnalyzer:
         resolved = np.flatnonzero((peak_magnitude > 0.0) & (line >= self._lowest_line) & (line < self._highest_line))
         if not resolved.size:
             return
-        bins = np.clip(peak[resolved] - self._first_bin, 0, len(self._kernels) - 1)
+        kernel_numbers = np.clip(peak[resolved] - self._first_line, 0, len(self._kernels) - 1)
         spectra = np.empty((len(pending), resolved.size), dtype=complex)
-        for line_number in np.unique(bins):
-            selected = bins == line_number
-            spectra[:, selected] = blocks_view[:, resolved[selected]] @ self._kernels[line_number]
+        for kernel_number in np.unique(kernel_numbers):
+            selected = kernel_numbers == kernel_number
+            spectra[:, selected] = blocks_view[:, resolved[selected]] @ self._kernels[kernel_number]
         reference_spectrum = spectra[self._reference]
         line_offset = offset[resolved]
         gain = 0.25 * self._size * np.sinc(line_offset) / (1.0 - line_offset**2)

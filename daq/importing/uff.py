@@ -82,9 +82,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
                 continue
             value_count, stated_count = np.asarray(content["data"]).size, int(content["num_pts"])
             if value_count != stated_count:
-                raise ValueError(
-                    f"its header states {stated_count} values, it contains {value_count}. Export it again."
-                )
+                raise ValueError(f"its header states {stated_count} values, it contains {value_count}")
         except Exception as error:
             raise RecordingError(
                 f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is cut off or damaged "

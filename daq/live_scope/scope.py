@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Duration of a block, s.
 _BLOCK_S = 0.04
-# If the bench is late by more than this time, s, the delay is reported, and the bench does not catch up.
+# Longest delay that the bench catches up, s; a longer delay is reported.
 _MAX_DELAY_S = 0.5
 # Minimum number of samples per period of the drive.
 _MIN_SAMPLES_PER_PERIOD = 10.0
@@ -39,7 +39,7 @@ _MIN_SAMPLES_PER_PERIOD = 10.0
 class RealTimePace:
     """Synchronizes samples with the wall clock.
 
-    `report` is called once if the computer is too slow. `skipped_s` is the total delay that is not caught up, s.
+    `report` is called once if the computer is too slow. `skipped_s` is the total delay that was not caught up, s.
     """
 
     def __init__(self, rate: float, report: Callable[[str], None]) -> None:
@@ -76,23 +76,25 @@ def record_live(
 
     The test of `scene` is not run. `stream` is that of the live view. `controls` are the operator's frequency and
     force, which another thread changes. `report` is called with a line of text when both are reached in steady state.
-    `wait_until_due` is called after every block with the number of samples so far, and waits for real time. Raises
-    `SceneError` if the rig has no shaker, or the channels do not measure the spring force. Raises `RunError` if a
-    channel exceeds its abort limit, or the recording cannot be written. Raises `KeyboardInterrupt` if the operator
-    presses Ctrl-C; the recording up to this time is complete.
+    `wait_until_due` is called after every block with the number of samples so far, and waits until they are due.
+
+    Raises `SceneError` if the rig has no shaker, or the channels do not measure the spring force; `RunError` if a
+    channel exceeds its abort limit, or the recording cannot be written; `KeyboardInterrupt` at Ctrl-C, after the
+    recording was completed.
     """
-    # Frequency (Hz), level (N) and whether the steady state is reached, in the previous reading.
-    last_state: list[tuple[float, float, bool]] = [(0.0, 0.0, False)]
+    # Frequency (Hz) and level (N) of the previous reading, and whether it was steady.
+    last_state = (0.0, 0.0, False)
 
     def on_reading(reading: ToneReading) -> None:
-        screen.read(reading)
+        nonlocal last_state
+        screen.show_reading(reading)
         state = reading.frequency, reading.level, reading.is_settled
-        if reading.is_settled and state != last_state[0]:
+        if reading.is_settled and state != last_state:
             report(reading_line(reading))
-        last_state[0] = state
+        last_state = state
 
     def listener(block: Block, readings: NDArray[np.float64]) -> None:
-        screen.show(block, readings)
+        screen.show_block(block, readings)
         wait_until_due(block.motion.first + block.motion.displacement.shape[1])
 
     rate = float(scene.converter.sample_rate)

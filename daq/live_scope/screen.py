@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 # Number of displayed positions of the rig per second.
 _FRAMES_PER_S = 200.0
 # The exaggeration is the factor on displacements and gaps in the drawing. It decreases at once with growing motion, and
-# increases only by `_MIN_INCREASE` or more, after the motion has been small for `_QUIET_S`.
+# increases only by a factor of `_MIN_INCREASE` or more, after the motion has been small for `_SMALL_MOTION_S`.
 _MIN_INCREASE = 4.0
-_QUIET_S = 2.0
+_SMALL_MOTION_S = 2.0
 # Largest number of displayed readings of the tone per second.
 _READINGS_PER_S = 5.0
 
@@ -46,8 +46,8 @@ class Screen:
         by_name = {info.name: info for info in channels}
         self._step = max(1, round(rate / _FRAMES_PER_S))
         self._recent_extremes: list[tuple[int, Extremes]] = []
-        # Before the first block, motions of 1 mm are assumed.
-        self._draw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
+        # Before the first block, motion of 1 mm is assumed.
+        self._redraw(Extremes(body=1e-3, spring=1e-3, coil=1e-3, gap=1e-3))
         stream.send_blueprint(
             live_layout(plots(by_name), len(scene.dampers), self._view.camera), make_active=True, make_default=True
         )
@@ -55,7 +55,7 @@ class Screen:
         self._next_reading = 0
         self._position = 0
 
-    def show(self, block: Block, readings: NDArray[np.float64]) -> None:
+    def show_block(self, block: Block, readings: NDArray[np.float64]) -> None:
         """Show a block: readings, shape (channels, samples), in the channels' units."""
         for name, samples in zip(self._channel_names, readings, strict=True):
             if samples.size:
@@ -76,7 +76,7 @@ class Screen:
             self._adapt_exaggeration(rig_motion)
             self._sender.send_motion(self._view, motion.first + indices, rig_motion)
 
-    def read(self, reading: ToneReading) -> None:
+    def show_reading(self, reading: ToneReading) -> None:
         """Show a reading of the tone (its frequency, force and displacements), at most a few times per second."""
         import rerun as rr
 
@@ -86,7 +86,7 @@ class Screen:
         self._stream.set_time("time", duration=np.timedelta64(round(self._position / self._rate * 1e9), "ns"))
         self._stream.log("reading", rr.TextDocument(reading_page(reading), media_type="text/markdown"))
 
-    def _draw(self, extremes: Extremes) -> None:
+    def _redraw(self, extremes: Extremes) -> None:
         """Draw the rig with the exaggeration for the largest motions `extremes`."""
         self._view = RigView(self._scene, extremes, gaps_known=True)
         for path, part in self._view.still_parts():
@@ -95,21 +95,21 @@ class Screen:
     def _adapt_exaggeration(self, rig_motion: RigMotion) -> None:
         """Redraw the rig if its exaggeration is too large, or much too small, for the motion."""
         current = Extremes().extended_by(rig_motion, [shaker.body for _, shaker in self._scene.tables])
-        first_position = self._position - round(_QUIET_S * self._rate)
+        first_position = self._position - round(_SMALL_MOTION_S * self._rate)
         self._recent_extremes = [entry for entry in self._recent_extremes if entry[0] >= first_position]
         self._recent_extremes.append((self._position, current))
         recent = (vars(extremes).values() for _, extremes in self._recent_extremes)
         largest = Extremes(*(max(values) for values in zip(*recent, strict=True)))
         factor = exaggeration(largest)
-        # Whether the stored extremes cover the whole time.
-        is_covered = self._position - self._recent_extremes[0][0] >= 0.9 * _QUIET_S * self._rate
+        # Whether the stored extremes cover `_SMALL_MOTION_S`.
+        is_covered = self._position - self._recent_extremes[0][0] >= 0.9 * _SMALL_MOTION_S * self._rate
         if factor < self._view.exaggeration or (is_covered and factor > _MIN_INCREASE * self._view.exaggeration):
-            self._draw(largest)
+            self._redraw(largest)
 
 
 def reading_page(reading: ToneReading) -> str:
     """Return the values of a tone as a page in Markdown."""
-    # Steady state, no excitation, or transient.
+    # Held: steady state; silent: no excitation; settling: transient.
     state = "held" if reading.is_settled else "silent" if reading.level == 0.0 else "settling"
     lines = [
         f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",

@@ -17,10 +17,10 @@ from mcap.opcode import Opcode
 LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes.
 # Unpacked size up to which any compression ratio is accepted.
-_FREE_RATIO_BYTES = 1 << 21
+_UNLIMITED_RATIO_BYTES = 1 << 21
 # Largest compression ratio above this size.
 _MAX_RATIO = 1000
-# A chunk may have this number of records more than bytes in the file.
+# Largest number of records of a chunk minus its size in the file in bytes.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,7 +28,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
 _CHUNK_OPCODES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
-_of_thread = threading.local()
+_thread_local = threading.local()
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
@@ -36,7 +36,7 @@ class Damage(Exception):
     """Damage of a part of a file; callers that know the file raise it as a `RecordingError`."""
 
 
-class Stored(NamedTuple):
+class StoredMessage(NamedTuple):
     """A message of a chunk."""
 
     channel: int  # number of the channel
@@ -61,7 +61,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     (packed,) = struct.unpack_from("<Q", content, begin)
     if size > (LARGEST_CHUNK if largest is None else largest):
         raise Damage(f"it claims to unpack to {size} bytes; at most {largest or LARGEST_CHUNK} are accepted")
-    if largest is None and size > _FREE_RATIO_BYTES + _MAX_RATIO * len(content):
+    if largest is None and size > _UNLIMITED_RATIO_BYTES + _MAX_RATIO * len(content):
         raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
     if begin + 8 + packed != len(content):
         raise Damage(f"it claims {packed} bytes of records, but has {len(content) - begin - 8}")
@@ -105,58 +105,59 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
 
 def _decompressor() -> Any:
-    """Return the decompressor of this thread. It is stored: creating it takes as long as unpacking 10 kB."""
-    if not hasattr(_of_thread, "zstd"):
+    """Return the decompressor of this thread. It is cached: creating it takes as long as unpacking 10 kB."""
+    if not hasattr(_thread_local, "zstd"):
         import zstandard
 
-        _of_thread.zstd = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-    return _of_thread.zstd
+        _thread_local.zstd = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    return _thread_local.zstd
 
 
-def record_at(read: Callable[[int, int], bytes], place: int, end: int, largest: int) -> tuple[int, memoryview]:
-    """Return opcode and content of the record at a place in a file of `end` bytes; raise `Damage` if it is malformed.
+def record_at(read: Callable[[int, int], bytes], position: int, end: int, largest: int) -> tuple[int, memoryview]:
+    """Return opcode and content of the record at a byte position; raise `Damage` if it is malformed.
 
-    ``read(place, length)`` returns bytes of the file. Content of more than `largest` bytes is rejected.
+    ``read(position, length)`` returns bytes of the file, which has `end` bytes. Content of more than `largest` bytes is
+    rejected.
     """
-    head = read(place, RECORD_HEAD.size)
+    head = read(position, RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
         raise Damage("the file ends within a record")
     opcode, length = RECORD_HEAD.unpack(head)
-    longest = min(largest, end - place - RECORD_HEAD.size)
+    longest = min(largest, end - position - RECORD_HEAD.size)
     if length > longest:
-        raise Damage(f"a record of kind {opcode} claims {length} bytes; at most {longest} are possible there")
-    return opcode, memoryview(read(place + RECORD_HEAD.size, length))
+        raise Damage(f"a record with opcode {opcode} claims {length} bytes; at most {longest} are possible there")
+    return opcode, memoryview(read(position + RECORD_HEAD.size, length))
 
 
-def records_in(records: memoryview, stored: int) -> Iterator[tuple[int, memoryview]]:
+def records_in(records: memoryview, stored_bytes: int) -> Iterator[tuple[int, memoryview]]:
     """Yield opcode and content of the records of an unpacked chunk; raise `Damage` if a record is malformed.
 
-    `stored` is the size of the chunk in the file, bytes.
+    `stored_bytes` is the size of the chunk in the file.
     """
-    place, end, records_left = 0, len(records), _MAX_EXCESS_RECORDS + stored
-    while place < end:
+    position, end, records_left = 0, len(records), _MAX_EXCESS_RECORDS + stored_bytes
+    while position < end:
         records_left -= 1
         if records_left < 0:
-            raise Damage(f"it has more than {_MAX_EXCESS_RECORDS + stored} records in {stored} bytes")
-        if end - place < RECORD_HEAD.size:
+            raise Damage(f"it has more than {_MAX_EXCESS_RECORDS + stored_bytes} records in {stored_bytes} bytes")
+        if end - position < RECORD_HEAD.size:
             raise Damage("a record in it is cut short")
-        opcode, length = RECORD_HEAD.unpack_from(records, place)
-        begin, place = place + RECORD_HEAD.size, place + RECORD_HEAD.size + length
-        if place > end:
+        opcode, length = RECORD_HEAD.unpack_from(records, position)
+        begin, position = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
+        if position > end:
             raise Damage(f"a record in it claims {length} bytes")
         if opcode not in _CHUNK_OPCODES:
-            raise Damage(f"a record of kind {opcode} in it, which does not belong in a chunk")
-        yield opcode, records[begin:place]
+            raise Damage(f"a record in it with opcode {opcode} does not belong in a chunk")
+        yield opcode, records[begin:position]
 
 
-def messages_in(records: memoryview, stored: int) -> list[Stored]:
+def messages_in(records: memoryview, stored_bytes: int) -> list[StoredMessage]:
     """Return the messages among the records of a chunk; raises `Damage` like `records_in`."""
-    return [parse_message(content) for opcode, content in records_in(records, stored) if opcode == Opcode.MESSAGE]
+    return [parse_message(content) for opcode, content in records_in(records, stored_bytes) if opcode == Opcode.MESSAGE]
 
 
-def parse_message(content: memoryview) -> Stored:
+def parse_message(content: memoryview) -> StoredMessage:
     """Parse a message record; raise `Damage` if it is cut short."""
     if len(content) < _MESSAGE_HEAD.size:
         raise Damage("a message in it is cut short")
     channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
-    return Stored(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])
+    return StoredMessage(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])

@@ -17,14 +17,14 @@ from mcap.opcode import Opcode
 
 from daq.mcap_file.chunk import CHUNK_HEAD, LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, unpack_chunk
 from daq.mcap_file.reader import LARGEST_RECORD
-from daq.mcap_file.summary import parse
+from daq.mcap_file.summary import parse_record
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
     from mcap.records import Attachment, Metadata
 
-# The file is searched in pieces of this size.
-_PIECE_BYTES = 1 << 20
+# The file is searched in blocks of this size.
+_SEARCH_BYTES = 1 << 20
 # A record begins with its opcode and a length of eight bytes, the last four of which are zero.
 _BEGIN = re.compile(rb"(?=[\x06\x07\x09\x0c\x0f].{4}\0{4})", re.DOTALL)
 _COMPRESSIONS = (b"", b"zstd", b"lz4")
@@ -33,13 +33,13 @@ _MAX_NAME_BYTES = max(map(len, _COMPRESSIONS))
 _PACKED_SIZE = struct.Struct("<Q")
 # Message index: channel and size of the entries.
 _INDEX_HEAD = struct.Struct("<HI")
-# Entry of a message index: log time and place.
+# Entry of a message index: log time and position.
 _ENTRY_BYTES = 16
-# Size of a text or a map, in front of its content.
+# Size of a text or a map, which precedes its content.
 _TEXT_SIZE = struct.Struct("<I")
 # Length of the record at the end of the data section: a checksum.
 _DATA_END_BYTES = 4
-# A check of the beginning of a record reads this number of bytes.
+# Number of bytes that are read to check the beginning of a record.
 _CHECKED_BYTES = 64
 
 
@@ -48,7 +48,7 @@ class Intact:
     """A part of the file whose checksum is right: the records of a chunk, a metadata record, or an attachment."""
 
     content: memoryview | Metadata | Attachment
-    stored: int  # size in the file, bytes
+    stored_bytes: int  # size in the file
 
 
 @dataclass(frozen=True)
@@ -78,64 +78,67 @@ class DamagedFile:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def _read(self, place: int, length: int) -> memoryview:
+    def _read(self, position: int, length: int) -> memoryview:
         """Return bytes of the file; none if the disk cannot read them."""
         try:
-            self._file.seek(place)
-            return memoryview(self._file.read(max(0, min(length, self.size - place))))
+            self._file.seek(position)
+            return memoryview(self._file.read(max(0, min(length, self.size - position))))
         except OSError:
             return memoryview(b"")
 
     def parts(self) -> Iterator[Intact | Unreadable]:
         """Yield the parts of the data section in order, up to its end or the end of the file."""
-        place = len(MAGIC)
-        if self._read(0, place) != MAGIC:
-            place = self._next_record(0)
-            yield Unreadable(0, place, "it does not begin with the MCAP signature")
-        while place < self.size:
-            if self._read(place, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, _DATA_END_BYTES):
+        position = len(MAGIC)
+        if self._read(0, position) != MAGIC:
+            position = self._next_record(0)
+            yield Unreadable(0, position, "it does not begin with the MCAP signature")
+        while position < self.size:
+            if self._read(position, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, _DATA_END_BYTES):
                 return
-            part, end = self._part(place)
+            part, end = self._part(position)
             if end is None:
-                end = self._next_record(place + 1)
-                part = Unreadable(place, end, "no record can be identified")
+                end = self._next_record(position + 1)
+                part = Unreadable(position, end, "no record can be identified")
             if part is not None:
                 yield part
-            place = end
+            position = end
 
-    def _part(self, place: int) -> tuple[Intact | Unreadable | None, int | None]:
-        """Return the part at a place (None for a record without use) and its end, None if no record is identified."""
-        head = self._read(place, RECORD_HEAD.size)
+    def _part(self, position: int) -> tuple[Intact | Unreadable | None, int | None]:
+        """Return the part at a position and its end.
+
+        The part is None for a header or message index, the end is None if no record is identified.
+        """
+        head = self._read(position, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
-            return Unreadable(place, self.size, "the file ends within a record"), self.size
+            return Unreadable(position, self.size, "the file ends within a record"), self.size
         opcode, length = RECORD_HEAD.unpack(head)
-        end = place + RECORD_HEAD.size + length
-        chunk = self._chunk(place, length)
+        end = position + RECORD_HEAD.size + length
+        chunk = self._chunk(position, length)
         if chunk is not None:
             return chunk
         # The checksum of a metadata record does not cover its length, which must be checked by its fields.
-        has_valid_length = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(place))
+        has_valid_length = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(position))
         if has_valid_length and length <= LARGEST_RECORD and end <= self.size:
             try:
-                return Intact(parse(opcode, self._read(place + RECORD_HEAD.size, length), True), length), end
+                return Intact(parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True), length), end
             except Damage as damage:
-                return (Unreadable(place, end, str(damage)), end) if self._is_consistent(end) else (None, None)
-        if opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX) and self._is_consistent(place) and end <= self.size:
+                return (Unreadable(position, end, str(damage)), end) if self._is_consistent(end) else (None, None)
+        if opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX) and self._is_consistent(position) and end <= self.size:
             return None, end
         if (
             end > self.size
             and opcode in (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX)
-            and self._is_consistent(place)
+            and self._is_consistent(position)
         ):
-            return Unreadable(place, self.size, "the file ends within a record"), self.size
+            return Unreadable(position, self.size, "the file ends within a record"), self.size
         return None, None
 
-    def _chunk(self, place: int, length: int) -> tuple[Intact | Unreadable, int] | None:
-        """Return the chunk at a place and its end, None if there is no chunk.
+    def _chunk(self, position: int, length: int) -> tuple[Intact | Unreadable, int] | None:
+        """Return the chunk at a position and its end, None if there is no chunk.
 
         Its length is stated twice, in the record's head and by the packed size; both values are tried.
         """
-        begin = place + RECORD_HEAD.size
+        begin = position + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + _MAX_NAME_BYTES + _PACKED_SIZE.size)
         if len(head) < CHUNK_HEAD.size + _PACKED_SIZE.size:
             return None
@@ -158,14 +161,14 @@ class DamagedFile:
             except Damage as damage:
                 reason = f"a chunk: {damage}"
         if length == fields_size + packed and begin + length <= self.size and self._is_consistent(begin + length):
-            return Unreadable(place, begin + length, reason or "a chunk that is too large"), begin + length
+            return Unreadable(position, begin + length, reason or "a chunk that is too large"), begin + length
         return None
 
-    def _is_consistent(self, place: int) -> bool:
-        """Return whether a consistent record begins at a place, or the file ends there."""
-        if place == self.size:
+    def _is_consistent(self, position: int) -> bool:
+        """Return whether a consistent record begins at a position, or the file ends there."""
+        if position == self.size:
             return True
-        head = self._read(place, _CHECKED_BYTES)
+        head = self._read(position, _CHECKED_BYTES)
         if len(head) < RECORD_HEAD.size:
             return False
         opcode, length = RECORD_HEAD.unpack_from(head)
@@ -185,22 +188,22 @@ class DamagedFile:
             if opcode in (Opcode.METADATA, Opcode.HEADER):
                 # Two texts, or a text and a map.
                 (first_size,) = _TEXT_SIZE.unpack_from(content)
-                second_place = place + RECORD_HEAD.size + _TEXT_SIZE.size + first_size
-                (second_size,) = _TEXT_SIZE.unpack(self._read(second_place, _TEXT_SIZE.size))
+                second_position = position + RECORD_HEAD.size + _TEXT_SIZE.size + first_size
+                (second_size,) = _TEXT_SIZE.unpack(self._read(second_position, _TEXT_SIZE.size))
                 return bool(length == 2 * _TEXT_SIZE.size + first_size + second_size)
             if opcode == Opcode.ATTACHMENT and length <= LARGEST_RECORD:
-                parse(opcode, self._read(place + RECORD_HEAD.size, length), True)
+                parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True)
                 return True
         except (struct.error, Damage):
             return False
         return False
 
-    def _next_record(self, place: int) -> int:
-        """Return the place of the next consistent record; the end of the file if there is none."""
-        while place < self.size:
-            piece = self._read(place, _PIECE_BYTES)
-            for match in _BEGIN.finditer(piece):
-                if self._is_consistent(place + match.start()):
-                    return place + match.start()
-            place += _PIECE_BYTES - RECORD_HEAD.size
+    def _next_record(self, position: int) -> int:
+        """Return the position of the next consistent record; the end of the file if there is none."""
+        while position < self.size:
+            block = self._read(position, _SEARCH_BYTES)
+            for match in _BEGIN.finditer(block):
+                if self._is_consistent(position + match.start()):
+                    return position + match.start()
+            position += _SEARCH_BYTES - RECORD_HEAD.size
         return self.size

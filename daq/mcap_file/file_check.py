@@ -1,10 +1,9 @@
-"""Checks every record of an MCAP file: its checksum, and its agreement with other records.
+"""Checks every record of an MCAP file (https://mcap.dev/spec): its checksum, and its agreement with other records.
 
 MCAP has checksums for chunks, attachments and the summary. Records without a checksum are compared with the records
 that they repeat: message indexes and the times of a chunk with its messages, the summary with the file. Two kinds of
-damage have no effect and are not detected: another name of the writing program in the header, and packed bytes that
-unpack to the same records. A checksum of the data section covers both and is verified if it exists.
-https://mcap.dev/spec describes the records.
+damage have no effect and are not detected: a changed program name in the header, and packed bytes that unpack to the
+same records. A checksum of the data section covers both and is verified if it exists.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ from daq.mcap_file.chunk import (
     unpack_chunk,
 )
 from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import parse
+from daq.mcap_file.summary import parse_record
 
 # Opcodes from this number on belong to applications; readers ignore their records.
 _FIRST_PRIVATE_OPCODE = 0x80
-_ENTRY = np.dtype([("log_time", "<u8"), ("place", "<u8")])
+_ENTRY = np.dtype([("log_time", "<u8"), ("position", "<u8")])
 # The checksum of the data section is computed in pieces of this size.
 _PIECE_BYTES = 1 << 20
 
@@ -48,7 +47,7 @@ def check_file(container: Container) -> None:
     try:
         check.run()
     except Damage as damage:
-        raise container.error(f"is damaged at byte {check.place}: {damage}") from damage
+        raise container.error(f"is damaged at byte {check.position}: {damage}") from damage
 
 
 def _fingerprint(record: Any) -> int:
@@ -61,38 +60,38 @@ class _Check:
     """The check of one file."""
 
     def __init__(self, container: Container) -> None:
-        self.place = 0  # first byte of the present record
+        self.position = 0  # first byte of the present record
         self._file = container
         # Files of shotrig have a checksum for every record and a complete summary; those of other programs may not.
-        self._is_ours = container.checksums_needed
+        self._is_own_file = container.checksums_needed
         self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
-        # Records that the summary should list: by the opcode of their index, the place of each record and the hash of
-        # its index. A hash takes less memory: the fields of a million empty chunks would take a gigabyte.
+        # Records that the summary must list: opcode of the index -> position of the record -> hash of its index. A hash
+        # saves memory: the fields of a million empty chunks would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
             Opcode.CHUNK_INDEX: {}, Opcode.ATTACHMENT_INDEX: {}, Opcode.METADATA_INDEX: {}
         }  # fmt: skip
         self._listed: Counter[int] = Counter()
         self._counts: Counter[int] = Counter()
         self._times: tuple[int, int] | None = None
-        # The index that the summary should have of the latest chunk, and the entries of its message indexes by channel.
+        # Expected index of the latest chunk in the summary, and expected entries of its message indexes by channel.
         self._chunk: records.ChunkIndex | None = None
         self._messages: dict[int, NDArray[Any]] = {}
 
     def run(self) -> None:
         """Check the data section and the summary."""
-        self.place = len(MAGIC)
+        self.position = len(MAGIC)
         opcode, content = self._next()
         if opcode != Opcode.HEADER:
             raise Damage("the file does not begin with a header")
-        self._check_record(parse(Opcode.HEADER, content), content)
+        self._check_record(parse_record(Opcode.HEADER, content), content)
         while opcode != Opcode.DATA_END:
-            begin = self.place
+            begin = self.position
             opcode, content = self._next(move=False)
             if opcode != Opcode.MESSAGE_INDEX:
                 self._end_chunk()
             self._data_record(opcode, content)
-            self.place = begin + RECORD_HEAD.size + len(content)
-        expected = parse(Opcode.DATA_END, content).data_section_crc
+            self.position = begin + RECORD_HEAD.size + len(content)
+        expected = parse_record(Opcode.DATA_END, content).data_section_crc
         crc = 0
         for start in range(0, begin if expected else 0, _PIECE_BYTES):
             crc = zlib.crc32(self._file.read(start, min(_PIECE_BYTES, begin - start)), crc)
@@ -101,10 +100,10 @@ class _Check:
         self._summary()
 
     def _next(self, move: bool = True) -> tuple[int, memoryview]:
-        """Return opcode and content of the record at `place`."""
-        opcode, content = record_at(self._file.read, self.place, self._file.size, LARGEST_CHUNK + (1 << 16))
+        """Return opcode and content of the record at `position`."""
+        opcode, content = record_at(self._file.read, self.position, self._file.size, LARGEST_CHUNK + (1 << 16))
         if move:
-            self.place += RECORD_HEAD.size + len(content)
+            self.position += RECORD_HEAD.size + len(content)
         return opcode, content
 
     # -- the data section --------------------------------------------------------------------------------
@@ -116,9 +115,9 @@ class _Check:
         elif opcode == Opcode.MESSAGE_INDEX:
             self._message_index(content)
         elif opcode == Opcode.ATTACHMENT:
-            record = parse(opcode, content, self._is_ours)
+            record = parse_record(opcode, content, self._is_own_file)
             index = records.AttachmentIndex(
-                self.place,
+                self.position,
                 length,
                 record.log_time,
                 record.create_time,
@@ -126,48 +125,48 @@ class _Check:
                 record.name,
                 record.media_type,
             )
-            self._unlisted[Opcode.ATTACHMENT_INDEX][self.place] = _fingerprint(index)
+            self._unlisted[Opcode.ATTACHMENT_INDEX][self.position] = _fingerprint(index)
         elif opcode == Opcode.METADATA:
-            record = parse(opcode, content, self._is_ours)
+            record = parse_record(opcode, content, self._is_own_file)
             self._check_record(record, content)
-            self._unlisted[Opcode.METADATA_INDEX][self.place] = _fingerprint(
-                records.MetadataIndex(self.place, length, record.name)
+            self._unlisted[Opcode.METADATA_INDEX][self.position] = _fingerprint(
+                records.MetadataIndex(self.position, length, record.name)
             )
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self._is_ours:
-            self._announce(opcode, content)
-        elif opcode == Opcode.MESSAGE and not self._is_ours:
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not self._is_own_file:
+            self._add_description(opcode, content)
+        elif opcode == Opcode.MESSAGE and not self._is_own_file:
             message = parse_message(content)
             self._counts[message.channel] += 1
             self._extend_times(message.log_time, message.log_time)
-        elif opcode != Opcode.DATA_END and (opcode < _FIRST_PRIVATE_OPCODE or self._is_ours):
-            raise Damage(f"a record of kind {opcode}, which does not belong there")
+        elif opcode != Opcode.DATA_END and (opcode < _FIRST_PRIVATE_OPCODE or self._is_own_file):
+            raise Damage(f"a record with opcode {opcode} does not belong there")
 
     def _check_record(self, record: Any, content: memoryview) -> None:
-        """Reject a record that shotrig's writer would encode differently: no checksum covers its lengths."""
+        """Reject a record that shotrig's writer would encode differently, because no checksum covers its lengths."""
         builder = RecordBuilder()
         record.write(builder)
-        if self._is_ours and builder.end()[RECORD_HEAD.size :] != content:
+        if self._is_own_file and builder.end()[RECORD_HEAD.size :] != content:
             raise Damage(f"a {type(record).__name__} record is malformed")
 
-    def _announce(self, opcode: int, content: memoryview) -> None:
-        """Store a schema or channel; all records of a number must be equal."""
-        record = parse(opcode, content)
+    def _add_description(self, opcode: int, content: memoryview) -> None:
+        """Store a schema or channel; repeated records of one number must be equal."""
+        record = parse_record(opcode, content)
         if self._descriptions[opcode].setdefault(record.id, record) != record:
             raise Damage(f"two different schemas or channels have the number {record.id}")
 
     def _begin_chunk(self, content: memoryview) -> None:
-        unpacked = unpack_chunk(content, self._is_ours)
+        unpacked = unpack_chunk(content, self._is_own_file)
         start, end, size, _, name_length = CHUNK_HEAD.unpack_from(content)
         name = bytes(content[CHUNK_HEAD.size : CHUNK_HEAD.size + name_length]).decode()
         entries: dict[int, array[int]] = {}
-        place = 0
+        position = 0
         for opcode, inside in records_in(unpacked, len(content)):
             if opcode == Opcode.MESSAGE:
                 message = parse_message(inside)
-                entries.setdefault(message.channel, array("Q")).extend((message.log_time, place))
+                entries.setdefault(message.channel, array("Q")).extend((message.log_time, position))
             else:
-                self._announce(opcode, inside)
-            place += RECORD_HEAD.size + len(inside)
+                self._add_description(opcode, inside)
+            position += RECORD_HEAD.size + len(inside)
         self._messages = {channel: np.frombuffer(pairs, _ENTRY) for channel, pairs in entries.items()}
         self._counts.update({channel: messages.size for channel, messages in self._messages.items()})
         times = [messages["log_time"] for messages in self._messages.values()]
@@ -179,7 +178,7 @@ class _Check:
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
         self._chunk = records.ChunkIndex(
             chunk_length=RECORD_HEAD.size + len(content),
-            chunk_start_offset=self.place,
+            chunk_start_offset=self.position,
             compression=name,
             compressed_size=packed,
             message_end_time=end,
@@ -203,9 +202,9 @@ class _Check:
             raise Damage("a message index is malformed")
         listed = np.frombuffer(content, _ENTRY, offset=6)
         entries = self._messages.get(channel, np.empty(0, _ENTRY))
-        if not np.array_equal(np.sort(listed, order="place"), entries):
+        if not np.array_equal(np.sort(listed, order="position"), entries):
             raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
-        chunk.message_index_offsets[channel] = self.place
+        chunk.message_index_offsets[channel] = self.position
         chunk.message_index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
@@ -215,50 +214,50 @@ class _Check:
             return
         indexed = chunk.message_index_offsets
         missing = self._messages.keys() - indexed.keys()
-        if missing and (self._is_ours or indexed):
-            raise Damage(f"the chunk before has no message index of channel {min(missing)}")
+        if missing and (self._is_own_file or indexed):
+            raise Damage(f"the chunk before it has no message index of channel {min(missing)}")
         self._unlisted[Opcode.CHUNK_INDEX][chunk.chunk_start_offset] = _fingerprint(chunk)
 
     # -- the summary -------------------------------------------------------------------------------------
 
     def _summary(self) -> None:
         """Compare the summary, whose checksum was verified when the file was opened, with the data section."""
-        written = {kind: len(places) for kind, places in self._unlisted.items()}
+        written = {kind: len(positions) for kind, positions in self._unlisted.items()}
         groups: dict[int, tuple[int, int]] = {}
-        begin, offsets = self.place, 0
+        begin, offsets = self.position, 0
         while True:
-            place = self.place
+            position = self.position
             opcode, content = self._next()
             if opcode == Opcode.FOOTER:
-                footer = parse(Opcode.FOOTER, content)
+                footer = parse_record(Opcode.FOOTER, content)
                 break
             if opcode == Opcode.SUMMARY_OFFSET:
-                offsets = offsets or place
-                offset = parse(opcode, content)
+                offsets = offsets or position
+                offset = parse_record(opcode, content)
                 stated = offset.group_start, offset.group_length
                 if groups.get(offset.group_opcode, (offset.group_start, 0)) != stated:
                     raise Damage("a summary offset does not agree with the summary")
                 continue
-            first, _ = groups.get(opcode, (place, 0))
-            groups[opcode] = first, self.place - first
+            first, _ = groups.get(opcode, (position, 0))
+            groups[opcode] = first, self.position - first
             if opcode < _FIRST_PRIVATE_OPCODE:
-                self._summary_record(opcode, parse(opcode, content), written)
-        if self.place != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
+                self._summary_record(opcode, parse_record(opcode, content), written)
+        if self.position != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
             raise Damage("the footer does not agree with the file")
-        if footer.summary_offset_start not in (0, offsets or self.place):
-            raise Damage("the footer states another place of the summary offsets")
+        if footer.summary_offset_start not in (0, offsets or self.position):
+            raise Damage("the footer states a wrong position of the summary offsets")
         for kind, unlisted in self._unlisted.items():
             # Another program may leave out a kind of index.
-            if unlisted and (self._is_ours or self._listed[kind]):
+            if unlisted and (self._is_own_file or self._listed[kind]):
                 raise Damage(f"the summary does not list the record at byte {min(unlisted)}")
 
     def _summary_record(self, opcode: int, record: Any, written: dict[int, int]) -> None:
         """Compare a record of the summary with the record that it repeats."""
         if opcode in self._unlisted:
-            place = record.chunk_start_offset if opcode == Opcode.CHUNK_INDEX else record.offset
+            position = record.chunk_start_offset if opcode == Opcode.CHUNK_INDEX else record.offset
             self._listed[opcode] += 1
-            if self._unlisted[opcode].pop(place, None) != _fingerprint(record):
-                raise Damage(f"an index of the summary does not agree with the record at byte {place}")
+            if self._unlisted[opcode].pop(position, None) != _fingerprint(record):
+                raise Damage(f"an index of the summary does not agree with the record at byte {position}")
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if self._descriptions[opcode].get(record.id, record) != record:
                 raise Damage(f"the summary describes the schema or channel {record.id} differently")

@@ -14,8 +14,8 @@ from typing import Self
 
 from mcap.opcode import Opcode
 
-from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, Stored, messages_in, unpack_chunk
-from daq.mcap_file.summary import Summary, parse, read_summary
+from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, StoredMessage, messages_in, unpack_chunk
+from daq.mcap_file.summary import Summary, parse_record, read_summary
 from rig.errors import RecordingError
 
 # Largest record outside the chunks that is read, bytes.
@@ -98,7 +98,7 @@ class Container:
             raise RecordingError(f"{self.path}: cannot read ({error.strerror}). Check the disk.") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
-        """Return the content of a record, given the place and length in its index."""
+        """Return the content of a record, given the position and length in its index."""
         if length > largest:
             raise Damage(f"a record at byte {offset} claims {length} bytes; at most {largest} are accepted")
         if offset > self.size - length:
@@ -110,7 +110,7 @@ class Container:
             raise Damage(f"the record at byte {offset} does not agree with the summary")
         return data[RECORD_HEAD.size :]
 
-    def messages(self, number: int) -> list[Stored]:
+    def messages(self, number: int) -> list[StoredMessage]:
         """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
@@ -125,7 +125,7 @@ class Container:
             metadata = {}
             for index in self.summary.metadata:
                 content = self._record(Opcode.METADATA, index.offset, index.length, LARGEST_RECORD)
-                record = parse(Opcode.METADATA, content, self.checksums_needed)
+                record = parse_record(Opcode.METADATA, content, self.checksums_needed)
                 metadata[record.name] = record.metadata
             return metadata
         except Damage as damage:
@@ -137,7 +137,7 @@ class Container:
             if index.name == name:
                 try:
                     content = self._record(Opcode.ATTACHMENT, index.offset, index.length, LARGEST_RECORD)
-                    return bytes(parse(Opcode.ATTACHMENT, content, self.checksums_needed).data)
+                    return bytes(parse_record(Opcode.ATTACHMENT, content, self.checksums_needed).data)
                 except Damage as damage:
                     raise self.error(f"is damaged: {damage}") from damage
         return None

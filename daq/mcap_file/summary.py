@@ -22,20 +22,20 @@ from daq.mcap_file.chunk import RECORD_HEAD, Damage
 if TYPE_CHECKING:
     from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-# Largest number of records of one kind in a summary, except chunk indexes: each takes memory.
+# Largest number of records of one kind in a summary, except chunk indexes; it limits the memory.
 MAX_RECORDS = 1 << 16
 
-# Beginning of a chunk index: times, place and length of the chunk, bytes of the map that follows.
+# Beginning of a chunk index: times, position and length of the chunk, bytes of the map that follows.
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
 # Size of the fields of a chunk index behind the map, without the name of the compression.
 _CHUNK_INDEX_TAIL_BYTES = 28
 _COLUMNS = ("starts", "ends", "offsets", "lengths", "unpacked")
 
 
-def checked(fields: Mapping[str, str]) -> dict[str, str]:
+def with_checksum(fields: Mapping[str, str]) -> dict[str, str]:
     """Add a checksum to the fields of a metadata record, which has none in MCAP.
 
-    >>> is_intact(checked({"rate": "5120"})), is_intact(checked({"rate": "5120"}) | {"rate": "5121"})
+    >>> is_intact(with_checksum({"rate": "5120"})), is_intact(with_checksum({"rate": "5120"}) | {"rate": "5121"})
     (True, False)
     """
     text = "".join(f"{key}\0{fields[key]}\0" for key in sorted(fields))
@@ -44,10 +44,10 @@ def checked(fields: Mapping[str, str]) -> dict[str, str]:
 
 def is_intact(fields: Mapping[str, str]) -> bool:
     """Return whether the fields of a metadata record agree with their checksum."""
-    return fields == checked({key: value for key, value in fields.items() if key != "crc32"})
+    return fields == with_checksum({key: value for key, value in fields.items() if key != "crc32"})
 
 
-def parse(opcode: int, content: memoryview, checksum_needed: bool = False) -> Any:
+def parse_record(opcode: int, content: memoryview, checksum_needed: bool = False) -> Any:
     """Return a record outside the chunks as an object of the package mcap; raise `Damage` if it is malformed.
 
     The checksums of attachments and metadata records are verified if they exist or are needed.
@@ -64,7 +64,7 @@ def parse(opcode: int, content: memoryview, checksum_needed: bool = False) -> An
         Opcode.CHUNK_INDEX: records.ChunkIndex, Opcode.SUMMARY_OFFSET: records.SummaryOffset,
     }  # fmt: skip
     if opcode not in kinds:
-        raise Damage(f"a record of kind {opcode}, which does not belong there")
+        raise Damage(f"a record with opcode {opcode} does not belong there")
     stream = ReadDataStream(BytesIO(content))
     try:
         record = kinds[opcode].read(stream)
@@ -75,7 +75,7 @@ def parse(opcode: int, content: memoryview, checksum_needed: bool = False) -> An
     if opcode == Opcode.ATTACHMENT:
         (checksum,) = struct.unpack_from("<I", content, len(content) - 4)
         if (checksum or checksum_needed) and checksum != zlib.crc32(content[:-4]):
-            raise Damage("an attachment has a wrong checksum, or none")
+            raise Damage("an attachment has a wrong checksum or none")
     if opcode == Opcode.METADATA:
         fields = record.metadata
         if (checksum_needed or "crc32" in fields) and not is_intact(fields):
@@ -92,7 +92,7 @@ class Summary:
     # The next arrays have an element for each chunk, in the order of the latest times.
     starts: NDArray[np.uint64]  # earliest time, ns
     ends: NDArray[np.uint64]  # latest time, ns
-    offsets: NDArray[np.int64]  # place in the file, bytes
+    offsets: NDArray[np.int64]  # position in the file, bytes
     lengths: NDArray[np.int64]  # length in the file, bytes
     unpacked: NDArray[np.int64]  # size of the records, bytes
     chunks_of_channel: Mapping[int, NDArray[np.int64]]  # indexes of the chunks with messages of a channel
@@ -106,29 +106,29 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 
     No record may be beyond `file_size` bytes.
     """
-    chunk_places: defaultdict[int, list[int]] = defaultdict(list)
+    chunk_positions: defaultdict[int, list[int]] = defaultdict(list)
     kinds = (
         Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX
     )  # fmt: skip
     others: dict[int, list[Any]] = {kind: [] for kind in kinds}
-    place, end = 0, len(data)
+    position, end = 0, len(data)
     head, head_size = RECORD_HEAD.unpack_from, RECORD_HEAD.size
-    while place < end:
-        if end - place < head_size:
+    while position < end:
+        if end - position < head_size:
             raise Damage("the summary is cut short")
-        opcode, length = head(data, place)
-        place += head_size
-        if place + length > end:
+        opcode, length = head(data, position)
+        position += head_size
+        if position + length > end:
             raise Damage(f"a record in the summary claims {length} bytes")
         if opcode == Opcode.CHUNK_INDEX:
-            chunk_places[length].append(place)
+            chunk_positions[length].append(position)
         elif opcode in others:
             records = others[opcode]
             if len(records) == MAX_RECORDS:
                 raise Damage(f"the summary has more than {MAX_RECORDS} records of one kind")
-            records.append(parse(opcode, data[place : place + length]))
-        place += length
-    table, chunks_of_channel = _chunk_table(data, chunk_places, file_size)
+            records.append(parse_record(opcode, data[position : position + length]))
+        position += length
+    table, chunks_of_channel = _chunk_table(data, chunk_positions, file_size)
     return Summary(
         schemas={record.id: record for record in others[Opcode.SCHEMA]},
         channels={record.id: record for record in others[Opcode.CHANNEL]},
@@ -141,18 +141,19 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 
 
 def _chunk_table(
-    data: memoryview, places: Mapping[int, list[int]], file_size: int
+    data: memoryview, positions: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
-    """Return columns of the chunk indexes, and the chunks of each channel, given the places of the indexes by length.
+    """Return columns of the chunk indexes, and the chunks of each channel.
 
-    Indexes of equal length are parsed in one operation: a recording of an hour has tens of thousands.
+    `positions` lists the positions of the indexes by their length: indexes of equal length are parsed in one operation,
+    because a recording of an hour has tens of thousands.
     """
     columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS}
     channels_and_chunks: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0
-    for length, index_places in places.items():
-        for start in range(0, len(index_places), 4096):
-            table = _chunk_indexes(data, length, index_places[start : start + 4096])
+    for length, index_positions in positions.items():
+        for start in range(0, len(index_positions), 4096):
+            table = _chunk_indexes(data, length, index_positions[start : start + 4096])
             beyond = table["offsets"].clip(0, file_size) + table["lengths"].clip(0, file_size) > file_size
             if (beyond | (table["offsets"] > file_size)).any():
                 raise Damage("a chunk index points beyond the end of the file")
@@ -163,8 +164,8 @@ def _chunk_table(
             channels_and_chunks.append((channels.ravel(), np.repeat(numbers, channels.shape[1])))
             count += len(table)
     joined = {column: np.concatenate([np.empty(0, np.uint64), *parts]) for column, parts in columns.items()}
-    by_place = np.argsort(joined["offsets"], kind="stable")
-    if (np.diff(joined["offsets"][by_place]) < joined["lengths"][by_place][:-1]).any():
+    by_position = np.argsort(joined["offsets"], kind="stable")
+    if (np.diff(joined["offsets"][by_position]) < joined["lengths"][by_position][:-1]).any():
         raise Damage("its chunks overlap")
     order = np.lexsort((joined["offsets"], joined["ends"]))
     rank = np.empty(count, np.int64)
@@ -174,7 +175,7 @@ def _chunk_table(
         arrays[name] = arrays[name].astype(np.int64)
     if not channels_and_chunks:
         return arrays, {}
-    # With channel and chunk in one number, a single sort orders the chunks of each channel.
+    # Channel and chunk are combined in one number, so that a single sort orders the chunks of each channel.
     channel_ids = np.concatenate([channels for channels, _ in channels_and_chunks]).astype(np.int64)
     pairs = np.sort(channel_ids * count + rank[np.concatenate([chunks for _, chunks in channels_and_chunks])])
     channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)
@@ -183,20 +184,20 @@ def _chunk_table(
     return arrays, dict(zip(channel[begins].tolist(), split, strict=True))
 
 
-def _chunk_indexes(data: memoryview, length: int, places: list[int]) -> NDArray[Any]:
-    """Return the chunk indexes of one length at the given places as a structured array."""
+def _chunk_indexes(data: memoryview, length: int, positions: list[int]) -> NDArray[Any]:
+    """Return the chunk indexes of one length at the given positions as a structured array."""
     if length < _CHUNK_INDEX_HEAD.size + _CHUNK_INDEX_TAIL_BYTES:
         raise Damage("a chunk index is cut short")
-    map_bytes = _CHUNK_INDEX_HEAD.unpack_from(data, places[0])[4]
+    map_bytes = _CHUNK_INDEX_HEAD.unpack_from(data, positions[0])[4]
     name_bytes = length - _CHUNK_INDEX_HEAD.size - map_bytes - _CHUNK_INDEX_TAIL_BYTES
     if map_bytes % 10 or name_bytes < 0:
         raise Damage("a chunk index is malformed")
     entry = np.dtype([("channel", "<u2"), ("offset", "<u8")])
-    times_and_places = [(name, "<u8") for name in _COLUMNS[:4]]
+    times_and_positions = [(name, "<u8") for name in _COLUMNS[:4]]
     sizes = [("index_length", "<u8"), ("name_bytes", "<u4"), ("name", f"V{name_bytes}")]
     record = np.dtype(
         [
-            *times_and_places,
+            *times_and_positions,
             ("map_bytes", "<u4"),
             ("map", entry, (map_bytes // 10,)),
             *sizes,
@@ -204,7 +205,7 @@ def _chunk_indexes(data: memoryview, length: int, places: list[int]) -> NDArray[
             ("unpacked", "<u8"),
         ]
     )
-    rows = np.frombuffer(data, np.uint8)[np.array(places)[:, None] + np.arange(length)]
+    rows = np.frombuffer(data, np.uint8)[np.array(positions)[:, None] + np.arange(length)]
     table: NDArray[Any] = rows.view(record)[:, 0]
     if (table["map_bytes"] != map_bytes).any() or (table["name_bytes"] != name_bytes).any():
         raise Damage("a chunk index is malformed")

@@ -25,22 +25,22 @@ from daq.mcap_file.chunk import MAGIC, RECORD_HEAD
 # Opcodes as plain numbers: the enumeration members of the package are slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
-# Samples with noise become as small as at zstd's default level 3, in 70 % of the time.
+# Noisy samples are compressed as much as at zstd's default level 3, in 70 % of the time.
 ZSTD_LEVEL = 1
 
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_FIELDS = _MESSAGE.size - RECORD_HEAD.size
-# Entry of a message index: log time, place in the chunk.
+# Entry of a message index: log time, position in the chunk.
 _ENTRY = struct.Struct("<QQ")
-_ENTRIES = np.dtype([("log_time", "<u8"), ("place", "<u8")])
+_ENTRIES = np.dtype([("log_time", "<u8"), ("position", "<u8")])
 # Message index: opcode, length, channel, bytes of the entries that follow.
 _INDEX = struct.Struct("<BQHI")
 _INDEX_FIELDS = _INDEX.size - RECORD_HEAD.size
-# Opcode, length, first and last time, place and length of the chunk, bytes of the places that follow; then sizes.
+# Opcode, length, first and last time, position and length of the chunk, bytes of the positions that follow; then sizes.
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
-# Channel, place of its message index in the file.
-_PLACE = struct.Struct("<HQ")
+# Channel, position of its message index in the file.
+_POSITION = struct.Struct("<HQ")
 _FOOTER = struct.Struct("<BQQQ")
 
 
@@ -61,7 +61,7 @@ class ChunkedFile:
         self._stream, self._compression = stream, compression.encode()
         name = f"I{len(self._compression)}s"
         self._chunk, self._chunk_sizes = (struct.Struct(form) for form in (f"<BQQQQI{name}Q", f"<Q{name}QQ"))
-        # The compressor is stored: creating it takes as long as compressing a small chunk.
+        # The compressor is cached: creating it takes as long as compressing a small chunk.
         if compression == "lz4":
             import lz4.frame  # type: ignore[import-untyped]
 
@@ -72,8 +72,8 @@ class ChunkedFile:
             self._compress = ZstdCompressor(level=ZSTD_LEVEL).compress
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        # Schemas and channels that the next chunk announces.
-        self._announced = RecordBuilder()
+        # Schemas and channels to be written at the beginning of the next chunk.
+        self._new_descriptions = RecordBuilder()
         self._chunk_indexes: list[bytes] = []
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
@@ -92,14 +92,14 @@ class ChunkedFile:
         return len(data)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Announce a schema in the next chunk; return its number."""
+        """Add a schema to the next chunk; return its number."""
         schema = records.Schema(id=len(self._schemas) + 1, data=data, encoding=encoding, name=name)
         self._schemas.append(schema)
-        schema.write(self._announced)
+        schema.write(self._new_descriptions)
         return schema.id
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Announce a channel in the next chunk; return its number."""
+        """Add a channel to the next chunk; return its number."""
         channel = records.Channel(
             id=len(self._channels) + 1,
             topic=topic,
@@ -108,19 +108,19 @@ class ChunkedFile:
             schema_id=schema,
         )
         self._channels.append(channel)
-        channel.write(self._announced)
+        channel.write(self._new_descriptions)
         return channel.id
 
     def add_chunk(self, messages: Iterable[Message | Messages]) -> bool:
         """Write messages as a chunk, in their order; return False if there are none."""
-        announced = self._announced.end()
-        parts, place = [announced], len(announced)
+        descriptions = self._new_descriptions.end()
+        parts, position = [descriptions], len(descriptions)
         entries: defaultdict[int, list[bytes]] = defaultdict(list)
         times: list[int] = []
         for each in messages:
             if isinstance(each, Messages):
                 encoded = _encode(each)
-                index = _index_of(each, encoded, place)
+                index = _index_of(each, encoded, position)
                 if isinstance(each.channel, int):
                     entries[each.channel].append(index.tobytes())
                 else:
@@ -129,16 +129,16 @@ class ChunkedFile:
                 if encoded.size:
                     times += _range_of(each.log_time)
                 parts.append(encoded.tobytes())
-                place += encoded.nbytes
+                position += encoded.nbytes
                 continue
             channel, log_time, publish_time, data, sequence = each
             size = _MESSAGE_FIELDS + len(data)
             parts += _MESSAGE.pack(_MESSAGE_CODE, size, channel, sequence, log_time, publish_time), data
-            entries[channel].append(_ENTRY.pack(log_time, place))
+            entries[channel].append(_ENTRY.pack(log_time, position))
             times.append(log_time)
-            place += RECORD_HEAD.size + size
+            position += RECORD_HEAD.size + size
         if not times:
-            self._announced.write(announced)
+            self._new_descriptions.write(descriptions)
             return False
         self._write_chunk(b"".join(parts), entries, min(times), max(times))
         return True
@@ -152,18 +152,18 @@ class ChunkedFile:
         numbers = np.array(channels)[:, None]
         rows = [_encode(each._replace(channel=numbers)) for each in messages]
         times = [time for each in messages for time in _range_of(each.log_time)]
-        index, index_place = b"", -1
+        index, index_position = b"", -1
         for row, channel in enumerate(channels):
-            announced = self._announced.end()
-            # The index is equal for all channels whose messages begin at the same place.
-            if index_place != len(announced):
-                index_place = place = len(announced)
+            descriptions = self._new_descriptions.end()
+            # The index is equal for all channels whose messages begin at the same position.
+            if index_position != len(descriptions):
+                index_position = position = len(descriptions)
                 entries = []
                 for each, encoded in zip(messages, rows, strict=True):
-                    entries.append(_index_of(each, encoded[row], place).tobytes())
-                    place += encoded[row].nbytes
+                    entries.append(_index_of(each, encoded[row], position).tobytes())
+                    position += encoded[row].nbytes
                 index = b"".join(entries)
-            content = b"".join([announced, *(encoded[row].tobytes() for encoded in rows)])
+            content = b"".join([descriptions, *(encoded[row].tobytes() for encoded in rows)])
             self._write_chunk(content, {channel: [index]}, min(times), max(times))
         return len(channels)
 
@@ -181,9 +181,9 @@ class ChunkedFile:
             len(name), name, len(packed),
         )  # fmt: skip
         self._stream.write(head + packed)
-        places, indexes, end = [], [], begin + length
+        positions, indexes, end = [], [], begin + length
         for channel, channel_entries in entries.items():
-            places.append(_PLACE.pack(channel, end))
+            positions.append(_POSITION.pack(channel, end))
             entries_size = sum(map(len, channel_entries))
             indexes.append(_INDEX.pack(_INDEX_CODE, _INDEX_FIELDS + entries_size, channel, entries_size))
             indexes += channel_entries
@@ -192,12 +192,12 @@ class ChunkedFile:
         self._stream.write(b"".join(indexes))
         first_time, last_time = self._times or (earliest, latest)
         self._times = min(first_time, earliest), max(last_time, latest)
-        fixed_size = _CHUNK_INDEX.size - RECORD_HEAD.size + _PLACE.size * len(places) + self._chunk_sizes.size
+        fixed_size = _CHUNK_INDEX.size - RECORD_HEAD.size + _POSITION.size * len(positions) + self._chunk_sizes.size
         head = _CHUNK_INDEX.pack(
-            _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _PLACE.size * len(places)
+            _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _POSITION.size * len(positions)
         )
         sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
-        self._chunk_indexes.append(b"".join((head, *places, sizes)))
+        self._chunk_indexes.append(b"".join((head, *positions, sizes)))
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""
@@ -273,11 +273,11 @@ def _encode(messages: Messages) -> NDArray[Any]:
     return encoded
 
 
-def _index_of(messages: Messages, encoded: NDArray[Any], place: int) -> NDArray[Any]:
-    """Return the index entries of encoded messages, given the place of the first record in the chunk."""
+def _index_of(messages: Messages, encoded: NDArray[Any], position: int) -> NDArray[Any]:
+    """Return the index entries of encoded messages, given the position of the first record in the chunk."""
     index = np.empty(encoded.shape, _ENTRIES)
     index["log_time"] = messages.log_time
-    index["place"] = np.arange(place, place + encoded.nbytes, encoded.itemsize).reshape(index.shape)
+    index["position"] = np.arange(position, position + encoded.nbytes, encoded.itemsize).reshape(index.shape)
     return index
 
 
@@ -292,8 +292,8 @@ def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[i
     order = np.argsort(channels, kind="stable")
     starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
     groups = np.split(index[order], starts[1:])
-    for place in np.argsort(order[starts]).tolist():
-        yield int(channels[order[starts[place]]]), groups[place].tobytes()
+    for position in np.argsort(order[starts]).tolist():
+        yield int(channels[order[starts[position]]]), groups[position].tobytes()
 
 
 class Message(NamedTuple):
@@ -307,7 +307,7 @@ class Message(NamedTuple):
 
 
 class Messages(NamedTuple):
-    """Messages of equal size, in the order of `data`; the other fields are broadcast to their shape, as by numpy."""
+    """Messages of equal size, in the order of `data`; numpy broadcasts the other fields to its shape without bytes."""
 
     channel: NDArray[np.int64] | int  # number of the channel
     log_time: NDArray[np.uint64] | int  # ns

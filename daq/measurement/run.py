@@ -242,7 +242,7 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     >>> missing_force_reference(bench.scene, bench.channels) is None
     True
     """
-    places = SceneOutline.of(scene).missing_force_places(channels)
+    places = SceneOutline.of(scene).missing_force_points(channels)
     if not places:
         return None
     shaker = scene.driven_shaker

@@ -109,11 +109,11 @@ def next_steps(rec: Recording) -> list[str]:
     kinds = {mark.kind for mark in rec.markers}
     channels = rec.channels.values()
     has_force_channel = any(info.quantity == "force" for info in channels)
-    has_force_reference = not outline.missing_force_places(channels)
+    has_force_reference = not outline.missing_force_points(channels)
     steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
     if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
-        steps += ["frf"] if outline.test == "sine" else ["frf", "modes"]
-    steps += ["dampers"] if kind is TestKind.TONES and "measure" in kinds and outline.dampers else []
+        steps += ["frf"] if outline.test_kind == "sine" else ["frf", "modes"]
+    steps += ["dampers"] if kind is TestKind.TONES and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 # exhaust the memory.
 _LARGE_RANGE = 1 << 22
 # Largest ratio of the requested samples to those in the file.
-_MAX_SAMPLES_PER_STORED = 16
-# Memory for decoded samples of a recording, bytes. Decoded samples are stored, because an analysis reads a measured
+_MAX_REQUESTED_PER_STORED = 16
+# Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
 _MAX_CACHE_BYTES = 1 << 27
 
@@ -137,7 +137,9 @@ class Series:
                 try:
                     yield decode(message.data, self._schema), message.log_time
                 except RecordingError as error:
-                    raise self._error(str(error)) from error
+                    raise self._error(
+                        f"{error} Run `daq recover` to keep the other blocks, or record again."
+                    ) from error
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Raise `RecordingError` if the times of a block contradict its sample numbers."""
@@ -148,9 +150,9 @@ class Series:
         if block.rate != clock.rate or not (abs(start_error) < 0.5 and abs(end_error) < 0.5):
             expected_times = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
             raise self._error(
-                f"the block at sample {block.first_sample} states {block.rate:g} Hz, a start at {block.t0_ns} ns and "
-                f"a log time of {log_time} ns; expected {clock.rate:g} Hz, {expected_times[0]} ns and "
-                f"{expected_times[1]} ns, its end."
+                f"the block at sample {block.first_sample} states {block.rate:g} Hz, start {block.t0_ns} ns, log time "
+                f"{log_time} ns; expected {clock.rate:g} Hz, start {expected_times[0]} ns, log time (end of the block) "
+                f"{expected_times[1]} ns."
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
@@ -193,7 +195,7 @@ class Series:
         chunks = self._chunks[int(begin) : int(end) + 1]
         # A sample takes at least four bytes in a chunk.
         max_samples = int(np.minimum(self._container.summary.unpacked[chunks], 1 << 40).sum()) // 4
-        if max_samples * _MAX_SAMPLES_PER_STORED < stop - start:
+        if max_samples * _MAX_REQUESTED_PER_STORED < stop - start:
             raise self._error(
                 f"samples {start} to {stop - 1}: at most {max_samples} of them are in the file. Choose a range "
                 "before or after them (--from, --to)."

@@ -1,8 +1,7 @@
-"""Signals for viewers in a recording: decimated waveforms behind an anti-aliasing filter, rms and peak.
+"""Signals for viewers in a recording: decimated waveforms after an anti-aliasing filter, rms and peak.
 
-The drawn rig is moved by transforms (positions of its parts). The exaggeration is the factor on displacements and gaps
-in the drawing. General MCAP viewers plot them: each message contains one number, in an encoding that they plot by
-default.
+Each message of a signal contains one number, in an encoding that general MCAP viewers plot by default. Transforms
+(positions of its parts) move the drawn rig; the exaggeration is the factor on displacements and gaps in the drawing.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ if TYPE_CHECKING:
 
 # Highest sample rate of the displayed waveforms, Hz.
 MAX_RATE_HZ = 250.0
-# Number of displayed samples from one transform (position of the drawn parts) to the next.
+# Number of display samples from one transform to the next.
 TRANSFORM_STEP = 2
-# The anti-aliasing filter is flat up to 0.27 of the display rate. At 0.5, where aliasing begins, it attenuates by 44
-# dB, from 0.52 on by 70 dB. Half the length of the filter, display samples.
+# The anti-aliasing filter is flat up to 0.27 of the display rate. It attenuates by 44 dB at 0.5, where aliasing begins,
+# and by 70 dB from 0.52 on. Half the length of the filter, display samples.
 _HALF_LENGTH = 8
 # Shape parameter of its Kaiser window.
 _KAISER_BETA = 6.8
 # Its cutoff frequency (-6 dB), as a ratio to the display rate.
 _CUTOFF = 0.385
-# Number of signals that are filtered together, which bounds the memory of the matrix product.
+# Largest number of signals that are filtered together; it limits the memory of the matrix product.
 _MAX_SIGNALS = 64
 
 _RULE = "=" * 80
@@ -92,9 +91,9 @@ def display_step(rate: float) -> int:
 class DisplayDecimator:
     """Low-passes signals and outputs the samples whose numbers are multiples of `step`.
 
-    The filter has linear phase. Its delay is removed: an output is available only half a filter length later. Before
-    the first and after the last sample, the signal is continued as a constant. `stop` is the number of the expected
-    next sample, None before the first sample and after `finish`.
+    The filter has linear phase, and its delay is removed: an output is available half a filter length later. Before the
+    first and after the last sample, the signal is continued as a constant. `stop` is the number of the next sample,
+    None before the first sample and after `finish`.
     """
 
     def __init__(self, step: int) -> None:
@@ -125,7 +124,7 @@ class DisplayDecimator:
         return self._output_until(last)
 
     def finish(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the remaining outputs (at least one sample was given); the next samples start a new signal."""
+        """Return the remaining outputs after at least one sample; the next samples start a new signal."""
         assert self.stop is not None
         self._samples = np.concatenate(
             [self._samples, np.repeat(self._samples[:, -1:], self._half_length, axis=1)], axis=1
@@ -146,18 +145,18 @@ class DisplayDecimator:
             groups = (values[row : row + _MAX_SIGNALS] for row in range(0, len(values), _MAX_SIGNALS))
             values = np.concatenate([_filter_and_decimate(group, self._taps, self.step) for group in groups])
         self._next_output = last + 1
-        n_used = max(0, self._next_output * self.step - self._half_length - self._first)
-        # The copy frees the used samples.
-        self._samples, self._first = self._samples[:, n_used:].copy(), self._first + n_used
+        n_consumed = max(0, self._next_output * self.step - self._half_length - self._first)
+        # The copy frees the consumed samples.
+        self._samples, self._first = self._samples[:, n_consumed:].copy(), self._first + n_consumed
         return output_samples, np.asarray(values)
 
 
 def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
-    """Return the filtered signals at every `step`-th sample, shape (signals, outputs).
+    """Return the filtered signals at every `step`-th sample, shape (signals, outputs), by polyphase decimation.
 
-    The length of the filter is a multiple of `step`, plus one sample. Signals and filter are divided into pieces of
-    `step` samples. A matrix product multiplies each piece of the signals by each piece of the filter, and the sums
-    along its diagonals are the result.
+    The length of the filter is a multiple of `step`, plus one sample. Signals and filter are divided into segments of
+    `step` samples. A matrix product multiplies each segment of the signals by each segment of the filter; the sums
+    along its diagonals are the outputs.
     """
     filter_steps = taps.size // step
     n_outputs = samples.shape[1] // step - filter_steps + 1
@@ -172,7 +171,7 @@ def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
 class Display:
     """Makes the messages for viewers: waveform, rms and peak of each channel, and transforms that move the drawn rig.
 
-    Dampers, and points without a displacement channel, move as the truth (the simulated motion) if it is recorded.
+    If the truth (the simulated motion) is recorded, it moves the dampers and the points without a displacement channel.
     """
 
     def __init__(
@@ -211,8 +210,8 @@ class Display:
 
     def introduction(self) -> Message:
         """Return the message that describes the rig."""
-        at = self._clock.time_ns(0)
-        return Message(self._description, at, at, encode_text(self._robot.urdf()), 0)
+        time = self._clock.time_ns(0)
+        return Message(self._description, time, time, encode_text(self._robot.urdf()), 0)
 
     def description(self) -> dict[str, str]:
         """Return the fields of the metadata record `display`."""
@@ -255,7 +254,7 @@ class Display:
             yield from self._messages(*self._decimator.finish())
 
     def _messages(self, numbers: NDArray[np.int64], values: Array) -> Iterator[Messages]:
-        """Yield waveforms, and the transforms that are due, from sample numbers and values of the decimator."""
+        """Yield waveforms and, at every `TRANSFORM_STEP`-th of these samples, transforms."""
         if not numbers.size:
             return
         times = self._clock.times_ns(numbers.tolist())
@@ -266,7 +265,7 @@ class Display:
         if self._truth is not None:
             # The truth has the same points in another order.
             true_displacements = dict(
-                zip(self._truth.drawn, self._truth.positions(numbers[with_transforms]), strict=True)
+                zip(self._truth.part_names, self._truth.positions(numbers[with_transforms]), strict=True)
             )
             displacements[:] = [true_displacements[source.point] for source in self._sources]
         for row, source in zip(displacements, self._sources, strict=True):

@@ -30,6 +30,7 @@ from daq.signal_chain.field_checks import (
 )
 from rig.errors import RecordingError
 
+_REMEDY = "Correct the program that wrote the file, or record again."
 _FIELD_CHECKS = {
     **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
     **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
@@ -46,8 +47,8 @@ _FIELD_CHECKS = {
     ),
 }
 
-# Kinds of changes: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite duration
-# begin with touch and end with release.
+# Kinds of contact changes: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite
+# duration begin with touch and end with release.
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
 _EVENT_CHECKS = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
@@ -139,7 +140,7 @@ class Marker:
         if not isinstance(kind, str) or not is_interval:
             raise RecordingError(
                 f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "
-                "and whole numbers from 0, in order."
+                f"and whole numbers from 0, in order. {_REMEDY}"
             )
         check(content, _FIELD_CHECKS)
         return cls(kind, first, last, _Fields(kind, content))
@@ -153,7 +154,7 @@ class _Fields(dict[str, Any]):
         self._kind = kind
 
     def __missing__(self, key: str) -> Any:
-        raise RecordingError(f"{MARKERS}: a marker {self._kind!r} lacks the field {key}. Add it.")
+        raise RecordingError(f"{MARKERS}: a marker of kind {self._kind!r} lacks the field {key}. {_REMEDY}")
 
 
 @dataclass(frozen=True)
@@ -167,14 +168,15 @@ class Gap:
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
-    """Return the gaps that markers report, in their order; a marker without channels concerns all `channels`."""
+    """Return the gaps that markers report, in their order; a marker that names no channels is for all `channels`."""
     gaps = []
     for marker in markers:
         if marker.kind in ("gap", "lost"):
             names = marker.fields.get("channels", channels)
             if not isinstance(names, list):
                 raise RecordingError(
-                    f"{MARKERS}: a marker {marker.kind} has the channels {names!r}; expected a list of names."
+                    f"{MARKERS}: a marker of kind {marker.kind!r} has channels {names!r}; expected a list such as "
+                    f'["a1"]. {_REMEDY}'
                 )
             reason = str(marker.fields.get("reason", "never acquired"))
             gaps.append(Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason))
@@ -182,7 +184,7 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
 
 
 def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield the missing ranges [first, stop) that no gap reports; `missing` and `gaps` are in rising order.
+    """Yield the parts of missing ranges [first, stop) that no gap reports; `missing` and `gaps` are in rising order.
 
     >>> list(unmarked_ranges([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
     [(10, 20)]
@@ -214,7 +216,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     try:
         check(content, _EVENT_CHECKS)
     except RecordingError as error:
-        raise RecordingError(f"{EVENTS}: a message is not a change of contact ({error}).") from error
+        raise RecordingError(f"{EVENTS}: a message is not a change of contact ({error}). {_REMEDY}") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
@@ -234,7 +236,7 @@ def _object(data: memoryview, topic: str) -> dict[str, Any]:
     try:
         content = json.loads(bytes(data))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{topic}: a message is not JSON ({error}); expected an object.") from error
+        raise RecordingError(f"{topic}: a message cannot be read: it is not JSON ({error}). {_REMEDY}") from error
     if not isinstance(content, dict):
-        raise RecordingError(f"{topic}: a message is a JSON {type(content).__name__}; expected an object.")
+        raise RecordingError(f"{topic}: a message is not a JSON object (named fields in braces). {_REMEDY}")
     return content

@@ -1,7 +1,7 @@
-"""The kind of the test in a recording, and the facts of its scene that are needed without loading the scene.
+"""The kind of the test in a recording, and a summary of its scene that is available without loading the scene.
 
-Loading a scene takes longer than everything else in `daq info`. A recording therefore repeats these facts in its
-metadata record `run`. For an imported or older recording, the kind is determined from the markers, and the facts from
+Loading a scene takes longer than everything else in `daq info`. A recording therefore repeats the summary in its
+metadata record `run`. For an imported or older recording, the kind is determined from the markers, and the summary from
 the scene.
 """
 
@@ -22,17 +22,19 @@ if TYPE_CHECKING:
 
 
 class TestKind(StrEnum):
-    """Kinds of tests, which are evaluated by different methods."""
+    """Kinds of tests, which are evaluated by different methods; recordings state the values."""
 
     __test__ = False  # not a test for pytest
 
     TONES = "tones"
-    """Tones held until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
+    """Dwells until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
     SWEEP = "sweep"
     RANDOM = "random"
     MULTISINE = "multisine"
     HITS = "hits"
+    """Hammer hits."""
     FREE = "free"
+    """A free decay without a force."""
     NONE = "none"
     """No test, or a test without a measurement."""
 
@@ -62,7 +64,7 @@ class RecordedTest:
 
     @property
     def drives(self) -> bool:
-        """Whether a force drives the structure, so that frequency responses can be estimated."""
+        """Whether frequency responses can be estimated if a force was measured: the test is not a free decay."""
         return self.kind is not TestKind.FREE
 
     @property
@@ -82,6 +84,7 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
     >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>
     """
+    # The `measure` markers of each kind of test have a field that those of other kinds lack.
     measure_markers = [marker for marker in markers if marker.kind == "measure"]
     fields = measure_markers[0].fields if measure_markers else {}
     for field, kind in (
@@ -98,49 +101,50 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
 
 @dataclass(frozen=True)
 class SceneOutline:
-    """Facts of a scene that a recording repeats in its metadata."""
+    """Summary of a scene that a recording repeats in its metadata."""
 
-    scene: str  # name of the scene
-    test: str  # kind of test; "none" without a test
-    bodies: tuple[str, ...]  # names, body 1 first; empty if they have none
-    dampers: int  # number of dampers
-    # Positions whose motion determines the force of the shaker if no channel measures it; empty without a shaker, or if
-    # the test does not use it.
-    force_places: tuple[str, ...]
+    scene_name: str
+    test_kind: str  # "none" without a test
+    body_names: tuple[str, ...]  # body 1 first; empty if the bodies have no names
+    n_dampers: int
+    # Points whose motion gives the force of the shaker if no channel measures it, such as the ends of its spring. Empty
+    # without a shaker, or if the test does not use it.
+    force_points: tuple[str, ...]
 
     @classmethod
     def of(cls, scene: Scene) -> SceneOutline:
-        """Return the facts of a scene."""
+        """Return the summary of a scene."""
         test = "none" if scene.test is None else scene.test.kind
-        shaker, force_places = scene.driven_shaker, tuple[str, ...]()
+        shaker, force_points = scene.driven_shaker, tuple[str, ...]()
         if shaker is not None and test not in ("impulse", "free"):
             table = (scene.at_driven("table"), f"body {shaker.body}")
-            force_places = (scene.at_driven("shaker"),) if shaker.kind == "force" else table
-        return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_places)
+            force_points = (scene.at_driven("shaker"),) if shaker.kind == "force" else table
+        return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_points)
 
     @classmethod
     def from_metadata(cls, run: Mapping[str, str]) -> SceneOutline | None:
-        """Return the facts in the metadata record `run`; None if it does not state them."""
+        """Return the summary in the metadata record `run`; None if it is incomplete."""
         try:
-            bodies, force_places = (tuple(json.loads(run[key])) for key in ("bodies", "force_places"))
-            return cls(run["scene"], run["test"], bodies, int(run["dampers"]), force_places)
+            body_names, force_points = (tuple(json.loads(run[key])) for key in ("bodies", "force_places"))
+            return cls(run["scene"], run["test"], body_names, int(run["dampers"]), force_points)
         except (KeyError, ValueError, TypeError):
             return None
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the facts as fields of the metadata record `run`."""
-        lists = {key: json.dumps(getattr(self, key)) for key in ("bodies", "force_places")}
-        return {"scene": self.scene, "test": self.test, "dampers": str(self.dampers)} | lists
+        """Return the summary as fields of the metadata record `run`."""
+        lists = {"bodies": json.dumps(self.body_names), "force_places": json.dumps(self.force_points)}
+        return {"scene": self.scene_name, "test": self.test_kind, "dampers": str(self.n_dampers)} | lists
 
     def label(self, position: str) -> str:
         """Return the name of the body at a position such as ``body 2``, or the position if it has no name."""
-        number = position.removeprefix("body ")
-        has_name = self.bodies and position != number and 1 <= int(number) <= len(self.bodies)
-        return self.bodies[int(number) - 1] if has_name else position
+        if not self.body_names or not position.startswith("body "):
+            return position
+        number = int(position.removeprefix("body "))
+        return self.body_names[number - 1] if 1 <= number <= len(self.body_names) else position
 
-    def missing_force_places(self, channels: Collection[ChannelInfo]) -> list[str]:
-        """Return the positions that need a channel for the force of the shaker, but have none; [] if it is measured."""
+    def missing_force_points(self, channels: Collection[ChannelInfo]) -> list[str]:
+        """Return the `force_points` without a channel; an empty list if a channel measures the force."""
         if any(info.quantity == "force" for info in channels):
             return []
         measured = {info.at for info in channels}
-        return [position for position in self.force_places if position not in measured]
+        return [point for point in self.force_points if point not in measured]

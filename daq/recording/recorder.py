@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.mcap_file.summary import checked
+from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message, Messages
 from daq.recording import layout
 from daq.recording.committed_file import RESERVE, CommittedFile, DiskError
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # Compression of each storage type. No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them
 # eight times as fast as zstd. zstd shrinks counts by a fifth.
 COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
-# Growth of the index at the end of the file with each chunk, bytes.
+# Size of the index of a chunk at the end of the file, bytes.
 _INDEX_BYTES_PER_CHUNK = 256
 # The version is read once, because that takes longer than writing ten groups of samples.
 _version = cache(metadata.version)
@@ -189,7 +189,7 @@ class Recorder:
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
         """Mark an event at a sample, or over a range of samples, both ends included.
 
-        `kind`: such as `settle`, `measure` or `hit`; `fields`: further facts, in SI units. For a reproducible file,
+        `kind` is such as `settle`, `measure` or `hit`; `fields` are further data in SI units. For a reproducible file,
         mark the event at the same `position` each time.
         """
         self._require_open()
@@ -299,7 +299,7 @@ class Recorder:
         kind_field = {"kind": str(self._test_kind)} if self._test_kind is not None else {}
         records["run"] = run | {"shotrig": _version("shotrig")} | source_field | kind_field
         for name, fields in records.items():
-            self._file.add_metadata(name, checked(fields))
+            self._file.add_metadata(name, with_checksum(fields))
         text = scene.to_si_yaml().encode()
         self._file.add_attachment(int(start), int(start), layout.SCENE_FILE, "application/yaml", text)
 
@@ -333,7 +333,7 @@ class Recorder:
                 disk_error, status, reason = error, "failed", str(error)
         self._write_markers(math.inf)
         outcome = {"status": status, "reason": reason, "samples": str(self._samples_written)}
-        self._file.add_metadata("outcome", checked(outcome | {"markers": str(self._marker_count)}))
+        self._file.add_metadata("outcome", with_checksum(outcome | {"markers": str(self._marker_count)}))
         self._file.finish()
         if self._samples_written == 0 and status != "complete":
             self._commit()
@@ -401,10 +401,10 @@ class Recorder:
         try:
             yield
         except DiskError as error:
-            at = self._disk.current_path
+            path = self._disk.current_path
             raise DiskError(
                 f"{error}; the file contains {self._content_text}, without an end. Free disk space, then run "
-                f"`daq recover {at} -o FIXED.mcap`."
+                f"`daq recover {path} -o FIXED.mcap`."
             ) from error
 
     def _blocks(self, group: Group) -> list[Messages]:

@@ -125,7 +125,7 @@ class Recording(Result):
                 f"{self.path}: no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md."
             )
         if not summary.chunks_of_channel and summary.statistics is not None and summary.statistics.message_count:
-            raise RecordingError(f"{self.path}: no index of its chunks. Write it again with an index.")
+            raise RecordingError(f"{self.path}: no index of its chunks. Write the file again with an index.")
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
     def _channel_info(self, name: str, series: Series) -> ChannelInfo:
@@ -138,7 +138,7 @@ class Recording(Result):
         if metadata["quantity"] not in UNITS:
             raise RecordingError(f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
         if series.clock != next(iter(self._series.values())).clock:
-            raise RecordingError(f"{where}: another sample clock; expected one clock for all channels.")
+            raise RecordingError(f"{where}: another sample clock than the first channel; expected one clock for all.")
         try:
             defaults = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(defaults | metadata)
@@ -364,7 +364,7 @@ class Recording(Result):
 
     @cached_property
     def outline(self) -> SceneOutline:
-        """Facts of the recorded scene, from the metadata; the scene is loaded only if the metadata lack them."""
+        """Summary of the recorded scene from the metadata; the scene is loaded only if they lack it."""
         return SceneOutline.from_metadata(self.metadata.get("run", {})) or SceneOutline.of(self.scene)
 
     @property

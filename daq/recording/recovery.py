@@ -1,4 +1,4 @@
-"""Make a complete recording from the intact parts of a torn or damaged one, and list the losses exactly.
+"""Make a complete recording from the intact parts of a torn or damaged one, and list the lost samples.
 
 A torn recording lacks its end, for example because the process was killed. A part of a file is a chunk of messages or a
 single record; it is intact if its checksum is right.
@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from daq.mcap_file.chunk import Damage, Stored, messages_in, records_in
+from daq.mcap_file.chunk import Damage, StoredMessage, messages_in, records_in
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import checked, parse
+from daq.mcap_file.summary import parse_record, with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
 from daq.recording.committed_file import CommittedFile, DiskError
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 # Numbers of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]
 
-_DISK_REMEDY = "Free disk space, or choose a place on another disk with -o."
+_DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Salvage:
 
     source: Path  # the damaged file
     fixed: Path  # the complete file
-    rate: float  # Samples per second, Hz
+    rate: float  # samples per second, Hz
     kept: dict[str, int]  # number of samples kept, by topic
     lost: dict[str, list[SampleRange]]  # ranges of lost samples [first, stop), by topic; only topics with losses
     missing: dict[str, int]  # number of lost messages on topics without samples: markers, display, ...
@@ -65,8 +65,8 @@ class Salvage:
         if self.whole:
             yield "nothing was lost"
         topics_by_ranges: dict[tuple[SampleRange, ...], list[str]] = defaultdict(list)
-        for topic, spans in self.lost.items():
-            topics_by_ranges[tuple(spans)].append(topic)
+        for topic, lost_ranges in self.lost.items():
+            topics_by_ranges[tuple(lost_ranges)].append(topic)
         for ranges, topics in topics_by_ranges.items():
             for first, stop in ranges:
                 range_s = f"{first / self.rate:.6g} s to {stop / self.rate:.6g} s"
@@ -141,9 +141,9 @@ def _read_descriptions(
     for part in damaged.parts():
         if isinstance(part, Intact) and isinstance(part.content, memoryview):
             with suppress(Damage):
-                for opcode, content in records_in(part.content, part.stored):
+                for opcode, content in records_in(part.content, part.stored_bytes):
                     if opcode in records_by_id:
-                        record = parse(opcode, content)
+                        record = parse_record(opcode, content)
                         records_by_id[opcode][record.id] = record
             if records_by_id[Opcode.CHANNEL]:
                 break
@@ -165,12 +165,11 @@ class _Salvager:
         self._source, self._target, self._disk = source, target, disk
         self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
-        # Keys are channel numbers of the damaged file: number in the new file, ranges of copied samples, number of
-        # copied messages, and of messages that the sequence numbers require.
-        self._new_numbers: dict[int, int] = {}
-        self._sample_ranges: dict[int, list[SampleRange]] = {}
-        self._n_messages: dict[int, int] = defaultdict(int)
-        self._n_expected: dict[int, int] = defaultdict(int)
+        # The keys of the next four are channel numbers of the damaged file.
+        self._new_numbers: dict[int, int] = {}  # channel number in the new file
+        self._sample_ranges: dict[int, list[SampleRange]] = {}  # ranges of copied samples
+        self._n_messages: dict[int, int] = defaultdict(int)  # number of copied messages
+        self._n_expected: dict[int, int] = defaultdict(int)  # number of messages, from their sequence numbers
         self._gaps: list[SampleRange] = []
         self._notes: list[str] = []
         self._n_without_topic = 0
@@ -196,7 +195,7 @@ class _Salvager:
             if isinstance(part, Unreadable):
                 self._notes.append(f"bytes {part.begin} to {part.end - 1} of {self._source}: {part.reason}")
             elif isinstance(part.content, memoryview):
-                self._copy_chunk(part.content, part.stored)
+                self._copy_chunk(part.content, part.stored_bytes)
             else:
                 self._copy_record(part.content)
             self._disk.commit()
@@ -209,10 +208,10 @@ class _Salvager:
         self._finish(salvage)
         return salvage
 
-    def _copy_chunk(self, records: memoryview, stored: int) -> None:
+    def _copy_chunk(self, records: memoryview, stored_bytes: int) -> None:
         """Copy the messages of a chunk into a new chunk."""
         try:
-            messages = messages_in(records, stored)
+            messages = messages_in(records, stored_bytes)
         except Damage as damage:
             self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
             return
@@ -227,7 +226,7 @@ class _Salvager:
                 self._n_expected[message.channel] = max(self._n_expected[message.channel], message.sequence + 1)
         self._file.add_chunk(readable_messages)
 
-    def _is_readable(self, message: Stored) -> bool:
+    def _is_readable(self, message: StoredMessage) -> bool:
         """Register the content of a message; return False, with a note, if it cannot be read."""
         channel = self._channels[message.channel]
         try:
@@ -238,15 +237,15 @@ class _Salvager:
             return False
         return True
 
-    def _register(self, message: Stored, channel: Channel) -> None:
+    def _register(self, message: StoredMessage, channel: Channel) -> None:
         """Register the samples, or the gap, that a message contains."""
         if message.channel in self._sample_ranges:
             block = decode(message.data, self._schemas[channel.schema_id].name)
             self._clock = block.clock if self._clock is None else self._clock
-            spans, first = self._sample_ranges[message.channel], block.first_sample
-            if spans and spans[-1][1] == first:
-                first = spans.pop()[0]
-            spans.append((first, block.stop))
+            ranges, first = self._sample_ranges[message.channel], block.first_sample
+            if ranges and ranges[-1][1] == first:
+                first = ranges.pop()[0]
+            ranges.append((first, block.stop))
         elif channel.topic == layout.MARKERS:
             marker = Marker.from_json(message.data)
             if marker.kind in ("gap", "lost"):
@@ -268,21 +267,20 @@ class _Salvager:
     def _determine_losses(self, clock: Timebase) -> Salvage:
         """Compare the copied samples and messages with those that the file states; return the differences."""
         channels, outcome = self._channels, self._metadata.get("outcome", {})
-        end = max(span[-1][1] for span in self._sample_ranges.values() if span)
-        # Number of samples that the end of the file states; None without an end.
-        known_end = int(outcome["samples"]) if _is_plausible_count(outcome.get("samples", "")) else None
-        if known_end is None and self._counts is None:
+        end = max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges)
+        # Number of samples stated at the end of the file; None if the end is missing.
+        stated_end = int(outcome["samples"]) if _is_plausible_count(outcome.get("samples", "")) else None
+        if stated_end is None and self._counts is None:
             self._notes.append(
-                f"the file has no end: later samples than {end / clock.rate:.6g} s, if any, were not flushed to it "
-                "or were cut off"
+                f"the file has no end: samples after {end / clock.rate:.6g} s, if there were any, are lost"
             )
-        end = max(end, known_end or 0)
+        end = max(end, stated_end or 0)
         lost, recovered = {}, {}
-        for number, spans in self._sample_ranges.items():
+        for number, ranges in self._sample_ranges.items():
             topic = channels[number].topic
-            recovered[topic] = sum(stop - first for first, stop in spans)
+            recovered[topic] = sum(stop - first for first, stop in ranges)
             gaps = self._gaps if topic.startswith(layout.RAW) else []
-            missing = list(_subtract(_subtract([(0, end)], spans), gaps))
+            missing = list(_subtract(_subtract([(0, end)], ranges), gaps))
             if missing:
                 lost[topic] = missing
         missing_messages = {}
@@ -305,26 +303,26 @@ class _Salvager:
 
     def _finish(self, salvage: Salvage) -> None:
         """Mark the losses in the file, and end it."""
-        markers = [self._new_numbers[n] for n in self._new_numbers if self._channels[n].topic == layout.MARKERS]
+        marker_channels = [self._new_numbers[n] for n in self._new_numbers if self._channels[n].topic == layout.MARKERS]
         channels_by_range: dict[SampleRange, list[str]] = defaultdict(list)
-        for topic, spans in salvage.lost.items():
-            for span in spans:
-                channels_by_range[span].append(topic.removeprefix(layout.RAW))
+        for topic, ranges in salvage.lost.items():
+            for sample_range in ranges:
+                channels_by_range[sample_range].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
         lost = []
         for (first, stop), names in sorted(channels_by_range.items()):
             fields = {"channels": names, "reason": "lost with the damaged file"}
             content = Marker("lost", first, stop - 1, fields).to_json()
             times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
-            lost += [Message(number, *times, content, 0) for number in markers]
+            lost += [Message(number, *times, content, 0) for number in marker_channels]
         self._file.add_chunk(lost)
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
             earlier = {} if outcome is None else {key: outcome.get(key, "") for key in ("status", "reason")}
-            outcome = checked(
+            outcome = with_checksum(
                 {f"before.{key}": text for key, text in earlier.items()}
                 | {"status": "recovered", "reason": f"recovered from {escape_terminal(self._source.name)}"}
-                | {"samples": str(max(span[-1][1] for span in self._sample_ranges.values() if span))}
+                | {"samples": str(max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges))}
                 | {"report": json.dumps(list(salvage.report()))}
             )
         self._file.add_metadata("outcome", outcome)
@@ -337,15 +335,15 @@ def _is_plausible_count(text: str) -> bool:
     return text.isascii() and text.isdecimal() and len(text) < 17
 
 
-def _subtract(spans: Iterable[SampleRange], holes: Iterable[SampleRange]) -> Iterator[SampleRange]:
-    """Yield the parts of `spans` outside `holes`.
+def _subtract(ranges: Iterable[SampleRange], excluded: Iterable[SampleRange]) -> Iterator[SampleRange]:
+    """Yield the parts of `ranges` outside the ranges `excluded`.
 
     >>> list(_subtract([(0, 100)], [(90, 100), (10, 20)]))
     [(0, 10), (20, 90)]
     """
-    sorted_holes = sorted(holes)
-    for first, stop in spans:
-        for begin, end in sorted_holes:
+    sorted_exclusions = sorted(excluded)
+    for first, stop in ranges:
+        for begin, end in sorted_exclusions:
             if begin >= stop or end <= first:
                 continue
             if begin > first:

@@ -37,8 +37,8 @@ class SampleBlock(NamedTuple):
     """Successive samples of one channel, as stored in the file."""
 
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
-    first_sample: int  # Number of the first sample
-    rate: float  # Samples per second, Hz
+    first_sample: int  # number of the first sample
+    rate: float  # samples per second, Hz
     samples: NDArray[Any]  # the stored numbers; a view into the message, read-only; shape (samples,)
 
     @property
@@ -97,7 +97,7 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
                 return SampleBlock(t0_ns, first, rate, np.frombuffer(data, kind, offset=samples_offset))
             except ValueError:
                 stored_bytes = len(data) - samples_offset
-                raise RecordingError(f"{stored_bytes} bytes are not a whole number of {schema} samples") from None
+                raise RecordingError(f"{stored_bytes} bytes are not a whole number of samples ({schema}).") from None
     return _decode_any(data, schema)
 
 
@@ -121,13 +121,15 @@ def _decode_any(data: memoryview, schema: str) -> SampleBlock:
     try:
         message.ParseFromString(bytes(data))
     except DecodeError as error:
-        raise RecordingError(f"a message of {len(data)} bytes is not a {schema} ({error}).") from error
+        raise RecordingError(
+            f"a block of {len(data)} bytes cannot be read; expected format {schema} ({error})."
+        ) from error
     samples: NDArray[Any] = np.array(message.samples, dtype=SAMPLE_TYPE[schema])
     return SampleBlock(message.t0_ns, message.first_sample, message.sample_rate_hz, samples)
 
 
 def stored_as(scene: Scene, channels: Sequence[ChannelInfo]) -> str:
-    """Return the storage type of samples, a key of `SCHEMAS`, that the scene states or the converter implies."""
+    """Return the storage type of samples, a key of `SCHEMAS`, as stated in the scene or implied by the converter."""
     if scene.recording.samples is not None:
         return scene.recording.samples
     return "counts" if all(info.volts_per_count is not None for info in channels) else "float64"

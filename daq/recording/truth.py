@@ -47,26 +47,33 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 class Truth:
     """Collects the motion of each point, the gap and contact of each damper, and the events (changes of contact).
 
-    `group` is the number of samples in a group. `streams` are two series of groups: real numbers (motion of the points,
-    then gaps), and contacts. `chunks` lists, for each chunk of the file, its topics: (stream, row, channel number).
-    `drawn` names the rows of `positions`.
+    Attributes
+    ----------
+    part_names : tuple of str
+        Points and dampers, the rows of `positions`.
+    streams : tuple of two Grouping
+        Real numbers (motion of the points, then gaps), and contacts.
+    chunks : list of lists of tuples
+        The topics of each chunk of the file: (index in `streams`, row, channel number).
     """
 
-    def __init__(self, scene: Scene, clock: Timebase, group: int, register: Register) -> None:
-        self._clock, self._length = clock, group
+    def __init__(self, scene: Scene, clock: Timebase, group_samples: int, register: Register) -> None:
+        self._clock = clock
         self.points = points_of(scene)
         points, dampers = len(self.points), len(scene.dampers)
-        self.drawn = (*self.points, *dampers_of(scene))
+        self.part_names = (*self.points, *dampers_of(scene))
         self.streams = (
-            Grouping(len(MOTION_QUANTITIES) * points + dampers, group, np.dtype("<f8")),
-            Grouping(dampers, group, np.dtype("<i4")),
+            Grouping(len(MOTION_QUANTITIES) * points + dampers, group_samples, np.dtype("<f8")),
+            Grouping(dampers, group_samples, np.dtype("<i4")),
         )
         self._events: deque[tuple[float, int, str, float]] = deque()
         self._n_events = 0
         self._recent_groups: dict[int, Group] = {}
-        # Rows of the displacements and of the gaps in the first stream.
-        self._rows = np.r_[:points, len(MOTION_QUANTITIES) * points : len(MOTION_QUANTITIES) * points + dampers]
-        self._last_positions = np.zeros(len(self.drawn))
+        # Rows of displacements and gaps in the first stream.
+        self._position_rows = np.r_[
+            :points, len(MOTION_QUANTITIES) * points : len(MOTION_QUANTITIES) * points + dampers
+        ]
+        self._last_positions = np.zeros(len(self.part_names))
         real_schema, integer_schema = block_schema(SCHEMAS["float64"][0]), block_schema(SCHEMAS["counts"][0])
         self.chunks: list[list[tuple[int, int, int]]] = []
 
@@ -100,7 +107,7 @@ class Truth:
     def take(self, number: int) -> tuple[Group | None, Group | None]:
         """Return and remove the groups of motion and of contacts with a number; None if they have no samples.
 
-        `positions` continues to use the motion.
+        The last groups of motion remain available to `positions`.
         """
         motion, contacts = (stream.complete.pop(number, None) for stream in self.streams)
         if motion is not None:
@@ -120,24 +127,26 @@ class Truth:
             if math.ceil(time * self._clock.rate) + 1 >= stop:
                 break
             self._events.popleft()
-            at = self._clock.start_ns + round(time * 1e9)
-            messages.append(Message(self._topic, at, at, event_to_json(time, damper, kind, speed), self._n_events))
+            time_ns = self._clock.start_ns + round(time * 1e9)
+            messages.append(
+                Message(self._topic, time_ns, time_ns, event_to_json(time, damper, kind, speed), self._n_events)
+            )
             self._n_events += 1
         return messages
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Return the displacements and gaps of the parts in `drawn`, in m, shape (parts, samples), at the next samples.
+        """Return displacements of points and gaps of dampers at the next samples, m, shape (parts, samples).
 
         At samples outside the last groups, the previous value is repeated.
         """
-        positions = np.empty((len(self.drawn), 1 + samples.size))
+        positions = np.empty((len(self.part_names), 1 + samples.size))
         positions[:, 0] = self._last_positions
         latest_known = np.zeros(1 + samples.size, dtype=np.int64)
         for group in self._recent_groups.values():
             for start, stop in group.spans:
                 (inside,) = np.nonzero((start <= samples) & (samples < stop))
                 latest_known[1 + inside] = 1 + inside
-                positions[:, 1 + inside] = group.samples[self._rows[:, None], samples[inside] - group.first]
+                positions[:, 1 + inside] = group.samples[self._position_rows[:, None], samples[inside] - group.first]
         positions = positions[:, np.maximum.accumulate(latest_known)]
         self._last_positions = positions[:, -1]
         return positions[:, 1:]

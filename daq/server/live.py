@@ -44,7 +44,7 @@ class LiveView:
 
     def _show(self) -> None:
         while (block := self._blocks.get()) is not None:
-            self._screen.show(*block)
+            self._screen.show_block(*block)
 
     def close(self) -> None:
         """Show the waiting blocks, and end the view."""

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from daq.drawing.palette import BACKGROUND
 
-# Time that the plots around the cursor show on each side of it, natural periods of the lowest mode.
+# Time that the plots show on each side of the time cursor, natural periods of the lowest mode.
 CURSOR_PERIODS = 2.5
 TIMELINE = "time"
 # Parent of the entities of overloaded channels.
@@ -26,7 +26,7 @@ def layout(
     plots: Sequence[tuple[str, str]],
     damper_count: int,
     overloaded_count: int,
-    lowest_hz: float,
+    lowest_mode_hz: float,
     camera: Camera,
     span_s: tuple[float, float],
     speed: float,
@@ -34,15 +34,16 @@ def layout(
     """Arrange a replay: rig and notes at the left, plots at the right.
 
     The plot at the top shows the whole recording, with the phases of the test under it. The plots below show some
-    periods of the lowest mode around the time cursor. `plots` are entity and title for each quantity of the
-    channels, the most important first. `damper_count` is the number of dampers with known gaps. `camera` is its
-    position and the point it looks at, `span_s` start and end on the timeline, `speed` the playback speed (1 is real
-    time).
+    periods of the lowest mode around the time cursor.
+
+    `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
+    of dampers with known gaps. `camera` gives its position and the point at which it looks. `span_s` is the start and
+    the end on the timeline. `speed` is the playback speed (1 is real time).
     """
-    cursor_range = _cursor_range(CURSOR_PERIODS / lowest_hz, CURSOR_PERIODS / lowest_hz)
+    cursor_range = _cursor_range(CURSOR_PERIODS / lowest_mode_hz, CURSOR_PERIODS / lowest_mode_hz)
     entity, title = plots[0]
     # Without limits the viewer shows only about a minute around the cursor.
-    begin, end = (rrb.TimeRangeBoundary.absolute(seconds=at) for at in span_s)
+    begin, end = (rrb.TimeRangeBoundary.absolute(seconds=time_s) for time_s in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
     overview = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
     phase_view = rrb.StateTimelineView(
@@ -76,7 +77,7 @@ def layout(
 def live_layout(plots: Sequence[tuple[str, str]], damper_count: int, camera: Camera) -> rrb.Blueprint:
     """Arrange a live view: rig and readings at the left, the last seconds of every curve at the right.
 
-    `plots` are entity and title for each quantity of the channels; `camera` is its position and the point it looks at.
+    `plots` and `camera` are as in `layout`.
     """
     latest_range = _cursor_range(LIVE_SPAN_S, 0.0)
     right_column: list[rrb.View] = [_curve_view(entity, title, latest_range) for entity, title in plots]
@@ -121,7 +122,7 @@ def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.Tim
 
 
 def _cursor_range(before_s: float, after_s: float) -> rrb.TimeRange:
-    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=at) for at in (-before_s, after_s))
+    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=time_s) for time_s in (-before_s, after_s))
     return rrb.TimeRange(start=start, end=end)
 
 

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
     from daq.viewing.recorded_motion import RecordedMotion
 
-# Largest number of listed gaps.
-_MAX_LISTED_GAPS = 10
+# Largest number of listed segments of lost samples.
+_MAX_LISTED_SEGMENTS = 10
 _SAMPLING_TEXTS = {
-    "point": "samples at instants",
-    "average": "samples are averages over their intervals",
-    "filter": "samples behind a decimation filter",
+    "point": "instantaneous samples",
+    "average": "samples averaged over the sample interval",
+    "filter": "samples after a decimation filter",
 }
 
 
@@ -83,7 +83,7 @@ class Info(Result):
 
 
 def info(path: str | Path, check: bool = False) -> Info:
-    """Describe a recording without reading its samples.
+    """Describe a recording. Its samples are read only for `check`.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def info(path: str | Path, check: bool = False) -> Info:
 
 
 def describe(recording: Recording) -> Iterator[str]:
-    """Yield the lines that describe an open recording, without facts that are missing in the file."""
+    """Yield the lines that describe an open recording; lines whose content the file lacks are left out."""
     size = recording.path.stat().st_size
     run, outcome = recording.metadata.get("run", {}), recording.metadata.get("outcome", {})
     yield f"{recording.path}: {_duration(recording)}, {size / 1e6:.1f} MB, {recording.status}"
@@ -128,32 +128,33 @@ def describe(recording: Recording) -> Iterator[str]:
         yield f"  imported  from {recording.source}"
     yield f"  rate      {recording.rate:.10g} Hz, stored as {recording.stored}"
     name_width = max(map(len, recording.channels))
-    for number, (name, info) in enumerate(recording.channels.items()):
+    for number, (name, channel) in enumerate(recording.channels.items()):
         label = "channels" if number == 0 else ""
-        sensor = f"{info.quantity}, {info.sensitivity:.6g} V per {info.unit}"
-        sampling = _SAMPLING_TEXTS[info.sampling]
-        yield f"  {label:9} {name:{name_width}}  {_position(recording, info.at)}, {sensor}, {sampling}"
+        sensor = f"{channel.quantity}, {channel.sensitivity:.6g} V per {channel.unit}"
+        sampling = _SAMPLING_TEXTS[channel.sampling]
+        yield f"  {label:9} {name:{name_width}}  {_position(recording, channel.at)}, {sensor}, {sampling}"
     if recording.truth_points:
         points, events = ", ".join(recording.truth_points), recording.events.size
-        yield f"  truth     of {points}; {events} changes of contact"
+        yield f"  truth     motion of {points}; {events} contact events"
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
-    gaps = recording.gaps
-    yield f"  lost      {_count_segments(len(gaps))}{_void_note(recording)}"
-    for gap in gaps[:_MAX_LISTED_GAPS]:
-        first, last = gap.first_sample / recording.rate, (gap.last_sample + 1) / recording.rate
-        yield f"            {first:.6g} s to {last:.6g} s of {', '.join(gap.channels)}: {gap.reason}"
-    if len(gaps) > _MAX_LISTED_GAPS:
-        yield f"            and {len(gaps) - _MAX_LISTED_GAPS} more"
+    lost_segments = recording.gaps
+    yield f"  lost      {_count_segments(len(lost_segments))}{_lost_range_note(recording)}"
+    for segment in lost_segments[:_MAX_LISTED_SEGMENTS]:
+        first, last = segment.first_sample / recording.rate, (segment.last_sample + 1) / recording.rate
+        yield f"            {first:.6g} s to {last:.6g} s of {', '.join(segment.channels)}: {segment.reason}"
+    if len(lost_segments) > _MAX_LISTED_SEGMENTS:
+        yield f"            and {len(lost_segments) - _MAX_LISTED_SEGMENTS} more"
 
 
 def _count_segments(count: int) -> str:
     if count == 0:
-        return "none noted"
+        return "none marked"
     return "1 segment of samples" if count == 1 else f"{count} segments of samples"
 
 
-def _void_note(recording: Recording) -> str:
+def _lost_range_note(recording: Recording) -> str:
+    """Return the error of a recording that lacks almost all samples; an empty text for others."""
     try:
         recording.refuse_void(0, recording.samples)
     except RecordingError as error:
@@ -178,7 +179,7 @@ def _position(recording: Recording, at: str) -> str:
 
 def _scene(recording: Recording) -> str:
     try:
-        return recording.outline.scene
+        return recording.outline.scene_name
     except ShotrigError as error:
         return f"not usable: {str(error).splitlines()[0]}"
 
@@ -190,7 +191,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
         f"# {escape_markdown(scene.name)}",
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
-        f"## In the drawing, motion is {view.exaggeration:g} times as large",
+        f"## Drawing: motion is magnified {view.exaggeration:g} times",
         *[f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:
@@ -208,7 +209,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             lines.append(
                 f"| {number} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
-                f"| {'grains' if damper.grains else 'instant' if damper.contact is None else 'finite'} |"
+                f"| {'grains' if damper.grains else 'instantaneous' if damper.contact is None else 'finite-duration'} |"
             )
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():
@@ -217,7 +218,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
             f"| {info.sensitivity:.4g} |"
         )
     if recording.gaps:
-        lost = sum(gap.last_sample + 1 - gap.first_sample for gap in recording.gaps)
-        lines += ["", f"**{lost} samples lost, in {len(recording.gaps)} gap(s)** (see the markers)"]
+        lost = sum(segment.last_sample + 1 - segment.first_sample for segment in recording.gaps)
+        lines += ["", f"**{lost} samples lost, in {_count_segments(len(recording.gaps))}** (see the markers)"]
     lines += ["", "## Scene", code_fence(scene.to_yaml().rstrip(), "yaml")]
     return "\n".join(lines) + "\n"

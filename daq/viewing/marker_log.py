@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
+# Units of the fields of markers.
 FIELD_UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
 WARNING_KINDS = ("overload", "gap", "lost", "abort", "double_hit", "level")
+# Kinds of markers that do not form a phase of the test.
 NOT_PHASE_KINDS = ("overload", "alarm", "level")
 PHASE_COLORS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
 OTHER_PHASE_COLOR = 0x7A6AA8FF
@@ -57,10 +59,12 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
     A phase is a segment with a marker. It ends where the next phase begins. The phase of a hit includes its decay.
     Overloads, alarms and levels are not phases.
     """
-    found: list[LabeledSegment] = []
-    segments = [m for m in recording.markers if m.last_sample is not None and m.kind not in NOT_PHASE_KINDS]
-    hits = sorted(marker.first_sample for marker in segments if marker.kind == "hit")
-    for marker in sorted(segments, key=lambda marker: marker.first_sample):
+    phases_so_far: list[LabeledSegment] = []
+    markers = [
+        marker for marker in recording.markers if marker.last_sample is not None and marker.kind not in NOT_PHASE_KINDS
+    ]
+    hits = sorted(marker.first_sample for marker in markers if marker.kind == "hit")
+    for marker in sorted(markers, key=lambda marker: marker.first_sample):
         end = marker.stop
         if marker.kind == "hit":
             next_hits = [hit for hit in hits if hit > marker.first_sample]
@@ -72,10 +76,10 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
         if marker.kind == "hit":
             label = f"hit {hits.index(marker.first_sample) + 1}"
         first, last = max(start, marker.first_sample), min(stop, end)
-        if found and found[-1].stop > first:
-            found[-1] = found[-1]._replace(stop=first)
-        found.append(LabeledSegment(first, last, label, PHASE_COLORS.get(marker.kind, OTHER_PHASE_COLOR)))
-    return [phase for phase in found if phase.stop > phase.start]
+        if phases_so_far and phases_so_far[-1].stop > first:
+            phases_so_far[-1] = phases_so_far[-1]._replace(stop=first)
+        phases_so_far.append(LabeledSegment(first, last, label, PHASE_COLORS.get(marker.kind, OTHER_PHASE_COLOR)))
+    return [phase for phase in phases_so_far if phase.stop > phase.start]
 
 
 def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[LabeledSegment]]:

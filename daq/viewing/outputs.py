@@ -112,17 +112,18 @@ def draw_picture(
     progress: FractionProgress | None = None,
     size: tuple[int, int] = (1600, 1000),
 ) -> float:
-    """Draw a replay into a PNG file without a window; return the instant that was drawn, s.
+    """Draw a replay into a PNG file without a window; return the drawn time, s.
 
-    `at_s` counts from the start of the recording; None takes `most_motion_s`. `size` is in pixels. Raises `SceneError`
-    for another suffix or an instant outside the replay, `RunError` if no picture can be drawn or written.
+    `at_s` counts from the start of the recording; None takes `largest_motion_s`. `size` is in pixels.
+
+    Raises `SceneError` for another suffix or a time outside the replay, `RunError` if the picture cannot be made.
     """
     _check_suffix(file, ".png", "--screenshot")
     rate = replay.recording.rate
-    at = replay.most_motion_s if at_s is None else at_s
-    if not replay.start / rate <= at <= replay.stop / rate:
+    time_s = replay.largest_motion_s if at_s is None else at_s
+    if not replay.start / rate <= time_s <= replay.stop / rate:
         raise SceneError(
-            f"--at {at:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
+            f"--at {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
         )
     source = ("replay", *relative_paths([replay.recording.path], file.parent))
     with output_source(*source):
@@ -131,14 +132,14 @@ def draw_picture(
         rrd_path = Path(folder) / "replay.rrd"
         save(replay, rrd_path, progress)
         png, views = headless_picture(
-            rrd_path, at - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
+            rrd_path, time_s - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
     with output_source(*source), atomic_write(file) as part:
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
         raise RunError(f"{file} is written, but incomplete: {'; '.join(problems)}")
-    return at
+    return time_s
 
 
 def window(remedy: str) -> AbstractContextManager[Viewer]:
@@ -153,7 +154,7 @@ def show(
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
     with viewer_context as running:
         # The viewer keeps all samples in memory, or drops the oldest.
-        gigabytes = replay.values * _BYTES_PER_VALUE / 1e9
+        gigabytes = replay.n_values * _BYTES_PER_VALUE / 1e9
         if gigabytes > _NOTE_ABOVE_GB:
             print(
                 f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-# Range of the rate of drawn poses, 1/s. The maximum shows a tone of 50 Hz in slow motion.
+# Largest and smallest number of frames (drawn positions of the rig) per second of the recording. The largest shows a
+# tone of 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
 _MIN_FRAMES_PER_S = 100.0
 # Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
-# Number of poses above which their rate decreases.
+# Number of frames above which their rate is reduced.
 _MAX_FRAMES = 60_000
 
 
@@ -55,7 +56,7 @@ class Replay:
         self.stop = recording.samples if end_s is None else min(recording.samples, math.floor(end_s * rate) + 1)
         if self.stop <= self.start:
             raise SceneError(
-                f"nothing to replay: --from {begin_s} --to {end_s} contain no sample of the recording, whose length is "
+                "nothing to replay: no sample of the recording is between --from and --to; its length is "
                 f"{recording.samples / rate:.3f} s. Choose times within it."
             )
         seconds = (self.stop - self.start) / rate
@@ -63,35 +64,35 @@ class Replay:
         self.step = max(1, round(rate / frames_per_s))
         scene = recording.scene
         natural_hz = structural_model(scene).modes.frequency
-        self.lowest_hz = float(min(natural_hz[natural_hz > _MIN_MODE_HZ], default=_MIN_MODE_HZ))
+        self.lowest_mode_hz = float(min(natural_hz[natural_hz > _MIN_MODE_HZ], default=_MIN_MODE_HZ))
         self.motion = RecordedMotion(recording)
 
     @cached_property
-    def _extremes_and_sample(self) -> tuple[Extremes, int]:
-        """Largest motion of each part, and the sample number of the largest motion; reads the whole segment."""
+    def _largest_motion(self) -> tuple[Extremes, int]:
+        """Largest motion of each part, and the sample number of the largest motion of all; reads the whole segment."""
         shaker_bodies = [shaker.body for _, shaker in self.recording.scene.tables]
         extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
-        for instants, motion in self.motion.segments(self.start, self.stop, self.step):
+        for sample_numbers, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.extended_by(motion, shaker_bodies)
-            # A picture should show dampers in flight. Without dampers it should show large displacements.
+            # A picture should show dampers in flight, or without dampers large displacements.
             motion_size = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
-            if instants.size and motion_size.max() > largest_size:
-                largest_size, largest_sample = float(motion_size.max()), int(instants[motion_size.argmax()])
+            if sample_numbers.size and motion_size.max() > largest_size:
+                largest_size, largest_sample = float(motion_size.max()), int(sample_numbers[motion_size.argmax()])
         return extremes, largest_sample
 
     @cached_property
     def view(self) -> RigView:
         """The drawing of the rig, with motion magnified for this segment."""
         unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
-        return RigView(self.recording.scene, self._extremes_and_sample[0], self.motion.gaps_known, unknown)
+        return RigView(self.recording.scene, self._largest_motion[0], self.motion.gaps_known, unknown)
 
     @property
-    def most_motion_s(self) -> float:
+    def largest_motion_s(self) -> float:
         """Time of the largest gaps or displacements, s from the start of the recording."""
-        return self._extremes_and_sample[1] / self.recording.rate
+        return self._largest_motion[1] / self.recording.rate
 
     @property
-    def values(self) -> int:
+    def n_values(self) -> int:
         """Number of samples of channels and gaps in the viewer."""
         series = len(self.recording.channels) + (len(self.recording.scene.dampers) if self.motion.gaps_known else 0)
         return (self.stop - self.start) * series
@@ -102,7 +103,7 @@ class Replay:
         span = self.start / self.recording.rate, self.stop / self.recording.rate
         overloaded = len(overloads(self.recording, self.start, self.stop))
         curves = plots(self.recording.channels)
-        return layout(curves, dampers, overloaded, self.lowest_hz, self.view.camera, span, self.speed)
+        return layout(curves, dampers, overloaded, self.lowest_mode_hz, self.view.camera, span, self.speed)
 
     def send(
         self,
@@ -112,7 +113,7 @@ class Replay:
     ) -> None:
         """Send everything to a stream.
 
-        `wait_until_received`, called after each block, waits for the viewer or file and so bounds the memory.
+        `wait_until_received` is called after each block. It waits for the viewer or file, which limits the memory.
         """
         from daq.viewing.spectrum_picture import spectrum_picture
 
@@ -144,11 +145,11 @@ class Replay:
             wait_until_received()
             if progress is not None:
                 progress(0.8 * (last - self.start) / total, "channels")
-        for instants, motion in self.motion.segments(self.start, self.stop, self.step):
-            sender.send_motion(self.view, instants, motion)
+        for sample_numbers, motion in self.motion.segments(self.start, self.stop, self.step):
+            sender.send_motion(self.view, sample_numbers, motion)
             wait_until_received()
-            if progress is not None and instants.size:
-                progress(0.8 + 0.2 * (int(instants[-1]) - self.start) / total, "motion")
+            if progress is not None and sample_numbers.size:
+                progress(0.8 + 0.2 * (int(sample_numbers[-1]) - self.start) / total, "motion")
 
     @staticmethod
     def _send_segments(

@@ -36,8 +36,8 @@ _MAX_LOAD_S = 300.0
 # Interval between checks of the viewer's state, s.
 _POLL_S = 0.1
 # A picture is complete when it has been unchanged for this time, s, and for this multiple of its drawing time.
-_MIN_STILL_S = 2.0
-_STILL_DRAWING_TIMES = 5
+_MIN_UNCHANGED_S = 2.0
+_MIN_UNCHANGED_DRAWINGS = 5
 # Size of the pictures that are compared for changes, points.
 _COMPARED_POINTS = 800
 # Largest difference between the duration that the viewer reports and that of the recording, s.
@@ -133,7 +133,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
 
 @contextmanager
 def _sigterm_exits() -> Iterator[None]:
-    """Turn SIGTERM into `SystemExit`, so that the viewer is ended with this process."""
+    """Convert SIGTERM to `SystemExit`, so that the viewer is ended with this process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -256,7 +256,7 @@ def _await_unchanged_picture(client: ViewerClient) -> None:
             previous, unchanged_since = current, request_start
         # A viewer that draws slowly also needs longer for the next part of the picture.
         elif request_start - unchanged_since >= max(
-            _MIN_STILL_S, _STILL_DRAWING_TIMES * (time.monotonic() - request_start)
+            _MIN_UNCHANGED_S, _MIN_UNCHANGED_DRAWINGS * (time.monotonic() - request_start)
         ):
             return
         time.sleep(_POLL_S)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
 CONTACT_COLORS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
-# Quantities in the order of their plots, with the factor from SI to the shown unit, and this unit.
+# Quantities in the order of their plots: factor from SI to the displayed unit, and this unit.
 DISPLAY_UNITS = {
     "displacement": (1e3, "mm"),
     "acceleration": (1.0, "m/s²"),
@@ -69,7 +69,7 @@ class CurveSender:
         return rr.TimeColumn(TIMELINE, duration=nanoseconds)
 
     def send_channel(self, name: str, first: int, samples: NDArray[np.float64]) -> None:
-        """Send the next samples of a channel, in its unit; NaN is a gap in the curve."""
+        """Send the next samples of a channel, in its unit; the curve is interrupted at NaN."""
         quantity = self._channels[name].quantity
         times = self.time_column(np.arange(first, first + samples.size))
         columns = rr.Scalars.columns(scalars=samples * DISPLAY_UNITS[quantity][0])

@@ -22,7 +22,7 @@ import matplotlib
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
 
-from tests.soak.cases import KINDS, Bench
+from tests.soak.cases import KINDS, Workspace
 from tests.soak.command import PACKAGES, CommandResult
 
 matplotlib.use("agg")
@@ -79,11 +79,11 @@ def main() -> int:
     try:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder, progress_bar() as progress:
             print("recording the files to damage", file=sys.stderr)
-            bench = Bench(Path(folder))
+            workspace = Workspace(Path(folder))
             for kind in options.only or KINDS:
                 tallies[kind] = Tally()
                 numbers = range(options.seed, options.seed + (options.cases or CASES[kind]))
-                run_cases(bench, kind, numbers, 60.0 * options.minutes, tallies[kind], progress)
+                run_cases(workspace, kind, numbers, 60.0 * options.minutes, tallies[kind], progress)
     except KeyboardInterrupt:
         print("\ninterrupted; results of the finished cases:")
         print_table(tallies)
@@ -93,7 +93,7 @@ def main() -> int:
 
 
 def run_cases(
-    bench: Bench, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
+    workspace: Workspace, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
 ) -> None:
     """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
@@ -101,7 +101,7 @@ def run_cases(
     for number in numbers:
         if time.monotonic() > deadline:
             break
-        tally.add(number, *KINDS[kind](bench, random.Random(number)))
+        tally.add(number, *KINDS[kind](workspace, random.Random(number)))
         progress.update(task, advance=1, refresh=True)
 
 

@@ -1,6 +1,6 @@
 """Kinds of cases: functions that inject a random fault into a command and check its files afterwards.
 
-Each returns the result of the command and the faults of the files. A kind draws all random choices from ``rng``.
+Each function returns the result of the command and the faults of the files. It draws all random choices from ``rng``.
 """
 
 from __future__ import annotations
@@ -75,14 +75,14 @@ RECORDING_NAMES = (
 )
 
 
-class Bench:
+class Workspace:
     """Undamaged scenes, recordings and files of other programs, and a folder in which commands run."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder / "work"
-        self.scenes = {}
-        self.undamaged = {}
-        # Duration of the recording command for each scene, s.
+        # Scene file, undamaged recording, and duration of the recording command, by index in `scenes.VALID_SCENES`.
+        self.scenes: dict[int, Path] = {}
+        self.undamaged: dict[int, Path] = {}
         self.recording_seconds: dict[int, float] = {}
         for number in (0, 1, 3):
             self.scenes[number] = folder / f"scene{number}.yaml"
@@ -95,7 +95,7 @@ class Bench:
         self.foreign_files = {}
         for name, (ending, write, _) in files.WRITERS.items():
             path = folder / f"foreign-{name.replace(' ', '-')}{ending}"
-            write(path, files.histories())
+            write(path, files.random_samples())
             self.foreign_files[path.suffix, name] = path.read_bytes()
 
     def clear(self) -> Path:
@@ -125,30 +125,30 @@ class Bench:
         return []
 
 
-def interrupt_recording(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
-    """Kill or interrupt `daq record` at a random time; its file must be intact, be it the old one or the new one."""
-    number, folder = rng.choice((0, 1, 3)), bench.clear()
+def interrupt_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
+    """Kill or interrupt `daq record` at a random time; the old or the new file must be intact."""
+    number, folder = rng.choice((0, 1, 3)), workspace.clear()
     overwrite = rng.random() < 0.5
     if overwrite:
-        shutil.copy(bench.undamaged[number], folder / "r.mcap")
+        shutil.copy(workspace.undamaged[number], folder / "r.mcap")
     signal_number = rng.choice((signal.SIGKILL, signal.SIGKILL, *TERMINATION_SIGNALS))
-    # A new process imports first, as for a user. A fork is much quicker.
+    # A new process first imports the packages, as for a user; a fork is much faster.
     new_process = rng.random() < 0.3
-    duration = bench.recording_seconds[number] + (bench.startup_seconds if new_process else 0.0)
+    duration = workspace.recording_seconds[number] + (workspace.startup_seconds if new_process else 0.0)
     send_signal = signal_sender(signal_number, rng.uniform(0.0, 1.2) * duration)
-    words = ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", *(["--overwrite"] if overwrite else [])]
+    words = ["daq", "record", str(workspace.scenes[number]), "-o", "r.mcap", *(["--overwrite"] if overwrite else [])]
     result = _without_signal_effects(
         (run_new_process if new_process else run)(words, folder, on_poll=send_signal), signal_number
     )
     faults = []
     for path in sorted(folder.iterdir()):
         if path.name == "r.mcap" and (overwrite or "interrupted" in result.output):
-            faults += bench.recording_faults(path, number)
+            faults += workspace.recording_faults(path, number)
         elif path.stat().st_size > 8:
             recovered = run(["daq", "recover", path.name, "-o", "fixed.mcap", "--overwrite"], folder)
             faults += recovered.faults
             if recovered.code == 0:
-                faults += bench.recording_faults(folder / "fixed.mcap", number)
+                faults += workspace.recording_faults(folder / "fixed.mcap", number)
             elif "nothing can be recovered" not in recovered.output:
                 faults.append("not recovered")
     if overwrite and not (folder / "r.mcap").exists():
@@ -156,26 +156,26 @@ def interrupt_recording(bench: Bench, rng: random.Random) -> tuple[CommandResult
     return result, faults
 
 
-def interrupt_startup(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def interrupt_startup(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Interrupt a command while Python starts and imports; existing files must not change."""
-    folder = bench.clear()
-    shutil.copy(bench.undamaged[0], folder / "r.mcap")
+    folder = workspace.clear()
+    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.valid_scene(rng))
     signal_number = rng.choice((signal.SIGTERM, signal.SIGINT, signal.SIGINT))
-    send_signal = signal_sender(signal_number, rng.uniform(0.0, 2.0) * bench.startup_seconds)
+    send_signal = signal_sender(signal_number, rng.uniform(0.0, 2.0) * workspace.startup_seconds)
     words = scenes.scene_command("s.yaml", rng) if rng.random() < 0.3 else _reading_command(rng)
     result = _without_signal_effects(
         run_new_process(words, folder, send_signal, module=rng.random() < 0.5), signal_number
     )
-    return result, bench.recording_faults(folder / "r.mcap", 0) if words[1] != "record" else []
+    return result, workspace.recording_faults(folder / "r.mcap", 0) if words[1] != "record" else []
 
 
-def interrupt_study(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def interrupt_study(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Interrupt a study with all its workers, as a terminal does; no process may print a traceback or remain."""
-    folder = bench.clear()
+    folder = workspace.clear()
     (folder / "s.yaml").write_text(yaml.safe_dump(scenes.VALID_SCENES[0]))
     signal_number, groups = rng.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM)), []
-    signal_time = rng.uniform(0.5, 8.0) * bench.startup_seconds
+    signal_time = rng.uniform(0.5, 8.0) * workspace.startup_seconds
 
     def send_signal(process: int, seconds: float) -> None:
         if seconds > signal_time and not groups:
@@ -213,28 +213,28 @@ def _without_signal_effects(result: CommandResult, signal_number: signal.Signals
     return replace(result, code=0 if result.code in (-signal_number, -signal.SIGINT) else result.code, output=output)
 
 
-def damage_recording(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Read a damaged recording, mostly to recover it over another file; no sample may be wrong, no file lost."""
-    number, folder = rng.choice((0, 1, 3)), bench.clear()
-    (folder / "r.mcap").write_bytes(recordings.damage(bench.undamaged[number].read_bytes(), rng))
-    shutil.copy(bench.undamaged[number], folder / "f.mcap")
+    number, folder = rng.choice((0, 1, 3)), workspace.clear()
+    (folder / "r.mcap").write_bytes(recordings.damage(workspace.undamaged[number].read_bytes(), rng))
+    shutil.copy(workspace.undamaged[number], folder / "f.mcap")
     words = _reading_command(
         rng,
         (READING_COMMANDS[0], READING_COMMANDS[2], READING_COMMANDS[2], READING_COMMANDS[2], *READING_COMMANDS[1:]),
     )
     result = run(words, folder)
-    faults = bench.recording_faults(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
+    faults = workspace.recording_faults(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]
     if words[1] == "info" and "--check" in words and result.code == 0:
-        faults += bench.recording_faults(folder / "r.mcap", number)
+        faults += workspace.recording_faults(folder / "r.mcap", number)
     return result, faults
 
 
-def fill_disk(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def fill_disk(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Limit the size of files, as a full disk does; the existing recording must stay intact."""
-    number, folder = rng.choice((0, 1, 3)), bench.clear()
-    shutil.copy(bench.undamaged[number], folder / "r.mcap")
+    number, folder = rng.choice((0, 1, 3)), workspace.clear()
+    shutil.copy(workspace.undamaged[number], folder / "r.mcap")
     max_bytes = int(10 ** rng.uniform(1, 6))
-    record = ["daq", "record", str(bench.scenes[number]), "-o", "r.mcap", "--overwrite"]
+    record = ["daq", "record", str(workspace.scenes[number]), "-o", "r.mcap", "--overwrite"]
     words = record if rng.random() < 0.1 else _reading_command(rng, READING_COMMANDS[2:])
 
     def limit() -> None:
@@ -244,23 +244,23 @@ def fill_disk(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str
         resource.setrlimit(resource.RLIMIT_FSIZE, (max_bytes, max_bytes))
 
     result = run(words, folder, prepare=limit)
-    faults = bench.recording_faults(folder / "r.mcap", number) if (folder / "r.mcap").exists() else ["file lost"]
+    faults = workspace.recording_faults(folder / "r.mcap", number) if (folder / "r.mcap").exists() else ["file lost"]
     return result, faults
 
 
-def use_invalid_scene(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def use_invalid_scene(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Run a command with an invalid scene and invalid options."""
-    folder = bench.clear()
+    folder = workspace.clear()
     (folder / "s.yaml").write_text(scenes.invalid_scene(rng))
     return run(scenes.scene_command("s.yaml", rng), folder), []
 
 
-def use_rare_command(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def use_rare_command(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Run a rarely used command with invalid options, in half of the cases on an invalid scene."""
-    folder = bench.clear()
+    folder = workspace.clear()
     (folder / "s.yaml").write_text((scenes.invalid_scene if rng.random() < 0.5 else scenes.valid_scene)(rng))
-    shutil.copy(bench.undamaged[0], folder / "r.mcap")
-    (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign_files.items() if end == ".csv"))
+    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    (folder / "x.csv").write_bytes(next(data for (end, _), data in workspace.foreign_files.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT_SCRIPT)
     words = scenes.rare_command("s.yaml", rng)
     # Servers and viewers run until a signal. A second signal would end them while they close their files.
@@ -268,25 +268,25 @@ def use_rare_command(bench: Bench, rng: random.Random) -> tuple[CommandResult, l
     return run(words, folder, on_poll=signal_sender(signal.SIGTERM, 15.0) if runs_forever else None), []
 
 
-def use_invalid_recording(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def use_invalid_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Run a command on a recording with invalid contents but correct checksums."""
-    folder = bench.clear()
+    folder = workspace.clear()
     name = rng.choice(RECORDING_NAMES)
-    recordings.write_invalid_recording(bench.undamaged[rng.choice((0, 1, 3))], folder / name, rng)
+    recordings.write_invalid_recording(workspace.undamaged[rng.choice((0, 1, 3))], folder / name, rng)
     return run([name if word == "r.mcap" else word for word in _reading_command(rng)], folder), []
 
 
-def use_random_command_line(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def use_random_command_line(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Run a random command line; files, folders and devices must not change."""
-    folder = bench.clear()
-    shutil.copy(bench.undamaged[0], folder / "r.mcap")
+    folder = workspace.clear()
+    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.valid_scene(rng))
-    (folder / "x.csv").write_bytes(next(data for (end, _), data in bench.foreign_files.items() if end == ".csv"))
+    (folder / "x.csv").write_bytes(next(data for (end, _), data in workspace.foreign_files.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT_SCRIPT)
     command_lines.create_odd_files(folder)
     before = command_lines.folder_contents(folder)
     words = command_lines.draw_command_line(rng)
-    # End commands that run forever, and earlier those that wait silently for their user.
+    # End commands that do not end by themselves; end those that wait silently for their user earlier.
     latest_end = 15.0 if words[1] in ("serve", "scope", "replay") else 25.0
     result = run(words, folder, on_poll=signal_sender(signal.SIGTERM, rng.uniform(5.0, latest_end)))
     return _without_signal_effects(result, signal.SIGTERM), command_lines.lost_files(
@@ -300,21 +300,21 @@ def _reading_command(rng: random.Random, commands: Sequence[str] = READING_COMMA
     return [word.format(odd=odd_numbers.pop()) if "{" in word else word for word in rng.choice(commands).split()]
 
 
-def import_damaged_file(bench: Bench, rng: random.Random) -> tuple[CommandResult, list[str]]:
+def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Import a damaged file of another program; an existing recording must survive."""
-    folder = bench.clear()
-    (ending, _), content = rng.choice(list(bench.foreign_files.items()))
+    folder = workspace.clear()
+    (ending, _), content = rng.choice(list(workspace.foreign_files.items()))
     (folder / f"x{ending}").write_bytes(recordings.damage(content, rng))
-    (folder / "s.yaml").write_text(files.bench().to_yaml())
-    shutil.copy(bench.undamaged[0], folder / "r.mcap")
+    (folder / "s.yaml").write_text(files.make_scene().to_yaml())
+    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
     words = ["daq", "import", f"x{ending}", *rng.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite")))]
     result = run(words, folder)
-    if result.code and bench.recording_faults(folder / "r.mcap", 0):
+    if result.code and workspace.recording_faults(folder / "r.mcap", 0):
         return result, ["file lost"]
     return result, []
 
 
-KINDS: dict[str, Callable[[Bench, random.Random], tuple[CommandResult, list[str]]]] = {
+KINDS: dict[str, Callable[[Workspace, random.Random], tuple[CommandResult, list[str]]]] = {
     "kills": interrupt_recording,
     "starts": interrupt_startup,
     "studies": interrupt_study,

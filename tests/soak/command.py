@@ -25,6 +25,8 @@ SILENCE_LIMIT_S = 20.0
 TIME_LIMIT_S = 60.0
 # Largest resident memory of a command.
 MEMORY_LIMIT_BYTES = 1 << 30
+# Address space of a command, so that a fault cannot exhaust the memory of the machine. Libraries reserve much of it.
+ADDRESS_SPACE_BYTES = 12 << 30
 # Interval between measurements of the CPU time of a command.
 OBSERVATION_INTERVAL_S = 0.2
 PACKAGES = ("rig", "daq", "analysis")
@@ -59,7 +61,8 @@ class CommandResult:
             names.append("silence")
         if self.memory > MEMORY_LIMIT_BYTES:
             names.append("memory")
-        # A command with progress at the time limit was killed by `_watch`: this is not a fault.
+        # Exit codes of the packages: 0 done, 1 failed, 2 bad input, 128 + number of SIGHUP, SIGINT or SIGTERM. `_watch`
+        # kills a command at the time limit; a command that has made progress until then is not at fault.
         if self.code not in (0, 1, 2, 129, 130, 143) and self.seconds < TIME_LIMIT_S:
             names.append(f"exit code {self.code}")
         if any(ord(character) < 32 and character not in "\n\t\r" for character in self.output):
@@ -94,7 +97,7 @@ def run(
     """
 
     def run_command() -> None:
-        resource.setrlimit(resource.RLIMIT_AS, (12 << 30, 12 << 30))
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE_BYTES, ADDRESS_SPACE_BYTES))
         if prepare is not None:
             prepare()
         sys.argv = list(words)
@@ -169,13 +172,8 @@ def _watch(
 ) -> CommandResult:
     """Collect the output of a child process from a pipe until it ends."""
     start = last_measurement = time.monotonic()
-    running_time, received, current_silence, longest_silence, is_open = (
-        RunningTime(process_id),
-        bytearray(),
-        0.0,
-        0.0,
-        True,
-    )
+    running_time, received, is_open = RunningTime(process_id), bytearray(), True
+    current_silence = longest_silence = 0.0
     try:
         while is_open:
             ready, _, _ = select.select([output], [], [], 0.005 if on_poll is not None else OBSERVATION_INTERVAL_S)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import checked
+from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
 from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS, invalid_scene
@@ -38,31 +38,31 @@ ODD_JSON: tuple[Any, ...] = (
 
 
 def damage(source: bytes, rng: random.Random) -> bytes:
-    """Return the bytes of a file with one to five random damages."""
+    """Return the bytes of a file, damaged at one to five random positions."""
     data = bytearray(source)
     for _ in range(rng.choice((1, 1, 1, 2, 5))):
         position = rng.randrange(len(data)) if data else 0
         kind = rng.randrange(9)
-        if kind == 0:
+        if kind == 0:  # cut off the end
             data[position:] = b""
-        elif kind == 1 and data:
+        elif kind == 1 and data:  # flip a bit
             data[position] ^= 1 << rng.randrange(8)
-        elif kind == 2:
+        elif kind == 2:  # overwrite with zeros
             size = rng.choice((1, 8, 512, 4096, 65536))
             data[position : position + size] = bytes(len(data[position : position + size]))
-        elif kind == 3:
+        elif kind == 3:  # overwrite with random bytes
             size = rng.choice((1, 9, 512, 5000))
             data[position : position + size] = rng.randbytes(len(data[position : position + size]))
-        elif kind == 4:
+        elif kind == 4:  # remove bytes
             del data[position : position + rng.choice((1, 7, 512, 4096))]
-        elif kind == 5:
+        elif kind == 5:  # insert bytes
             data[position:position] = rng.randbytes(rng.choice((1, 7, 512)))
-        elif kind == 6:
+        elif kind == 6:  # overwrite with bytes of another position
             source_position, size = rng.randrange(len(data) + 1), rng.choice((16, 512, 4096))
             data[position : position + size] = data[source_position : source_position + size]
-        elif kind == 7:
+        elif kind == 7:  # cut off the beginning
             data[:position] = b""
-        elif len(data) > position + 8:
+        elif len(data) > position + 8:  # write an extreme number, such as a length
             struct.pack_into("<Q", data, position, rng.choice((0, 1, 2**31, 2**63, 2**64 - 1, 2**40)))
     return bytes(data)
 
@@ -134,7 +134,7 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
                 key = rng.choice(list(changed))
                 changed[key] = _odd_text(rng)
                 description = f"{record}.{key} = {changed[key][:40]!r}"
-            copy.add_metadata(record, checked(changed))
+            copy.add_metadata(record, with_checksum(changed))
         scene = container.attachment(layout.SCENE_FILE) or b""
         if kind == "scene":
             scene = invalid_scene(rng).encode(errors="replace")
@@ -153,7 +153,7 @@ def _odd_text(rng: random.Random) -> str:
 
 
 def _with_odd_value(data: bytes, rng: random.Random) -> bytes:
-    """Return a JSON object with one odd value, of an existing or an additional key."""
+    """Return a JSON object with an odd value of an existing or an additional key."""
     content = json.loads(data)
     content[rng.choice([*content, "channel", "reason", "settled"])] = rng.choice((*ODD_JSON, *ODD_NUMBERS))
     return json.dumps(content).encode()
@@ -200,16 +200,16 @@ def _write_chunk(file: Any, copy: ChunkedFile, content: bytes) -> None:
         uncompressed_size=len(content),
     ).write(builder)
     file.write(builder.end())
-    copy._chunks.append(
-        records.ChunkIndex(
-            chunk_length=file.tell() - begin,
-            chunk_start_offset=begin,
-            compression="zstd",
-            compressed_size=0,
-            message_end_time=0,
-            message_index_length=0,
-            message_index_offsets=dict.fromkeys(range(1, 200), 0),
-            message_start_time=0,
-            uncompressed_size=len(content),
-        )
-    )
+    # The index claims that every channel has messages in the chunk.
+    records.ChunkIndex(
+        chunk_length=file.tell() - begin,
+        chunk_start_offset=begin,
+        compression="zstd",
+        compressed_size=0,
+        message_end_time=0,
+        message_index_length=0,
+        message_index_offsets=dict.fromkeys(range(1, 200), 0),
+        message_start_time=0,
+        uncompressed_size=len(content),
+    ).write(builder)
+    copy._chunk_indexes.append(builder.end())

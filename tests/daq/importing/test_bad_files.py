@@ -46,7 +46,7 @@ def npy_file(shape: str, descr: str = "'<f8'") -> bytes:
 
 
 def write_compressed_zeros(path: Path, numbers: int) -> None:
-    """Write an npz file that is a thousand times as large when it is unpacked."""
+    """Write an .npz file of zeros, which is a thousand times as large when it is unpacked."""
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("body1.npy", "w", force_zip64=True) as file,
@@ -107,6 +107,7 @@ def test_unusable_file_is_rejected_with_message(name, tmp_path):
         path.mkdir()
     elif BAD_FILES[name] is not None:
         path.write_bytes(BAD_FILES[name])
+    # A message is a sentence, not only a name or a number.
     assert len(rejection_message(path, tmp_path)) > 20
 
 
@@ -173,7 +174,7 @@ def test_truncated_wav_is_rejected(tmp_path):
     assert "cut off" in rejection_message(tmp_path / "a.wav", tmp_path)
 
 
-def test_uff_without_time_responses_names_the_command(tmp_path):
+def test_error_for_uff_without_time_histories_names_the_command(tmp_path):
     write_uff(tmp_path / "a.uff", random_samples(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))
@@ -254,10 +255,11 @@ def test_one_byte_numbers_take_little_memory(ending, tmp_path):
             peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
+    # The file has 3 MB of samples; as doubles they would take 24 MB.
     assert peak < 8_000_000
 
 
-def test_tdms_scaling_without_input_is_rejected(tmp_path):
+def test_tdms_channel_with_incomplete_scaling_is_rejected(tmp_path):
     scales = {"NI_Number_Of_Scales": 2, "NI_Scale[1]_Scale_Type": "Linear", "wf_increment": 1e-3}
     with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
         rows = random_samples(100).astype(np.int16)

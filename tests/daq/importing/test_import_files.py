@@ -79,10 +79,12 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
         table["body1"] = Column("1", unit="5 V", sensitivity="100 mV/g")
     recording, _ = import_recording(path, scene, tmp_path / "r.mcap", table=table)
     with recording:
-        step = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
+        # One count of 8 or 16 bits, as a ratio to full scale; 2^-22 for the finer formats.
+        tolerance = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
+        # Sensitivity of 100 mV/g in the table, 10 mV/g in the scene.
         volts1, volts2 = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
-        assert np.abs(volts1 / 5.0 - rows[0]).max() <= step
-        assert np.abs(volts2 / -2.0 - rows[1]).max() <= step
+        assert np.abs(volts1 / 5.0 - rows[0]).max() <= tolerance
+        assert np.abs(volts2 / -2.0 - rows[1]).max() <= tolerance
 
 
 def _write_24_bits(path, rows):
@@ -101,6 +103,7 @@ def _write_24_bits(path, rows):
 def test_unmarked_hits_are_detected(tmp_path):
     rows = 1e-3 * random_samples(12000)
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
+    # The pulse at 1060 is a bounce: it follows the hit at 1000 after less than 0.2 s.
     for index, amplitude in ((1000, 80.0), (1060, 20.0), (5000, 50.0), (9000, 30.0)):
         rows[2, index : index + 8] -= amplitude * pulse
     write_csv(tmp_path / "a.csv", rows)
@@ -136,7 +139,7 @@ def test_clipped_and_lost_samples_are_marked(tmp_path):
     assert any("clipped" in note for note in messages) and any("lost" in note for note in messages)
 
 
-def test_equal_peaks_of_counts_are_not_overloads(tmp_path):
+def test_equal_peaks_of_coarse_samples_are_not_overloads(tmp_path):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
     write_csv(tmp_path / "a.csv", rows)
     recording, _ = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
@@ -144,7 +147,7 @@ def test_equal_peaks_of_counts_are_not_overloads(tmp_path):
         assert not recording.overloads
 
 
-def test_long_file_is_imported_without_gap(tmp_path):
+def test_file_of_several_blocks_is_imported_completely(tmp_path):
     rows = random_samples(200_000)
     write_tdms(tmp_path / "a.tdms", rows)
     recording, _ = import_recording(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
@@ -350,7 +353,7 @@ def test_sample_rate_is_known_by_any_name(name, tmp_path):
         assert recording.rate == RATE
 
 
-def test_second_labview_segment_is_located(tmp_path):
+def test_error_locates_second_labview_segment(tmp_path):
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     segment = (
         "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
@@ -374,7 +377,8 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
 
 
-TABLES = {
+# Text of a wrong table: pattern of its error message.
+WRONG_TABLES = {
     "channels: [body1": r"no closing \]",
     "- body1": "expected a line for each channel",
     "": "names no channel",
@@ -396,11 +400,11 @@ TABLES = {
 }
 
 
-@pytest.mark.parametrize("text", TABLES)
+@pytest.mark.parametrize("text", WRONG_TABLES)
 def test_wrong_table_is_rejected_with_message(text, tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(100))
     (tmp_path / "t.yaml").write_text(text)
-    with pytest.raises(SceneError, match=TABLES[text]):
+    with pytest.raises(SceneError, match=WRONG_TABLES[text]):
         import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
     assert not (tmp_path / "r.mcap").exists()
 
@@ -443,6 +447,7 @@ def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch)
 
 def test_unit_that_contradicts_file_is_reported(tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(3000))
+    # 1 / 9.80665 = 0.102; the file is in g.
     for unit, expected_message in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
         scene = make_scene()
         if unit == "mm":

@@ -14,7 +14,7 @@ from rig.errors import RecordingError
 from tests.daq.importing.files import RATE, make_scene, write_npz
 from tests.daq.importing.test_import_files import import_recording
 
-# A mode at 40 Hz with 3 % damping: acceleration of 1 kg in m/s^2 per N.
+# Digital filter from force (N) to acceleration (m/s^2): a mode of 1 kg at 40 Hz with 3 % damping.
 OMEGA = 2 * np.pi * 40.0
 MODE_FILTER = signal.bilinear([1.0, 0.0, 0.0], [1.0, 2 * 0.03 * OMEGA, OMEGA**2], RATE)
 
@@ -45,7 +45,7 @@ def step_marks(recording: daq.Recording) -> list:
 
 
 @pytest.mark.parametrize("level", ["1 N", "[0.5 N, 2 N]"])
-def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
+def test_unmarked_steps_give_the_response_of_the_mode(level, tmp_path):
     frequencies = np.linspace(36.0, 44.0, 5)
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     write_npz(tmp_path / "a.npz", stepped_sine_samples(frequencies, levels))
@@ -59,6 +59,7 @@ def test_unmarked_steps_are_detected_with_right_response(level, tmp_path):
         assert [mark.fields["level"] for mark in steps] == np.repeat(levels, 5).tolist()
         assert {mark.fields["direction"] for mark in steps} == {"up"}
         for number, mark in enumerate(steps):
+            # Each step is 3 s at its frequency, then 0.1 s of transition. The transient of the mode takes up to 2.4 s.
             begin = round(number * 3.1 * RATE)
             assert begin < mark.first_sample and mark.end < begin + 3.02 * RATE
             assert mark.end - mark.first_sample > 0.6 * RATE and mark.fields["settled"]

@@ -87,13 +87,14 @@ def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path)
             np.testing.assert_allclose(samples[PRESENT], row[PRESENT], rtol=1e-6)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
             assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
+    # 1 + 3 + 1000 samples.
     assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in messages)
 
 
-def test_gaps_are_detected_across_pieces():
+def test_gaps_are_detected_across_blocks():
     present = np.delete(np.arange(3 * BLOCK_LINES), [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
-    pieces = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
-    assert missing_rows(pieces, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
+    blocks = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
+    assert missing_rows(blocks, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
 
 
 @pytest.mark.parametrize(
@@ -106,16 +107,16 @@ def test_gaps_are_detected_across_pieces():
     ],
     ids=["random", "half a sample", "mostly lost", "backwards"],
 )
-def test_times_without_even_steps_have_no_gaps(times):
+def test_no_gaps_in_unevenly_spaced_times(times):
     assert missing_rows([times], 0.0) == []
 
 
-@pytest.mark.parametrize("cut", [1, 4, 10, 20, 40, 48])
-def test_truncated_last_line_is_omitted(cut, tmp_path):
+@pytest.mark.parametrize("cut_bytes", [1, 4, 10, 20, 40, 48])
+def test_truncated_last_line_is_omitted(cut_bytes, tmp_path):
     path = tmp_path / "a.csv"
     write_text(path, np.arange(4000) / RATE, ROWS)
     data = path.read_bytes()
-    path.write_bytes(data[: -1 - cut])
+    path.write_bytes(data[: -1 - cut_bytes])
     recording, messages = import_recording(path, tmp_path / "r.mcap")
     with recording:
         assert recording.samples == 3999

@@ -36,12 +36,12 @@ shaker: {kind: table, body: 1, spring: 5 kN/m}
 """)
 
 
-def run_scope(scene, folder, plan, **options):
-    """Run a scope faster than real time; enter the lines of the plan at their times in s.
+def run_scope(scene, folder, line_at_time, **options):
+    """Run a scope faster than real time; enter the lines at their times in s.
 
     Returns the path of the recording and the lines that the scope reports.
     """
-    controls, lines, remaining_lines = initial_controls(scene, None, 0.0), [], sorted(plan.items())
+    controls, lines, remaining_lines = initial_controls(scene, None, 0.0), [], sorted(line_at_time.items())
     rate = float(scene.converter.rate)
 
     def enter_lines(position):
@@ -59,8 +59,8 @@ def run_scope(scene, folder, plan, **options):
 def scope_run(tmp_path_factory):
     """Return folder, recording and reported lines of a run with three settings."""
     folder = tmp_path_factory.mktemp("scope")
-    plan = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
-    path, lines = run_scope(SCENE, folder, plan)
+    line_at_time = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
+    path, lines = run_scope(SCENE, folder, line_at_time)
     return folder, path, lines
 
 
@@ -98,6 +98,7 @@ def test_displayed_curves_and_rig_match_recording(scope_run):
         displayed = np.concatenate(curve_blocks)
         assert displayed.size == recorded.size == recording.samples
         np.testing.assert_allclose(np.sort(displayed), np.sort(recorded), rtol=0, atol=1e-12)
+        # The rig is drawn 200 times per second.
         assert n_frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
     assert any("20.50 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
@@ -191,6 +192,7 @@ def test_invalid_line_keeps_the_setting(line, message):
 
 def test_knobs_start_at_the_frequency_of_the_test():
     assert initial_controls(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
+    # The scene has no test: the lowest natural frequency, 0.618 sqrt(k / m) / (2 pi) without spring and damper.
     assert initial_controls(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)
     assert initial_controls(SCENE, 33.0, 1.0).settings == (33.0, 1.0)
 

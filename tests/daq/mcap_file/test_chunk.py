@@ -8,7 +8,7 @@ import pytest
 from mcap.opcode import Opcode
 
 from daq.mcap_file import chunk as chunk_module
-from daq.mcap_file.chunk import CHUNK_HEAD, Damage, Stored, messages_in, records_in, unpack_chunk
+from daq.mcap_file.chunk import CHUNK_HEAD, Damage, StoredMessage, messages_in, records_in, unpack_chunk
 from tests.daq.mcap_file.mcap_records import COMPRESSORS, chunk, message, packed_chunk, record
 
 MESSAGE = message(1, bytes(range(40)))
@@ -52,9 +52,9 @@ def test_unpacked_size_is_limited(monkeypatch):
 def test_compression_ratio_is_limited(compression, monkeypatch):
     content = chunk(compression, bytes(10_000))
     monkeypatch.setattr(chunk_module, "_MAX_RATIO", 3)
-    monkeypatch.setattr(chunk_module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content))
+    monkeypatch.setattr(chunk_module, "_UNLIMITED_RATIO_BYTES", 10_000 - 3 * len(content))
     assert len(unpack_chunk(memoryview(content))) == 10_000
-    monkeypatch.setattr(chunk_module, "_FREE_RATIO_BYTES", 10_000 - 3 * len(content) - 1)
+    monkeypatch.setattr(chunk_module, "_UNLIMITED_RATIO_BYTES", 10_000 - 3 * len(content) - 1)
     with pytest.raises(Damage, match="claims to unpack from"):
         unpack_chunk(memoryview(content))
 
@@ -113,9 +113,10 @@ def test_records_of_a_chunk_are_read_in_order():
         (Opcode.MESSAGE, second[9:]),
     ]
     messages = messages_in(memoryview(records), len(records))
-    assert messages[0] == Stored(1, 7, 2000, 1000, memoryview(bytes(range(40))))
+    assert messages[0] == StoredMessage(1, 7, 2000, 1000, memoryview(bytes(range(40))))
     assert [bytes(each.data) for each in messages] == [bytes(range(40)), b"second " * 4]
-    [empty] = messages_in(memoryview(message(3, b"")), 31)
+    empty_message = message(3, b"")
+    [empty] = messages_in(memoryview(empty_message), len(empty_message))
     assert empty.data == b""
 
 
@@ -138,8 +139,8 @@ def test_records_foreign_to_a_chunk_are_rejected(fields):
 @pytest.mark.parametrize("stored_bytes", [0, 1, 2, 7])
 def test_more_records_than_bytes_are_rejected(monkeypatch, stored_bytes):
     monkeypatch.setattr(chunk_module, "_MAX_EXCESS_RECORDS", 3)
-    most = 3 + stored_bytes
+    max_records = 3 + stored_bytes
     empty_record = record(Opcode.SCHEMA, b"")
-    assert len(list(records_in(memoryview(empty_record * most), stored_bytes))) == most
-    with pytest.raises(Damage, match=f"more than {most} records in {stored_bytes} bytes"):
-        list(records_in(memoryview(empty_record * (most + 1)), stored_bytes))
+    assert len(list(records_in(memoryview(empty_record * max_records), stored_bytes))) == max_records
+    with pytest.raises(Damage, match=f"more than {max_records} records in {stored_bytes} bytes"):
+        list(records_in(memoryview(empty_record * (max_records + 1)), stored_bytes))

@@ -15,12 +15,12 @@ from mcap.opcode import Opcode
 from daq.mcap_file import damaged_file as damaged_file_module
 from daq.mcap_file.chunk import CHUNK_HEAD, MAGIC, RECORD_HEAD
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
-from daq.mcap_file.summary import checked
+from daq.mcap_file.summary import with_checksum
 from tests.daq.mcap_file.mcap_records import DATA_END, attachment, beginning, chunk, message, record, text
 
 BEGINNING = beginning(b"hand")
 MESSAGES = [message(1, bytes(range(40))), message(2, b"second " * 4), message(1, b"\x06\x0c\x0f" * 9)]
-FIELDS = checked({"seed": "1", "rate": "5120"})
+FIELDS = with_checksum({"seed": "1", "rate": "5120"})
 
 
 def metadata(fields):
@@ -114,7 +114,7 @@ def test_intact_file_is_read_in_order(tmp_path):
     parts = parts_of(tmp_path / "a", FILE)
     assert unreadable_in(parts) == []
     assert recovered_from(parts) == expected_of(*RECORDS)
-    assert [part.stored for part in parts] == [len(each.content) for each in RECORDS_WITH_DATA]
+    assert [part.stored_bytes for part in parts] == [len(each.content) for each in RECORDS_WITH_DATA]
 
 
 def positions_of_chunk_lengths():
@@ -168,7 +168,7 @@ def test_cut_file_keeps_all_records_before_cut(tmp_path):
         assert unreadable_in(parts) == expected
 
 
-# Around the size of the pieces in which the next record is searched, 1 MiB.
+# Around the size of the blocks in which the next record is searched, 1 MiB.
 @pytest.mark.parametrize("length", [1, 8, 9, 200, (1 << 20) - 9, (1 << 20) + 5])
 def test_record_after_foreign_bytes_is_located(tmp_path, length):
     for pattern in (b"\0", b"\xff", b"\x06\x0c\x0f\x07"):

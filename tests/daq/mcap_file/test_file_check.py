@@ -69,7 +69,7 @@ def test_flipped_bits_in_message_indexes_are_reported(intact_file: Path, tmp_pat
 def test_undetected_flipped_bits_have_no_effect(intact_file: Path, tmp_path: Path, step: int) -> None:
     data = intact_file.read_bytes()
     undetected = undetected_flips(tmp_path / "a.mcap", intact_file, list(range(0, len(data), step)))
-    # Without effect are the name of the writing program, and packed bytes that unpack to the same records.
+    # A changed program name, and packed bytes that unpack to the same records, have no effect.
     header_end = next(end for opcode, _, end in record_spans(data) if opcode == Opcode.HEADER)
     program_name = range(data.index(b"shotrig"), header_end)
     assert len([position for position in undetected if position not in program_name]) < 0.001 * len(data) + 1

@@ -21,6 +21,9 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array
 
 RATE = 2560.0  # Hz
+# Sensitivities of the two channels.
+VOLTS_PER_METER = 500.0  # body1
+VOLTS_PER_ACCELERATION = 0.01  # body2, V per m/s^2
 FLUSH_LENGTH = 1280  # Samples that the recorder writes to the disk together at this rate.
 CONVERTER_24_BIT = {"converter": {"rate": RATE, "bits": 24, "range": 5.0}}
 DISPLAY_AND_TRUTH = {"display": True, "truth": True}
@@ -34,11 +37,11 @@ def make_scene(**changes: Any) -> rig.Scene:
 
 
 def two_channels(rate: float = RATE, counts: bool = False) -> list[ChannelInfo]:
-    """Return a displacement channel of body 1 (500 V/m) and an acceleration channel of body 2 (10 mV per m/s^2)."""
+    """Return a displacement channel of body 1 and an acceleration channel of body 2."""
     volts_per_count = 10.0 / 2**24 if counts else None
     return [
-        ChannelInfo("body1", "body 1", "displacement", 500.0, rate, volts_per_count=volts_per_count),
-        ChannelInfo("body2", "body 2", "acceleration", 0.01, rate, volts_per_count=volts_per_count),
+        ChannelInfo("body1", "body 1", "displacement", VOLTS_PER_METER, rate, volts_per_count=volts_per_count),
+        ChannelInfo("body2", "body 2", "acceleration", VOLTS_PER_ACCELERATION, rate, volts_per_count=volts_per_count),
     ]
 
 
@@ -54,7 +57,7 @@ def write_recording(
     piece_lengths: list[int] | None = None,
     rate: float = RATE,
 ) -> Path:
-    """Record volts or counts (2 channels, samples) in pieces whose lengths repeat; by default in one piece."""
+    """Record volts or counts (2 channels, samples) in pieces; their lengths repeat, by default there is one piece."""
     counts = np.issubdtype(samples.dtype, np.integer)
     scene = make_scene() if scene is None else scene
     lengths = itertools.cycle(piece_lengths or [samples.shape[1]])

@@ -16,9 +16,17 @@ from daq.recording import committed_file
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from rig.errors import RecordingError, RunError
-from tests.daq.recording.recordings import FLUSH_LENGTH, RATE, make_scene, random_volts, two_channels, write_recording
+from tests.daq.recording.recordings import (
+    FLUSH_LENGTH,
+    RATE,
+    VOLTS_PER_ACCELERATION,
+    VOLTS_PER_METER,
+    make_scene,
+    random_volts,
+    two_channels,
+    write_recording,
+)
 
-VOLTS_PER_METER, VOLTS_PER_METER_PER_SECOND_SQUARED = 500.0, 0.01  # Sensitivities of the two channels.
 # Voltages of two channels, shape (2, samples).
 OLD, NEW = random_volts(FLUSH_LENGTH, seed=1), random_volts(2 * FLUSH_LENGTH, seed=2)
 
@@ -33,7 +41,7 @@ def volts(path: Path) -> np.ndarray:
     with daq.open(path) as recording:
         recording.check()
         displacement, acceleration = recording.read("body1"), recording.read("body2")
-    return np.array([displacement * VOLTS_PER_METER, acceleration * VOLTS_PER_METER_PER_SECOND_SQUARED])
+    return np.array([displacement * VOLTS_PER_METER, acceleration * VOLTS_PER_ACCELERATION])
 
 
 def names_in_folder_of(path: Path) -> list[str]:

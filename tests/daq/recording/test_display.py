@@ -14,6 +14,8 @@ from tests.daq.recording.recordings import (
     DISPLAY_AND_TRUTH,
     ONE_DAMPER,
     RATE,
+    VOLTS_PER_ACCELERATION,
+    VOLTS_PER_METER,
     make_scene,
     messages_of,
     random_volts,
@@ -22,7 +24,10 @@ from tests.daq.recording.recordings import (
     write_recording,
 )
 
-EXAGGERATION = 20.0  # Of the drawn motion in these scenes.
+EXAGGERATION = 20.0  # factor on the drawn motion in these scenes
+# Samples per display sample: at 2560 Hz, every 11th sample gives the largest display rate below 250 Hz.
+DISPLAY_STEP = 11
+HALF_FILTER_LENGTH = 8 * DISPLAY_STEP  # of the anti-aliasing filter, samples
 DISPLAY_SCENE = make_scene(recording={"display": True})
 DAMPER_SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
@@ -43,20 +48,20 @@ def test_waveform_is_filtered_against_aliasing(tmp_path):
     t = np.arange(8000) / RATE
     volts = np.sin(2 * np.pi * 30.0 * t) + np.sin(2 * np.pi * 210.0 * t)
     times, values = display_of(tmp_path / "a.mcap", np.array([volts, volts]), "/display/body1")
-    assert np.diff(times) == pytest.approx(11 / RATE, abs=2e-9)
-    # Every 11th sample is displayed, so that 210 Hz would be aliased to 23 Hz.
+    assert np.diff(times) == pytest.approx(DISPLAY_STEP / RATE, abs=2e-9)
+    # The display rate is 233 Hz, so that 210 Hz would be aliased to 23 Hz.
     has_full_filter = (times > 0.1) & (times < 3.0)
-    error = values[has_full_filter] - np.sin(2 * np.pi * 30.0 * times[has_full_filter]) / 500.0
-    assert np.abs(error).max() < 1e-3 / 500.0
+    error = values[has_full_filter] - np.sin(2 * np.pi * 30.0 * times[has_full_filter]) / VOLTS_PER_METER
+    assert np.abs(error).max() < 1e-3 / VOLTS_PER_METER
     assert times[0] == 0.0
-    assert times[-1] > (8000 - 12) / RATE
+    assert times[-1] > (8000 - DISPLAY_STEP - 1) / RATE
 
 
 def test_levels_are_rms_and_peak_of_blocks(tmp_path):
     samples = random_volts(1000)
     for suffix, expected in (("rms", lambda x: np.sqrt(np.mean(x**2))), ("peak", lambda x: np.abs(x).max())):
         _, values = display_of(tmp_path / suffix, samples, f"/display/body2/{suffix}")
-        blocks = [samples[1, start : min(start + 256, 1000)] / 0.01 for start in range(0, 1000, 256)]
+        blocks = [samples[1, start : min(start + 256, 1000)] / VOLTS_PER_ACCELERATION for start in range(0, 1000, 256)]
         assert values == pytest.approx([expected(block) for block in blocks], rel=1e-12)
 
 
@@ -68,7 +73,7 @@ def test_waveform_restarts_after_a_gap(tmp_path):
     messages = messages_of(tmp_path / "a.mcap", "/display/body1")
     samples = np.array([round(message.log_time * 1e-9 * RATE) for message in messages])
     assert not ((samples >= 2000) & (samples < 7000)).any()
-    volts = np.array([number_of(message) for message in messages]) * 500.0
+    volts = np.array([number_of(message) for message in messages]) * VOLTS_PER_METER
     assert volts == pytest.approx(np.where(samples < 2000, 1.0, 3.0), rel=1e-3)
 
 
@@ -89,7 +94,7 @@ def transforms(path):
 
 def test_displacement_channel_moves_its_body(tmp_path):
     t = np.arange(6000) / RATE
-    volts = 1e-3 * 500.0 * np.sin(2 * np.pi * 10.0 * t)
+    volts = 1e-3 * VOLTS_PER_METER * np.sin(2 * np.pi * 10.0 * t)
     path = write_recording(tmp_path / "a.mcap", np.array([volts, 0 * volts]), DISPLAY_SCENE)
     times, links = transforms(path)
     parent, heights = links["body_1"]
@@ -107,7 +112,7 @@ def test_displacement_channel_moves_its_body(tmp_path):
 def test_acceleration_alone_moves_its_body(tmp_path):
     t = np.arange(16000) / RATE
     omega = 2 * np.pi * 10.0  # rad/s
-    volts = -0.01 * omega**2 * 1e-3 * np.sin(omega * t)  # A displacement amplitude of 1 mm.
+    volts = -VOLTS_PER_ACCELERATION * omega**2 * 1e-3 * np.sin(omega * t)  # A displacement amplitude of 1 mm.
     path = write_recording(tmp_path / "a.mcap", np.array([0 * volts, volts]), DISPLAY_SCENE)
     times, links = transforms(path)
     is_settled = (times > 4.0) & (times < 6.0)
@@ -140,7 +145,7 @@ def test_damper_without_truth_keeps_its_position(tmp_path):
     samples = np.rint(times * RATE)
     gap = np.array(links["damper_1"][1]) - links["damper_1"][1][0]
     # The anti-aliasing filter returns its last samples only when acquisition resumes, long after their truth.
-    is_missing = (samples > 2000 - 8 * 11) & (samples < 2000)
+    is_missing = (samples > 2000 - HALF_FILTER_LENGTH) & (samples < 2000)
     assert np.count_nonzero(is_missing) > 2
     assert gap[is_missing] == pytest.approx(gap[np.flatnonzero(is_missing)[0] - 1], abs=1e-12)
     assert gap[~is_missing] == pytest.approx(EXAGGERATION * 1e-9 * samples[~is_missing], abs=1e-12)

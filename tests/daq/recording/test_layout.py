@@ -106,7 +106,7 @@ def test_wrong_tag_decodes_as_protobuf_does(tag):
 def test_block_cut_within_a_sample_is_rejected():
     data = encode(Timebase(5120.0), 0, np.arange(4.0)[None, None]).tobytes()
     cut = data[:25] + bytes([7]) + data[26:34]
-    with pytest.raises(RecordingError, match="no"):
+    with pytest.raises(RecordingError, match=r"not a whole number of samples|cannot be read"):
         decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")
 
 

@@ -74,7 +74,7 @@ def test_outline_survives_metadata(name: str) -> None:
 def test_outline_names_bodies() -> None:
     scene = rig.loads("structure: {masses: {base: 4 kg, arm: 1 kg}, springs: [1 kN/m, 1 kN/m]}")
     outline = SceneOutline.of(scene)
-    assert [outline.label(place) for place in ("body 1", "body 2", "table")] == ["base", "arm", "table"]
+    assert [outline.label(point) for point in ("body 1", "body 2", "table")] == ["base", "arm", "table"]
 
 
 def test_recording_without_outline_computes_it_from_scene(tmp_path: Path) -> None:

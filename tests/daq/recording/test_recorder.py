@@ -1,4 +1,4 @@
-"""The files that `Recorder` writes, and what is left of a recording when writing or acquisition fails."""
+"""The files that `Recorder` writes, also if writing or acquisition fails."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import daq
-from daq.recording.committed_file import CommittedFile
+from daq.recording.committed_file import RESERVE, CommittedFile
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from daq.signal_chain.channel import ChannelInfo
@@ -25,6 +25,7 @@ from tests.daq.recording.recordings import (
     FLUSH_LENGTH,
     ONE_DAMPER,
     RATE,
+    VOLTS_PER_METER,
     file_size_limit,
     make_scene,
     messages_of,
@@ -62,8 +63,8 @@ def test_markers_do_not_depend_on_piece_lengths(tmp_path):
     samples = random_volts(3 * FLUSH_LENGTH)
     for name, piece_length in (("a", 3 * FLUSH_LENGTH), ("b", 64)):
         with Recorder(tmp_path / name, make_scene(recording={"display": True}), two_channels(), RATE) as recorder:
-            for window in (slice(0, 1500), slice(1500, 3 * FLUSH_LENGTH)):
-                part = samples[:, window]
+            for interval in (slice(0, 1500), slice(1500, 3 * FLUSH_LENGTH)):
+                part = samples[:, interval]
                 for first in range(0, part.shape[1], piece_length):
                     recorder.write(part[:, first : first + piece_length])
                 recorder.mark("measure", recorder.position - 900, recorder.position - 1)
@@ -157,16 +158,17 @@ def test_failing_disk_leaves_flushed_samples(tmp_path):
     daq.recover(path, tmp_path / "fixed.mcap")
     with daq.open(tmp_path / "fixed.mcap") as recording:
         assert recording.samples == 7 * FLUSH_LENGTH
-        assert recording.read("body1") == pytest.approx(samples[0, : 7 * FLUSH_LENGTH] / 500.0, rel=1e-15)
+        assert recording.read("body1") == pytest.approx(samples[0, : 7 * FLUSH_LENGTH] / VOLTS_PER_METER, rel=1e-15)
 
 
 def test_almost_full_disk_closes_the_recording(tmp_path, monkeypatch):
     samples, path = random_volts(5 * FLUSH_LENGTH), tmp_path / "a.mcap"
     usage = shutil.disk_usage(tmp_path)
+    # Three groups of half a second are on the disk.
     expected_error = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
     with expected_error, Recorder(path, make_scene(recording={"display": True}), two_channels(), RATE) as recorder:
         recorder.write(samples[:, : 3 * FLUSH_LENGTH])
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=RESERVE))
         recorder.write(samples[:, 3 * FLUSH_LENGTH :])
     with daq.open(path) as recording:
         assert recording.samples == 3 * FLUSH_LENGTH
@@ -184,7 +186,7 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
         Recorder(path, make_scene(), two_channels(), RATE) as recorder,
     ):
         recorder.write(random_volts(FLUSH_LENGTH))
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=1 << 20))
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=RESERVE))
         # The records that close the file do not fit either.
         file_limit.enter_context(file_size_limit(path.stat().st_size))
         recorder.write(random_volts(FLUSH_LENGTH))
@@ -261,7 +263,7 @@ def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
                 flushed.append(recorders[0].position)
 
     monkeypatch.setattr("daq.recording.recorder.CommittedFile", ObservedFile)
-    recorders = []
+    recorders = []  # empty while the recorder writes the beginning of the file
     recorders.append(Recorder(path, scene, two_channels(), RATE))
     samples, first = random_volts(6 * FLUSH_LENGTH), 0
     for size in (1000, 3 * FLUSH_LENGTH, 100):

@@ -29,6 +29,8 @@ from tests.daq.recording.recordings import (
     FLUSH_LENGTH,
     ONE_DAMPER,
     RATE,
+    VOLTS_PER_ACCELERATION,
+    VOLTS_PER_METER,
     make_scene,
     random_volts,
     true_motion,
@@ -38,7 +40,7 @@ from tests.daq.recording.recordings import (
 
 # The recorder writes blocks of samples to the disk in groups of FLUSH_LENGTH samples; the last group is incomplete.
 SAMPLES = 3 * FLUSH_LENGTH + 321
-UNITS_PER_VOLT = {"body1": 1 / 500.0, "body2": 1 / 0.01}  # m/V and m/s^2/V, from the sensitivities.
+UNITS_PER_VOLT = {"body1": 1 / VOLTS_PER_METER, "body2": 1 / VOLTS_PER_ACCELERATION}
 SCENE = make_scene(recording=DISPLAY_AND_TRUTH, **ONE_DAMPER)
 
 
@@ -252,6 +254,7 @@ def test_bit_flips_are_never_read_as_samples(small_file, tmp_path):
         except RecordingError as error:
             n_rejected += 1
             assert str(path) in str(error)
+    # Only bits of unused fields, such as the name of the writing program, have no effect.
     assert n_rejected > 90
 
 
@@ -434,8 +437,8 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
         return
     with pytest.raises(
         RecordingError,
-        match=f"/raw/a: the block at sample 5 states 100 Hz, a start at 50000000 ns and a log time of {end_ns} ns; "
-        "expected 100 Hz, 50000000 ns and 70000000 ns",
+        match=f"/raw/a: the block at sample 5 states 100 Hz, start 50000000 ns, log time {end_ns} ns; "
+        r"expected 100 Hz, start 50000000 ns, log time \(end of the block\) 70000000 ns",
     ):
         daq.open(path).read("a", 5, 7)
 

@@ -139,9 +139,9 @@ def test_unmarked_missing_samples_are_reported(intact_file: Path, shift: int) ->
 def test_excessively_compressed_chunk_is_rejected() -> None:
     records = message(1, b"") * 2000
     with pytest.raises(Damage, match="more than"):
-        messages_in(memoryview(records), stored=100)
+        messages_in(memoryview(records), stored_bytes=100)
     with pytest.raises(Damage, match="does not belong in a chunk"):
-        messages_in(memoryview(record(0xEE, b"")), stored=100)
+        messages_in(memoryview(record(0xEE, b"")), stored_bytes=100)
     content = packed_chunk(b"zstd", bytes(8), size=1 << 25, checksum=0)
     with pytest.raises(Damage, match="claims to unpack"):
         unpack_chunk(memoryview(content))

@@ -99,6 +99,7 @@ def test_saved_gaps_and_contacts_match_truth(recording, saved_replay):
 def test_drawn_rig_follows_displacement_channels(recording, saved_replay):
     replay = Replay(recording)
     frames = np.arange(0, recording.samples, replay.step)
+    # At most 1000 frames per second, rounded to whole samples.
     assert 500 <= recording.rate / replay.step <= 1100
     for body in (1, 2, 3):
         time, position = saved_replay.series(f"/rig/body_{body}", "translation", width=3)
@@ -119,7 +120,7 @@ def test_saved_replay_has_markers_and_description(recording, saved_replay):
     assert f"frequency {FREQUENCY:g} Hz" in texts[index]
     (page,) = saved_replay.static["/about", "text"].to_pylist()[0]
     factor = Replay(recording).view.exaggeration
-    assert f"motion is {factor:g} times as large" in page
+    assert f"motion is magnified {factor:g} times" in page
     assert "body 1: channel body1" in page
     assert recording.scene.name in page
     assert "0.98 mm" in page
@@ -181,7 +182,7 @@ def test_accelerations_are_integrated_and_described(tmp_path):
 
 @pytest.mark.parametrize(
     ("begin", "end", "speed", "message"),
-    [(2.0, None, 1.0, "length is 1.000 s"), (0.6, 0.5, 1.0, "is after --to 0.5 s"), (None, None, 0.0, "--speed 0")],
+    [(2.0, None, 1.0, r"length is 1\.000 s"), (0.6, 0.5, 1.0, "is after --to 0.5 s"), (None, None, 0.0, "--speed 0")],
 )
 def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, message):
     with pytest.raises(SceneError, match=message):
@@ -249,6 +250,7 @@ def test_overloaded_channel_has_a_lane(tmp_path):
         save(Replay(opened, end_s=0.85), tmp_path / "overload.rrd")
     changed, states = RrdFile(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
     displayed = dict(zip(changed.round(6).tolist(), states, strict=True))
+    # Times of samples 512, 1024 and 4096; the replay ends with sample 4352, one interval before 0.850195 s.
     assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_taken_for_times
+from daq.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_used_as_times
 from daq.importing.matlab_file import MAX_DEPTH, matlab_arrays
 from daq.importing.signal import Signal
 from rig.errors import RecordingError, ShotrigError
@@ -106,7 +106,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         times = channel_rows[0].astype(float)
         has_times = len(channel_rows) > 1 and looks_like_times(times, float(times[-1]), times.size)
         if has_times:
-            warn_taken_for_times(f"{where}: its first row or column", times[1] - times[0])
+            warn_used_as_times(f"{where}: its first row or column", times[1] - times[0])
             clocks[f"{name}(1)"] = clock_of_times(times, 0.0, where)
         sample_arrays |= {
             f"{name}({number})": row for number, row in enumerate(channel_rows[int(has_times) :], 1 + has_times)
@@ -152,7 +152,9 @@ def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mappi
     start = next((scalars[key] for key in ("start_s", f"{structure}.x_values.start_value") if key in scalars), 0.0)
     for key in matching_names(_RATE_NAMES, scalars):
         if not 0 < scalars[key] < 1e12:
-            raise RecordingError(f"{path}: {key} = {scalars[key]!r}; expected a sample rate above 0, in Hz")
+            raise RecordingError(
+                f"{path}: {key} = {scalars[key]!r}; expected a sample rate above 0, in Hz. Correct it."
+            )
         return Clock(scalars[key], start)
     for key in matching_names(_INTERVAL_NAMES, scalars):
         try:

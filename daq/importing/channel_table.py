@@ -45,7 +45,9 @@ def read_table(path: Path) -> dict[str, Column]:
     try:
         text = read_file(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
+        raise SceneError(
+            f"cannot read {path}: {getattr(error, 'strerror', None) or error}. Give a YAML or CSV file."
+        ) from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
     table: dict[str, Column] = {}
     mistakes = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]

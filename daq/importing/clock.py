@@ -58,13 +58,13 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     (50000.0, 10000.0)
     >>> rate_of_interval(1e-4, 1e305)
     Traceback (most recent call last):
-    rig.errors.RecordingError: a sample interval of 0.0001 s with an error of 1e+305 s determines no rate. Add digits
+    rig.errors.RecordingError: the sample interval 0.0001 s ± 1e+305 s determines no rate. Export more digits.
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
-        raise RecordingError(f"a sample interval of {interval!r} s; expected a time above 0")
+        raise RecordingError(f"the sample interval is {interval!r} s; expected a time above 0. Correct it.")
     if max_error >= interval:
         raise RecordingError(
-            f"a sample interval of {interval!r} s with an error of {max_error!r} s determines no rate. Add digits"
+            f"the sample interval {interval!r} s ± {max_error!r} s determines no rate. Export more digits."
         )
     relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval
@@ -92,7 +92,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     """
     missing = missing_rows([times], resolution)
     if times.size < 2:
-        raise RecordingError(f"{where}: {times.size} samples; expected at least 2")
+        raise RecordingError(f"{where}: got {times.size}; expected at least 2")
     first, last = float(times[0]), float(times[-1])
     # Deviations from evenly spaced times show the rounding.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
@@ -186,7 +186,7 @@ def rate_with_gaps(
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
         warn(
             f"{where} have gaps in {places}, the first before line {missing[0][0] + 1} of the numbers: {lost_total} "
-            f"samples are missing at {rate:.6g} Hz; they are imported as lost"
+            f"samples are missing at {rate:.6g} Hz. They are imported as lost."
         )
     return rate
 
@@ -218,9 +218,9 @@ def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
     return bool((abs(first_times - first_times[0] - step * np.arange(first_times.size)) < 0.1 * step).all())
 
 
-def warn_taken_for_times(column: str, step: float) -> None:
-    """Warn that the numbers of an unnamed column are taken for times."""
-    warn(f"{column} rises evenly, by {step:.6g}: taken for times in s")
+def warn_used_as_times(column: str, step: float) -> None:
+    """Warn that the numbers of an unnamed column are used as times."""
+    warn(f"{column} rises evenly, by {step:.6g}, and is used as times in s. If it is a signal, give it a name.")
 
 
 def warn(text: str) -> None:

@@ -55,7 +55,7 @@ Decoder = Callable[[bytes], Mapping[str, Any]]
 
 
 @dataclass
-class _Field:
+class _TopicField:
     """A field of a topic."""
 
     values: array[float] = field(default_factory=lambda: array("d"))  # numbers of all messages
@@ -87,8 +87,10 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         )
     fields_per_topic = Counter(topic for topic, _ in reader.fields)
     return [
-        _signal(path, number, f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic, field, reader.units[topic])
-        for number, ((topic, name), field) in enumerate(reader.fields.items(), 1)
+        _signal(
+            path, number, f"{topic}.{name}" if fields_per_topic[topic] > 1 else topic, topic_field, reader.units[topic]
+        )
+        for number, ((topic, name), topic_field) in enumerate(reader.fields.items(), 1)
     ]
 
 
@@ -100,7 +102,7 @@ class _TopicReader:
         self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._decoders: dict[int, Decoder | None] = {}
         self._in_memory = 0
-        self.fields: dict[tuple[str, str], _Field] = {}
+        self.fields: dict[tuple[str, str], _TopicField] = {}
         self.units: dict[str, str] = {}
 
     def read(self, file: IO[bytes]) -> None:
@@ -118,18 +120,18 @@ class _TopicReader:
             opcode, content = record_at(read, position, end, end)
             position += RECORD_HEAD.size + len(content)
             if opcode != Opcode.CHUNK:
-                self._record(opcode, content, len(content))
+                self._process_record(opcode, content, len(content))
                 continue
             size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
             self._require_memory(size + len(content))
             records = unpack_chunk(content, largest=size)
             for inner_opcode, inner_content in records_in(records, len(records)):
-                self._record(inner_opcode, inner_content, len(content) + len(records))
+                self._process_record(inner_opcode, inner_content, len(content) + len(records))
 
     def _require_memory(self, extra_bytes: float) -> None:
         require_memory_with_program(self._in_memory + extra_bytes, f"{self._path}: importing it")
 
-    def _record(self, opcode: int, content: memoryview, chunk_bytes: int) -> None:
+    def _process_record(self, opcode: int, content: memoryview, chunk_bytes: int) -> None:
         """Process a record; `chunk_bytes` is the memory of the chunk that contains it."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._in_memory += _DESCRIPTION_COPIES * len(content)
@@ -137,9 +139,9 @@ class _TopicReader:
             record = parse_record(opcode, content)
             self._descriptions[opcode][record.id] = record
         elif opcode == Opcode.MESSAGE:
-            self._message(parse_message(content), chunk_bytes)
+            self._add_message(parse_message(content), chunk_bytes)
 
-    def _message(self, message: StoredMessage, chunk_bytes: int) -> None:
+    def _add_message(self, message: StoredMessage, chunk_bytes: int) -> None:
         channel = self._descriptions[Opcode.CHANNEL].get(message.channel)
         if channel is None:
             raise Damage(f"a message belongs to channel {message.channel}, which no earlier record describes")
@@ -157,28 +159,28 @@ class _TopicReader:
         for name, values in _numeric_fields(content):
             if (channel.topic, name) not in self.fields:
                 self._in_memory += _FIELD_BYTES
-            field = self.fields.setdefault((channel.topic, name), _Field())
-            field.values.frombytes(np.ascontiguousarray(values).tobytes())
-            field.counts.append(values.size)
-            field.times.append(message.publish_time or message.log_time)
-            field.rate = field.rate or _stated_rate(content)
+            topic_field = self.fields.setdefault((channel.topic, name), _TopicField())
+            topic_field.values.frombytes(np.ascontiguousarray(values).tobytes())
+            topic_field.counts.append(values.size)
+            topic_field.times.append(message.publish_time or message.log_time)
+            topic_field.rate = topic_field.rate or _stated_rate(content)
             self._in_memory += values.nbytes + _MESSAGE_BYTES
             self._require_memory(chunk_bytes)
 
 
-def _signal(path: Path, number: int, name: str, field: _Field, unit: str) -> Signal:
-    values, counts = np.frombuffer(field.values), np.frombuffer(field.counts, np.int64)
-    times = np.frombuffer(field.times, np.uint64)
+def _signal(path: Path, number: int, name: str, topic_field: _TopicField, unit: str) -> Signal:
+    values, counts = np.frombuffer(topic_field.values), np.frombuffer(topic_field.counts, np.int64)
+    times = np.frombuffer(topic_field.times, np.uint64)
     if (times[1:] < times[:-1]).any():
         time_order = np.argsort(times, kind="stable")
         messages = np.split(values, np.cumsum(counts)[:-1])
         values = np.concatenate([messages[index] for index in time_order])
         counts, times = counts[time_order], times[time_order]
     elapsed_s = (times - times[0]) * 1e-9
-    clock = Clock(field.rate)
-    if field.rate is None and values.size == times.size:
+    clock = Clock(topic_field.rate)
+    if topic_field.rate is None and values.size == times.size:
         clock = clock_of_times(elapsed_s, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
-    elif field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
+    elif topic_field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
         # The time from the first message to the last covers all arrays but the last.
         n_intervals = values.size - int(counts[-1])
         clock = Clock(rate_of_interval(float(elapsed_s[-1]) / n_intervals, 1e-9 / n_intervals))

@@ -146,7 +146,7 @@ def import_files(
             if assignment.signal.samples < longest
         ]
         if shorter:
-            notes.append(f"{', '.join(shorter)} have fewer than {longest} samples; the rest is marked as lost")
+            notes.append(f"fewer than {longest} samples: {', '.join(shorter)}. The missing samples are marked as lost.")
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RunWarning)
             writer = _RecordingWriter(_scene_as_measured(bench_scene, assigned, rate), assigned, rate)
@@ -179,20 +179,20 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
     if not rates:
         if not rate_in_scene:
             raise SceneError(
-                "the sample rate is not stated: the files have no times, and no rate. Give rate: in the table, or "
-                "converter: {rate: 5120 Hz} in the scene."
+                "the sample rate is not stated: the files have no times, and no rate. Give rate: in the channel table, "
+                "or converter: {rate: 5120 Hz} in the scene."
             )
         return converter.sample_rate
     if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
         raise RecordingError(
             f"the signals have several sample rates, {rate_list(rates)}; a recording has one. Import them one by one, "
-            "or choose those of one rate in a table."
+            "or choose those of one rate in a channel table."
         )
     rate = rates[0]
     if rate_in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
             f"the files state {rate:.10g} Hz, the scene's converter {converter.sample_rate:.10g} Hz. Correct the wrong "
-            f"value: --set converter.rate={rate:.10g}Hz, or rate: in the table."
+            f"value: --set converter.rate={rate:.10g}Hz, or rate: in the channel table."
         )
     return rate
 
@@ -269,8 +269,8 @@ class _RecordingWriter:
     def __init__(self, scene: Scene, assigned: Sequence[AssignedSignal], rate: float) -> None:
         self._scene, self._assigned, self._rate = scene, assigned, rate
         self._infos = [assignment.info for assignment in assigned]
-        self._samples = max(assignment.signal.samples for assignment in assigned)
-        self._missing: list[list[tuple[int, int]]] = [[] for _ in assigned]
+        self._n_samples = max(assignment.signal.samples for assignment in assigned)
+        self._lost_ranges: list[list[tuple[int, int]]] = [[] for _ in assigned]
         # Largest voltage of each signal: full scale of its file, or the range of the converter; None if not known.
         limits = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
         for row, assignment in enumerate(assigned):
@@ -278,14 +278,16 @@ class _RecordingWriter:
                 limits[row] = abs(assignment.signal.full_scale * assignment.factor)
         offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
         self._overloads = list(map(Overloads, limits, offsets))
-        forces = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
-        self._forces = {row: ForcePulses() for row in forces if isinstance(scene.test, Impulse | None)}
+        force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
+        self._force_pulses = {row: ForcePulses() for row in force_rows if isinstance(scene.test, Impulse | None)}
         # The power at the driving point is known if there is one force channel and a motion channel where it acts.
-        places = [f"body {number}" for number in scene.force_on]
-        motions = [
-            row for row, info in enumerate(self._infos) if info.quantity in MOTION_INTEGRATIONS and [info.at] == places
+        driven_points = [f"body {number}" for number in scene.force_on]
+        motion_rows = [
+            row
+            for row, info in enumerate(self._infos)
+            if info.quantity in MOTION_INTEGRATIONS and [info.at] == driven_points
         ]
-        self._power_rows = [forces[0], motions[0]] if len(forces) == 1 and motions else []
+        self._power_rows = [force_rows[0], motion_rows[0]] if len(force_rows) == 1 and motion_rows else []
         self._power = DrivingPower(*(self._infos[row] for row in self._power_rows)) if self._power_rows else None
         is_tone_test = isinstance(scene.test, Sine | SteppedSine)
         self._steps = StepDetector(scene, self._infos, rate) if is_tone_test else None
@@ -299,8 +301,8 @@ class _RecordingWriter:
             atomic_write(path, overwrite or None) as temporary_path,
             Recorder(temporary_path, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):
-            for first in range(0, self._samples, _BLOCK_SAMPLES):
-                stop = min(first + _BLOCK_SAMPLES, self._samples)
+            for first in range(0, self._n_samples, _BLOCK_SAMPLES):
+                stop = min(first + _BLOCK_SAMPLES, self._n_samples)
                 block = np.stack([self._read_block(row, first, stop) for row in range(len(self._infos))])
                 recorder.write(block)
                 if self._power is not None:
@@ -308,7 +310,7 @@ class _RecordingWriter:
                 if self._steps is not None:
                     self._steps.add(block)
                 if progress is not None:
-                    progress(stop / self._samples, f"{stop / self._rate:.0f} s")
+                    progress(stop / self._n_samples, f"{stop / self._rate:.0f} s")
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]
 
     def _read_block(self, row: int, first: int, stop: int) -> Array:
@@ -316,20 +318,20 @@ class _RecordingWriter:
         assignment = self._assigned[row]
         volts = assignment.volts(first, stop)
         volts[~np.isfinite(volts)] = np.nan
-        self._missing[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
-        if len(self._missing[row]) > _MAX_LOST_SEGMENTS:
-            self._missing[row] = merge_spans(self._missing[row], round(_LOST_PAUSE_S * self._rate))
+        self._lost_ranges[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
+        if len(self._lost_ranges[row]) > _MAX_LOST_SEGMENTS:
+            self._lost_ranges[row] = merge_spans(self._lost_ranges[row], round(_LOST_PAUSE_S * self._rate))
         self._overloads[row].add(first, volts)
-        if row in self._forces:
-            self._forces[row].add(first, volts / assignment.info.sensitivity)
+        if row in self._force_pulses:
+            self._force_pulses[row].add(first, volts / assignment.info.sensitivity)
         return volts
 
     def _mark_channels(self, recorder: Recorder) -> Iterator[str]:
         """Mark lost and clipped samples; yield warnings."""
-        for assignment, missing, overloads in zip(self._assigned, self._missing, self._overloads, strict=True):
+        for assignment, lost_ranges, overloads in zip(self._assigned, self._lost_ranges, self._overloads, strict=True):
             name, signal = assignment.channel.name, assignment.signal
             where = f"{name} ({signal.name!r} of {signal.file})"
-            lost = merge_spans(missing)
+            lost = merge_spans(lost_ranges)
             for first, stop in lost:
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
             count = sum(stop - first for first, stop in lost if first < signal.samples)
@@ -354,7 +356,7 @@ class _RecordingWriter:
                 if assignment.channel.body is not None and overloads.peak_sample is not None
             ]
             latest_peak, name = max(motion_peaks, default=(0, ""))
-            if latest_peak >= _MAX_PEAK_SHARE * self._samples:
+            if latest_peak >= _MAX_PEAK_SHARE * self._n_samples:
                 yield (
                     f"the decay of a free test must begin with the first sample, but {name} moves most at "
                     f"{latest_peak / self._rate:.4g} s. Remove the time before it with --from."
@@ -363,7 +365,7 @@ class _RecordingWriter:
         if self._steps is not None:
             yield from self._steps.mark(recorder, self._assigned[self._steps.reference_row])
             return
-        hits = [hit for force in self._forces.values() for hit in force.hits(self._rate)]
+        hits = [hit for pulses in self._force_pulses.values() for hit in pulses.hits(self._rate)]
         for number, hit in enumerate(hits, 1):
             recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak)
         if hits:
@@ -382,7 +384,7 @@ class _RecordingWriter:
             low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate
             if isinstance(test, SweptSine | Random | Multisine):
                 low, high = sorted((test.from_, test.to))
-            recorder.mark("measure", 0, self._samples - 1, **{"from": low, "to": high})
+            recorder.mark("measure", 0, self._n_samples - 1, **{"from": low, "to": high})
 
 
 def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Overloads) -> Iterator[str]:

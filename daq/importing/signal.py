@@ -39,7 +39,9 @@ class Signal:
         """Return a signal of samples in memory; raise `RecordingError` unless they are a row of real numbers."""
         if values.ndim != 1 or values.dtype.kind not in "fiub":
             content = "complex numbers" if values.dtype.kind == "c" else f"{values.dtype} of shape {values.shape}"
-            raise RecordingError(f"{path}: {name!r} (number {number}) holds {content}; expected a row of real numbers")
+            raise RecordingError(
+                f"{path}: {name!r} (number {number}) contains {content}; expected a row of real numbers"
+            )
 
         def read(first: int, stop: int) -> Array:
             return values[first:stop].astype(np.float64)

@@ -116,7 +116,7 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
     except RecordingError as error:
         raise RecordingError(f"{where}: {error}") from None
     if interval is not None and channel.dtype is not None and channel.dtype.kind not in "fiu":
-        raise RecordingError(f"{where} holds {channel.dtype}; expected real numbers")
+        raise RecordingError(f"{where} contains values of type {channel.dtype}; expected real numbers")
     clock = clock or channel_clock
 
     def read(first: int, stop: int) -> Array:

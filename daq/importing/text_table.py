@@ -20,7 +20,7 @@ from daq.importing.clock import (
     require_even,
     sample_numbers,
     warn,
-    warn_taken_for_times,
+    warn_used_as_times,
 )
 from daq.importing.signal import Signal
 from daq.importing.text_layout import (
@@ -180,7 +180,7 @@ class _Table:
         first_times = np.array([self._parse_line(0, line)[0] for line in self._examined_lines[:-1]])
         if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):
             return False
-        warn_taken_for_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
+        warn_used_as_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
         return True
 
     def estimate_clock(self, unit: str) -> Clock:

@@ -80,13 +80,13 @@ class _Check:
     def run(self) -> None:
         """Check the data section and the summary."""
         self.position = len(MAGIC)
-        opcode, content = self._next()
+        opcode, content = self._read_record()
         if opcode != Opcode.HEADER:
             raise Damage("the file does not begin with a header")
         self._check_record(parse_record(Opcode.HEADER, content), content)
         while opcode != Opcode.DATA_END:
             begin = self.position
-            opcode, content = self._next(move=False)
+            opcode, content = self._read_record(advance=False)
             if opcode != Opcode.MESSAGE_INDEX:
                 self._end_chunk()
             self._data_record(opcode, content)
@@ -99,10 +99,10 @@ class _Check:
             raise Damage("the checksum of the data section is wrong")
         self._summary()
 
-    def _next(self, move: bool = True) -> tuple[int, memoryview]:
-        """Return opcode and content of the record at `position`."""
+    def _read_record(self, advance: bool = True) -> tuple[int, memoryview]:
+        """Return opcode and content of the record at `position`; by default, advance to the next record."""
         opcode, content = record_at(self._file.read, self.position, self._file.size, LARGEST_CHUNK + (1 << 16))
-        if move:
+        if advance:
             self.position += RECORD_HEAD.size + len(content)
         return opcode, content
 
@@ -227,7 +227,7 @@ class _Check:
         begin, offsets = self.position, 0
         while True:
             position = self.position
-            opcode, content = self._next()
+            opcode, content = self._read_record()
             if opcode == Opcode.FOOTER:
                 footer = parse_record(Opcode.FOOTER, content)
                 break

@@ -110,33 +110,32 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
     kinds = (
         Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX
     )  # fmt: skip
-    others: dict[int, list[Any]] = {kind: [] for kind in kinds}
+    records_of_kind: dict[int, list[Any]] = {kind: [] for kind in kinds}
     position, end = 0, len(data)
-    head, head_size = RECORD_HEAD.unpack_from, RECORD_HEAD.size
     while position < end:
-        if end - position < head_size:
+        if end - position < RECORD_HEAD.size:
             raise Damage("the summary is cut short")
-        opcode, length = head(data, position)
-        position += head_size
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        position += RECORD_HEAD.size
         if position + length > end:
             raise Damage(f"a record in the summary claims {length} bytes")
         if opcode == Opcode.CHUNK_INDEX:
             chunk_positions[length].append(position)
-        elif opcode in others:
-            records = others[opcode]
+        elif opcode in records_of_kind:
+            records = records_of_kind[opcode]
             if len(records) == MAX_RECORDS:
                 raise Damage(f"the summary has more than {MAX_RECORDS} records of one kind")
             records.append(parse_record(opcode, data[position : position + length]))
         position += length
     table, chunks_of_channel = _chunk_table(data, chunk_positions, file_size)
     return Summary(
-        schemas={record.id: record for record in others[Opcode.SCHEMA]},
-        channels={record.id: record for record in others[Opcode.CHANNEL]},
+        schemas={record.id: record for record in records_of_kind[Opcode.SCHEMA]},
+        channels={record.id: record for record in records_of_kind[Opcode.CHANNEL]},
         **table,
         chunks_of_channel=chunks_of_channel,
-        metadata=others[Opcode.METADATA_INDEX],
-        attachments=others[Opcode.ATTACHMENT_INDEX],
-        statistics=next(iter(others[Opcode.STATISTICS]), None),
+        metadata=records_of_kind[Opcode.METADATA_INDEX],
+        attachments=records_of_kind[Opcode.ATTACHMENT_INDEX],
+        statistics=next(iter(records_of_kind[Opcode.STATISTICS]), None),
     )
 
 

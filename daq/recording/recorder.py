@@ -252,7 +252,7 @@ class Recorder:
     def _require_truth(self, samples: int) -> None:
         """Raise `RunError` unless the true motion of the next samples was written; both are committed together."""
         if self._truth is not None and self._truth.position < self._raw_groups.position + samples:
-            raise RunError("recording.truth: the true motion of these samples is missing. Write it before them.")
+            raise RunError("recording.truth: the true motion of these samples is missing. Call write_truth first.")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 

@@ -122,7 +122,7 @@ class Recording(Result):
                 self._truth.setdefault(quantity, {})[point] = series
         if not self._series:
             raise RecordingError(
-                f"{self.path}: no samples on topics {layout.RAW}...; expected the layout of daq/recording/LAYOUT.md."
+                f"{self.path}: no samples on topics {layout.RAW}*. Import files of other programs with `daq import`."
             )
         if not summary.chunks_of_channel and summary.statistics is not None and summary.statistics.message_count:
             raise RecordingError(f"{self.path}: no index of its chunks. Write the file again with an index.")

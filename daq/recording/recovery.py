@@ -213,7 +213,7 @@ class _Salvager:
         try:
             messages = messages_in(records, stored_bytes)
         except Damage as damage:
-            self._notes.append(f"a chunk with the right checksum is malformed: {damage}")
+            self._notes.append(f"a chunk with a correct checksum is malformed and left out: {damage}")
             return
         readable_messages = []
         for message in messages:

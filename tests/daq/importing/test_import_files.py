@@ -314,7 +314,7 @@ def test_unnamed_evenly_rising_column_is_time(form, tmp_path):
     with recording:
         assert recording.rate == RATE
         np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
-    assert any("rises evenly" in text and "taken for times" in text for text in messages)
+    assert any("rises evenly" in text and "is used as times" in text for text in messages)
 
 
 def test_line_numbers_are_not_times(tmp_path):

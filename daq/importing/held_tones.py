@@ -72,10 +72,10 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     intervals.sort(key=lambda interval: interval.stop_sample - interval.first_sample, reverse=True)
     disjoint: list[_ToneInterval] = []
     for interval in intervals:
-        if all(
-            interval.stop_sample <= other.first_sample or interval.first_sample >= other.stop_sample
-            for other in disjoint
-        ):
+        overlaps = (
+            kept.first_sample < interval.stop_sample and interval.first_sample < kept.stop_sample for kept in disjoint
+        )
+        if not any(overlaps):
             disjoint.append(interval)
     disjoint.sort(key=lambda interval: interval.first_sample)
     # The levels of the shortest blocks are used: they average over the fewest samples and therefore resolve all tones.
@@ -136,10 +136,7 @@ class _ToneInterval:
         return bool(abs(slope) > _MAX_AMPLITUDE_CHANGE)
 
     def frequencies(self) -> tuple[float, float, float]:
-        """Return the frequency in the middle, at the start and at the end, by a parabola through the phase.
-
-        The unit is periods per sample.
-        """
+        """Return the frequency (periods per sample) in the middle, at the start and at the end, by a parabola fit."""
         phase = self.phase
         _, slope, curvature = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, phase.size), phase, 2)
         scale = 2.0 / ((phase.size - 1) * self.track.hop * 2.0 * np.pi)

@@ -47,14 +47,9 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 class Truth:
     """Collects the motion of each point, the gap and contact of each damper, and the events (changes of contact).
 
-    Attributes
-    ----------
-    part_names : tuple of str
-        Points and dampers, the rows of `positions`.
-    streams : tuple of two Grouping
-        Real numbers (motion of the points, then gaps), and contacts.
-    chunks : list of lists of tuples
-        The topics of each chunk of the file: (index in `streams`, row, channel number).
+    `part_names` are the points and dampers, the rows of `positions`. `streams` are two series of groups: real numbers
+    (motion of the points, then gaps), and contacts. `chunks` lists the topics of each chunk of the file, each as (index
+    in `streams`, row, channel number).
     """
 
     def __init__(self, scene: Scene, clock: Timebase, group_samples: int, register: Register) -> None:

@@ -191,7 +191,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
         f"# {escape_markdown(scene.name)}",
         f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
         "",
-        f"## Drawing: motion is magnified {view.exaggeration:g} times",
+        f"## Drawing: motion exaggerated {view.exaggeration:g} times",
         *[f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}" for source in motion.sources],
     ]
     if scene.dampers:

@@ -82,7 +82,7 @@ class Replay:
 
     @cached_property
     def view(self) -> RigView:
-        """The drawing of the rig, with motion magnified for this segment."""
+        """The drawing of the rig, with motion exaggerated for this segment."""
         unknown = [source.point for source in self.motion.sources if source.quantity == "nothing"]
         return RigView(self.recording.scene, self._largest_motion[0], self.motion.gaps_known, unknown)
 

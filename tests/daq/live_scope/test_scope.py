@@ -190,7 +190,7 @@ def test_invalid_line_keeps_the_setting(line, message):
     assert not controls.quit
 
 
-def test_knobs_start_at_the_frequency_of_the_test():
+def test_controls_start_at_the_frequency_of_the_test():
     assert initial_controls(rig.load("fig8-three-dampers"), None, 0.0).settings == (8.0, 0.0)
     # The scene has no test: the lowest natural frequency, 0.618 sqrt(k / m) / (2 pi) without spring and damper.
     assert initial_controls(SCENE, None, 0.0).settings[0] == pytest.approx(13.9, abs=0.1)

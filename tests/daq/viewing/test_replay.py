@@ -120,7 +120,7 @@ def test_saved_replay_has_markers_and_description(recording, saved_replay):
     assert f"frequency {FREQUENCY:g} Hz" in texts[index]
     (page,) = saved_replay.static["/about", "text"].to_pylist()[0]
     factor = Replay(recording).view.exaggeration
-    assert f"motion is magnified {factor:g} times" in page
+    assert f"motion exaggerated {factor:g} times" in page
     assert "body 1: channel body1" in page
     assert recording.scene.name in page
     assert "0.98 mm" in page
@@ -269,5 +269,5 @@ def test_truth_of_another_rig_is_ignored(change, recording):
     motion = RecordedMotion(recording)
     assert recording.truth_points and not recording.has_truth
     assert not motion.gaps_known
-    for _, pose in motion.segments(0, 512, 64):
-        assert pose.gap is None and len(pose.displacement) == recording.scene.structure.bodies
+    for _, rig_motion in motion.segments(0, 512, 64):
+        assert rig_motion.gap is None and len(rig_motion.displacement) == recording.scene.structure.bodies

@@ -24,6 +24,7 @@ class _FlatTops:
 
     def __init__(self, sign: int) -> None:
         self._sign = sign
+        # Largest value of the signal times `sign`.
         self.top = self._last_value = -np.inf
         # First sample of each run, the sample after it, and the larger drop to the samples next to it.
         self._runs: list[tuple[int, int, float]] = []

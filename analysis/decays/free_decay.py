@@ -1,6 +1,7 @@
 """Free decay of a channel after a hit: envelope, energy, damping of each mode, and the time to fall below 1 g.
 
-Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409).
+Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409). A damper is a loose mass that rests
+on a floor of its body under gravity. It does not leave the floor if the acceleration of the body stays below 1 g.
 """
 
 from __future__ import annotations
@@ -32,19 +33,23 @@ if TYPE_CHECKING:
 
 # Lower limit of the frequency range that is searched for modes.
 LOWEST_MODE_HZ = 2.0
-# Upper limit of that range; it is raised if the scene's structure has higher modes.
+# Upper limit of this range; it is raised if the scene's structure has higher modes.
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
-# Largest share of the energy in the last tenth of a record that no longer decays there: the last tenth then counts as
-# noise. Above this share the motion is not a free decay.
-_MAX_FINAL_ENERGY_SHARE = 0.02
+# If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
+# most this fraction of the energy. Otherwise the motion is not a free decay.
+_MAX_FINAL_ENERGY_FRACTION = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 INITIAL_DECAY_DB = -1.0, -11.0
 # Relative energy below which only rounding errors remain.
 _MIN_ENERGY_RATIO = 1e-30
-# If the channel is overloaded for more than this share of a decay, its amplitudes are unusable.
-_MAX_OVERLOADED_SHARE = 0.1
+# If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
+_MAX_OVERLOADED_FRACTION = 0.1
+# Largest fraction of lost samples that is interpolated.
+_MAX_LOST_FRACTION = 0.01
+# Assumed frequency of the lowest mode if no mode is detected.
+_DEFAULT_MODE_HZ = 10.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,9 +75,9 @@ class Decay(Result):
     modes : tuple of ModalDecay
         Decay of each detected mode.
     gravity : float
-        Acceleration due to gravity, m/s²: a damper at rest on the floor stays there below this amplitude.
+        Acceleration due to gravity, m/s²: below this amplitude no damper on this body leaves its floor.
     warnings : tuple of str
-        Consequences for the results, in full sentences.
+        Warnings about the validity of the results.
 
     References
     ----------
@@ -115,9 +120,12 @@ class Decay(Result):
         ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
 
     def outline(self) -> Array:
-        """Return a smooth upper bound of the magnitude of the acceleration, shape (n,), m/s²."""
-        lowest = min((mode.frequency for mode in self.modes), default=1.0 / self.time[-1])
-        return outline(self.acceleration, 1.0 / (lowest * self.time[1]))
+        """Return a smooth upper bound of the magnitude of the acceleration, shape (n,), m/s².
+
+        Unlike `envelope`, it does not oscillate when several modes beat.
+        """
+        lowest_mode = min((mode.frequency for mode in self.modes), default=1.0 / self.time[-1])
+        return upper_bound(self.acceleration, 1.0 / (lowest_mode * self.time[1]))
 
     def time_below(self, amplitude: float) -> float:
         """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
@@ -128,7 +136,7 @@ class Decay(Result):
 
     @property
     def quiet_from(self) -> float:
-        """Time in s from which the acceleration stays below gravity; from then on no damper on this body moves."""
+        """Time in s from which the acceleration stays below 1 g, so that no damper on this body leaves its floor."""
         return self.time_below(self.gravity)
 
     @property
@@ -144,15 +152,15 @@ class Decay(Result):
         return float(-20.0 * np.log10(2.0) / slope)
 
 
-def outline(acceleration: Array, period: float) -> Array:
+def upper_bound(acceleration: Array, period: float) -> Array:
     """Return a smooth upper bound of the magnitude of an acceleration.
 
     `period`: of the lowest mode, in samples. The running maximum over half a period on either side is smoothed with a
-    window of the same length. Each maximum in that window includes the sample in its middle, so that the smoothed value
-    is at least as large.
+    window of the same length. All maxima in this window include the sample in its middle, so that their weighted mean
+    is not smaller than this sample.
 
     >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
-    >>> bool(np.all(outline(acceleration, 2 * np.pi) >= abs(acceleration)))
+    >>> bool(np.all(upper_bound(acceleration, 2 * np.pi) >= abs(acceleration)))
     True
     """
     half_period = max(1, round(0.5 * period))
@@ -180,49 +188,21 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if not names:
         raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
     info = motion_channel(rec, channel if channel is not None else names[-1])
-    read_start, begin, stop, read_end = _decay_limits(rec, info, hit)
-    warnings: list[str] = []
-    samples = rec.read(info.name, read_start, read_end)
-    invalid = ~np.isfinite(samples)
-    if invalid.any():
-        if invalid.mean() > 0.01:
-            raise RecordingError(
-                f"{rec.path}: {invalid.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
-                "again."
-            )
-        samples = np.interp(np.arange(samples.size), np.flatnonzero(~invalid), samples[~invalid])
-        warnings.append(f"{int(invalid.sum())} lost samples were interpolated linearly.")
-    if not np.any(abs(samples - samples[0]) > 0):
-        raise RecordingError(
-            f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
-            "the sensor and record again."
-        )
-    first = arrival(info, begin, begin)[0]
-    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]
-    overloaded = sum(max(min(marker.end + 1, read_end) - max(marker.first_sample, first), 0) for marker in overloads)
-    overloaded_share = overloaded / max(read_end - first, 1)
-    if overloaded_share > _MAX_OVERLOADED_SHARE:
-        raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {overloaded_share:.0%} of hit {hit}'s decay. Hit more softly, "
-            "widen the converter's range, or lower the sensitivity in the scene."
-        )
-    if overloaded_share:
-        warnings.append(
-            f"{info.name} was overloaded for {overloaded_share:.2%} of the decay, so that its first amplitudes are too "
-            "low. Hit more softly, or widen the converter's range."
-        )
+    read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
+    samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
+    warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
-    lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (stop - begin))
+    lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
     upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
-    acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)[: stop - read_start]
-    decay_start = begin - read_start
+    acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
+    acceleration, begin = acceleration[: decay_stop - read_start], decay_start - read_start
     highest_mode = min(highest_mode, upper_limit)
-    peak_frequencies = spectral_peaks(acceleration[decay_start:], rec.rate, max_modes, lowest_mode, highest_mode)
+    peak_frequencies = spectral_peaks(acceleration[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
     decays = tuple(
-        modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), decay_start, clock=clock)
+        modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), begin, clock=clock)
         for i, f in enumerate(peak_frequencies)
     )
     if len(decays) < max_modes:
@@ -230,20 +210,14 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
             f"{lowest_mode:.3g} and {highest_mode:.4g} Hz. Choose another channel for the other modes."
         )
-    period = int(rec.rate / peak_frequencies[0]) if peak_frequencies.size else int(rec.rate / 10.0)
+    period = int(rec.rate / (peak_frequencies[0] if peak_frequencies.size else _DEFAULT_MODE_HZ))
     # The envelope of the last period depends on samples after the end, so the last period is discarded.
-    decay_end = acceleration.size - min(period, (acceleration.size - decay_start) // 10)
-    free_decay = acceleration[decay_start:decay_end]
+    end = acceleration.size - min(period, (acceleration.size - begin) // 10)
+    free_decay = acceleration[begin:end]
     # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
-    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[decay_start:decay_end]
+    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[begin:end]
     peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
-    backward_energy = np.cumsum(free_decay[::-1] ** 2)[::-1]
-    energy_after_end = _energy_after_end(free_decay)
-    energy = np.zeros(free_decay.size)
-    if not np.isinf(energy_after_end):
-        # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
-        ratio = (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end)
-        energy = 10.0 * np.log10(np.maximum(ratio, _MIN_ENERGY_RATIO))
+    energy = _energy_decay(free_decay)
     if energy.min() > INITIAL_DECAY_DB[1]:
         warnings.append(
             f"The energy of {info.name}'s motion does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the record, so "
@@ -265,10 +239,62 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
 
 
+def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> tuple[Array, list[str]]:
+    """Return the samples of a hit with lost samples interpolated, and a warning if there were any."""
+    samples, warnings = rec.read(info.name, start, stop), list[str]()
+    lost = ~np.isfinite(samples)
+    if lost.any():
+        if lost.mean() > _MAX_LOST_FRACTION:
+            raise RecordingError(
+                f"{rec.path}: {lost.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
+                "again."
+            )
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+        warnings.append(f"{int(lost.sum())} lost samples were interpolated linearly.")
+    if not np.any(abs(samples - samples[0]) > 0):
+        raise RecordingError(
+            f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
+            "the sensor and record again."
+        )
+    return samples, warnings
+
+
+def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> list[str]:
+    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if for too long."""
+    # First sample that the decay affects, with the delay of the converter's filter.
+    first = arrival(info, start, start)[0]
+    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]
+    overloaded = sum(max(min(marker.end + 1, stop) - max(marker.first_sample, first), 0) for marker in overloads)
+    fraction = overloaded / max(stop - first, 1)
+    if fraction > _MAX_OVERLOADED_FRACTION:
+        raise RecordingError(
+            f"{rec.path}: {info.name} was overloaded for {fraction:.0%} of hit {hit}'s decay. Hit more softly, "
+            "widen the converter's range, or lower the sensitivity in the scene."
+        )
+    if not fraction:
+        return []
+    return [
+        f"{info.name} was overloaded for {fraction:.2%} of the decay, so that its first amplitudes are too low. Hit "
+        "more softly, or widen the converter's range."
+    ]
+
+
+def _energy_decay(acceleration: Array) -> Array:
+    """Return the backward-integrated energy, dB relative to its initial value; 0 if the motion is not a free decay."""
+    backward_energy = np.cumsum(acceleration[::-1] ** 2)[::-1]
+    energy_after_end = _energy_after_end(acceleration)
+    if np.isinf(energy_after_end):
+        return np.zeros(acceleration.size)
+    # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
+    ratio = (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end)
+    return np.asarray(10.0 * np.log10(np.maximum(ratio, _MIN_ENERGY_RATIO)))
+
+
 def _energy_after_end(acceleration: Array) -> float:
     """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)².
 
-    If the energy does not fall there, the result is 0 if the last tenth is noise, and infinite if its share is large.
+    If the energy does not fall there, the result is 0 if the last tenth contains at most `_MAX_FINAL_ENERGY_FRACTION`
+    of the energy (noise), otherwise infinite (not a free decay).
     """
     tenth = max(1, acceleration.size // 10)
     previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
@@ -276,25 +302,25 @@ def _energy_after_end(acceleration: Array) -> float:
     if previous_energy > last_energy:
         # Sum of the geometric series of all later tenths.
         return last_energy * last_energy / (previous_energy - last_energy)
-    return np.inf if last_energy > _MAX_FINAL_ENERGY_SHARE * float(np.sum(acceleration**2)) else 0.0
+    return np.inf if last_energy > _MAX_FINAL_ENERGY_FRACTION * float(np.sum(acceleration**2)) else 0.0
 
 
 def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
-    """Return sample numbers: start of reading, beginning and end of the decay, end of reading."""
+    """Return sample numbers: start of reading, start and end of the decay, end of reading; ends are exclusive."""
     hit_limits = hits(rec)
     if not 1 <= hit <= len(hit_limits):
         raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")
     first, last = hit_limits[hit - 1]
-    # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read too.
-    # The corrected filter responds to the next hit before it occurs, so the decay is cut off earlier by that time.
-    read_end = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
-    stop = read_end - arrival(info, 0, 0)[1]
-    begin = last + 1
+    # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
+    # After the correction, the filter's response to the next hit begins before the hit; the decay ends before it.
+    read_stop = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
+    max_response_delay = arrival(info, 0, 0)[1]
+    decay_start, decay_stop = last + 1, read_stop - max_response_delay
     # Include samples before the hit, so that the band-pass starts with the structure at rest.
     read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
-    if stop - begin < _MIN_SAMPLES:
+    if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(
-            f"{rec.path}: only {max(stop - begin, 0)} samples follow hit {hit}. Record at least {_MIN_SAMPLES} after a "
-            "hit (test: interval)."
+            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow hit {hit}. Record at least "
+            f"{_MIN_SAMPLES} after a hit: raise test.interval, or test.duration of a free decay."
         )
-    return read_start, begin, stop, read_end
+    return read_start, decay_start, decay_stop, read_stop

@@ -20,19 +20,19 @@ _SAME_MODE_RATIO = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
 MAX_RELATIVE_ERROR = 0.05
 # The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around that amplitude.
-# This is half of that fall. The amplitudes are 1.5 dB apart.
+# This constant is half of the fall. The amplitudes are 1.5 dB apart.
 _HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
 # The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
-# more fits. In the first, the impulse response of the band-pass is longer by this factor.
+# more fits. In the first fit, the impulse response of the band-pass is longer by this factor.
 _RESPONSE_RATIO = 2.0**0.5
-# In the second, the fitted fall is longer by this factor.
+# In the second fit, the fall is larger by this factor.
 _FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
 # In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
 _RESPONSE_BIAS_FACTOR = 2.5
 # If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
 _KINK_ERROR_FACTOR = 8.0
-# Number of levels on either side that a change of damping affects.
+# Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_LEVELS = 2
 # Maximum number of envelope points in the fit of one damping ratio.
 _MAX_POINTS = 64
@@ -170,7 +170,7 @@ def modal_decay(
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, kink_error = _damping(analytic[usable], levels, _HALF_FALL_NEPERS)
-    # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two levels is
+    # Half of the noise power is in phase with the signal and changes the envelope. The noise at both ends of the fall is
     # independent.
     amplitude = np.exp(levels)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
@@ -178,17 +178,17 @@ def modal_decay(
     narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
     narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
     damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
-    damping_longer, natural_longer, _ = _damping(analytic[usable], levels, _FALL_RATIO * _HALF_FALL_NEPERS)
+    damping_larger_fall, natural_larger_fall, _ = _damping(analytic[usable], levels, _FALL_RATIO * _HALF_FALL_NEPERS)
     # Subtract the residual that noise alone causes.
     kink_error_of_noise = _KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
     kink_error = np.sqrt(np.maximum(kink_error**2 - kink_error_of_noise**2, 0.0))
-    bias = _bias_bound(damping, damping_narrower, damping_longer, kink_error)
+    bias = _bias_bound(damping, damping_narrower, damping_larger_fall, kink_error)
     error = np.hypot(noise_error * damping, 0.5 * bias)
     # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
     natural_bias = np.full(natural.size, np.nan)
-    # The bias is undetermined if one of the two fits is.
-    if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_longer - natural).any():
-        natural_bias = _bias_bound(natural, natural_narrower, natural_longer, np.zeros(natural.size))
+    # The bias is determined only if both fits are determined.
+    if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():
+        natural_bias = _bias_bound(natural, natural_narrower, natural_larger_fall, np.zeros(natural.size))
     natural_error = np.hypot(np.hypot(noise_error * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
     reported = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
@@ -237,7 +237,7 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
 
 
 def _log_decay_envelope(envelope: Array) -> Array:
-    """Return the logarithm of the largest later amplitude, which falls monotonically: each level is crossed once."""
+    """Return the logarithm of the largest later amplitude, which is monotonic, so that it crosses each level once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 
@@ -254,7 +254,8 @@ def _levels(envelope: Array) -> Array:
 def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
     """Return damping ratio, natural frequency (rad/sample) and relative error bound due to a kink at each level.
 
-    Each is estimated while the envelope falls by `half_fall` nepers on either side of the level; NaN outside the decay.
+    They are estimated from the fall of the envelope by `half_fall` nepers on either side of the level. Damping ratio
+    and natural frequency are NaN outside the decay.
     """
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
@@ -294,14 +295,15 @@ def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tu
     return decay_rate, float(np.sqrt(np.mean(residual**2)))
 
 
-def _bias_bound(values: Array, narrower: Array, longer: Array, kink_error: Array) -> Array:
-    """Bound the bias of values at each level by their change with a narrower band-pass and with a longer fall."""
+def _bias_bound(values: Array, narrower: Array, larger_fall: Array, kink_error: Array) -> Array:
+    """Bound the bias of values at each level by their change with a narrower band-pass and with a larger fall."""
     bias = np.nan_to_num(kink_error * values)
-    for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (longer, 1.0)):
+    for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (larger_fall, 1.0)):
         difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))
         if determined.size:
-            # The longer fits do not reach the first and last levels; the nearest known difference is used there.
+            # The fits over a larger fall are undetermined at the first and last levels. The nearest known difference is
+            # used there.
             bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
     return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
 

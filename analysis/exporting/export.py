@@ -40,6 +40,8 @@ def sep005(
     ----------
     recording : daq.Recording, str or Path
         The samples are read into memory.
+    channels : sequence of str, optional
+        Names of channels; default: all.
     from_s, to_s : float, optional
         Limits of the segment, s.
 
@@ -81,12 +83,13 @@ def write_csv(segment: Slice, path: Path) -> None:
 def write_npz(segment: Slice, path: Path) -> None:
     """Write an array for each channel, and ``channels``, ``units``, ``rate`` [Hz] and ``start_s``."""
     members = {name: re.sub(r"[^\w.-]", "_", name) for name in segment.channels}
-    reserved = {"channels", "units", "rate", "start_s"}
-    if len({*members.values()} | reserved) < len(members) + len(reserved):
-        names = ", ".join(members)
-        raise SceneError(
-            f"{segment.recording.path}: two of the channels {names} have the same name in .npz. Export as .uff or .csv."
-        )
+    arrays = ["channels", "units", "rate", "start_s", *members.values()]
+    for name, member in members.items():
+        if arrays.count(member) > 1:
+            raise SceneError(
+                f"{segment.recording.path}: channel {name!r} cannot be exported to .npz, because another array there "
+                f"has the name {member!r}. Export as .uff or .csv."
+            )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
             with archive.open(_zip_entry(member), "w", force_zip64=True) as stream:
@@ -112,26 +115,26 @@ def _zip_entry(name: str) -> zipfile.ZipInfo:
 
 
 def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
-    """Write 24-bit sound, with each channel scaled to full scale; return the full-scale value of each channel.
+    """Write 24-bit sound, each channel scaled to full scale; return a line about the full-scale value of each channel.
 
     `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Raises `RecordingError` if samples were
     lost. Raises `SceneError` if the sound is too long for a WAV file, or its rate cannot be stored in the file header.
     """
     segment.reject_gaps("a WAV file")
-    name, count, rate = segment.recording.path, len(segment.channels), segment.recording.rate * speed
-    if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * count)):
-        raise SceneError(f"{name}: a WAV file cannot play {rate:g} samples per second. Choose another --speed.")
-    if (size := (segment.stop - segment.start) * count * 3) >= 2**32 - 1024:
+    recording, n_channels, rate = segment.recording.path, len(segment.channels), segment.recording.rate * speed
+    if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * n_channels)):
+        raise SceneError(f"{recording}: a WAV file cannot play {rate:g} samples per second. Choose another --speed.")
+    if (n_bytes := (segment.stop - segment.start) * n_channels * 3) >= 2**32 - 1024:
         raise SceneError(
-            f"{name}: a WAV file is limited to 4 GB (these samples: {size / 1e9:.3g} GB). Export fewer channels or a "
-            "segment (--from, --to)."
+            f"{recording}: a WAV file is limited to 4 GB (these samples: {n_bytes / 1e9:.3g} GB). Export fewer "
+            "channels or a segment (--from, --to)."
         )
-    peaks = np.zeros(count)
+    peaks = np.zeros(n_channels)
     for _, samples in segment.blocks(segment.channels):
         peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
     full_scale = np.where(peaks > 0, peaks, 1.0)
     with path.open("wb") as stream, wave.open(stream, "wb") as sound:
-        sound.setnchannels(count)
+        sound.setnchannels(n_channels)
         sound.setsampwidth(3)
         sound.setframerate(round(rate))
         for _, samples in segment.blocks(segment.channels):
@@ -147,7 +150,7 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
 WRITERS: dict[str, Callable[[Slice, Path], None]] = {
     ".csv": write_csv, ".npz": write_npz, ".mat": write_mat, ".uff": write_uff, ".unv": write_uff,
 }  # fmt: skip
-# Number of bytes for each sample; with an average number of digits in text formats.
+# Number of bytes per sample; in text formats, with an average number of digits.
 _BYTES_PER_SAMPLE = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
 
 
@@ -177,10 +180,12 @@ def export(
     overwrite: bool = False,
     progress: CountProgress | None = None,
 ) -> list[str]:
-    """Write a segment of a recording in the format given by the file name ending.
+    """Write a segment of a recording in the format of the file name ending.
 
     Parameters
     ----------
+    segment : Slice
+        Channels and samples to write.
     path : Path
         Output file: ``.csv``, ``.npz``, ``.mat``, ``.wav``, ``.uff`` or ``.unv``.
     speed : float
@@ -206,18 +211,18 @@ def export(
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError(f"{path}: --speed applies to sound only. Leave it out, or choose a name that ends in .wav.")
+        raise SceneError(f"{path}: --speed applies only to sound. Omit it, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
         segment = replace(segment, on_read=_report_to(progress, total))
     with atomic_write(path, overwrite or None) as temporary:
         needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(temporary.parent).free
-        # A table of numbers with few digits needs only about a quarter of the expected size.
+        # A table of numbers with few digits requires only about a quarter of the expected size.
         if needed > 4 * free_bytes:
             raise RunError(
-                f"{path} would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB left. "
-                "Choose another disk (-o), a segment (--from, --to) or fewer channels."
+                f"{path}: the file would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB "
+                "left. Choose another disk (-o), a segment (--from, --to) or fewer channels."
             )
         if kind == ".wav":
             return write_wav(segment, temporary, speed)

@@ -21,9 +21,7 @@ MAX_SAMPLES = (1 << 28) - 1024
 def write_mat(segment: Slice, path: Path) -> None:
     """Write a variable for each channel, and ``channels``, ``units``, ``fs`` [Hz] and ``start_s``.
 
-    Lost samples are NaN.
-
-    Raises `SceneError` if there are too many samples for the format.
+    Lost samples are NaN. Raises `SceneError` if there are too many samples for the format.
     """
     count = segment.stop - segment.start
     if count > MAX_SAMPLES:
@@ -48,8 +46,10 @@ def write_mat(segment: Slice, path: Path) -> None:
 def write_frfs(response: Response, path: Path) -> None:
     """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each element."""
     curves = response.sorted().curves()
-    several = len(response.inputs) > 1
-    elements = [f"{curve.response}_{curve.inputs[0].name}" if several else curve.response for curve in curves]
+    has_several_inputs = len(response.inputs) > 1
+    elements = [
+        f"{curve.response}_{curve.inputs[0].name}" if has_several_inputs else curve.response for curve in curves
+    ]
     names = variable_names(elements, {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {"frequency": curves[0].frequency, "unit": response.unit, "reference": response.input}
     for name, curve in zip(names, curves, strict=True):
@@ -85,8 +85,11 @@ def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
     cleaned = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     valid = [f"x{name}" if not name[:1].isalpha() else name for name in cleaned]
     valid = [f"{name}_" if name in reserved else name for name in valid]
-    if len(set(valid)) < len(valid):
-        raise SceneError(f".mat: two of the names {', '.join(names)} are equal as MATLAB variables. Export as .uff.")
+    for name, variable in zip(names, valid, strict=True):
+        if valid.count(variable) > 1:
+            raise SceneError(
+                f".mat: {name!r} and another channel would both be the variable {variable!r}. Export as .uff."
+            )
     return valid
 
 

@@ -24,12 +24,25 @@ ENDINGS = (".uff", ".unv", ".mat")
 def export_results(
     file: Path, path: Path, what: str, overwrite: bool = False, progress: CountProgress | None = None
 ) -> list[str]:
-    """Write the FRFs or modes of a recording or of an FRF file, one output file for each sweep.
+    """Write the FRFs or modes of a recording or of an FRF file; return messages for the user.
 
-    `file`: a recording, or an FRF file that `analysis.read_frfs` can read; `path`: output file, ``.uff``, ``.unv``
-    or ``.mat``; the files of the second and later sweeps are numbered; `what`: results to write, 'frfs' or 'modes';
-    `overwrite`: whether existing files with different content may be replaced. Returns messages for the user. Raises
-    `SceneError` if the file name ending is unknown, or the file exists.
+    Each sweep has an output file; the second and later files are numbered.
+
+    Parameters
+    ----------
+    file : Path
+        Recording, or FRF file that `analysis.read_frfs` can read.
+    path : Path
+        Output file, ``.uff``, ``.unv`` or ``.mat``.
+    what : str
+        Results to write, 'frfs' or 'modes'.
+    overwrite : bool
+        Whether existing files with different content may be replaced.
+
+    Raises
+    ------
+    SceneError
+        If the file name ending is unknown, or the file exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
@@ -57,7 +70,7 @@ def export_results(
 
 
 def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, list[int], list[int]]]:
-    """Return for each sweep its response, the nodes of its outputs and those of its inputs (0: not one body)."""
+    """Return for each sweep its response, the nodes of its outputs, and the nodes of its inputs (0: several bodies)."""
     if is_frf_file(file):
         response = read_frfs(file)
         return [(response, list(range(1, len(response) + 1)), [0])]

@@ -12,15 +12,15 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# Largest number of samples of a channel: in text it needs 20 bytes for each, which the writer keeps in memory.
+# Largest number of samples of a channel: the writer keeps 20 bytes of text per sample in memory.
 MAX_TEXT_SAMPLES = 1 << 24
 
 
 def write_uff(segment: Slice, path: Path) -> None:
     """Write a UFF text file with a data set 58 (time response) for each channel.
 
-    Node n is body n, direction +Z is up; table and hammer are node 0. The format rounds the sample
-    interval to six digits; the fourth line of each data set contains the exact rate.
+    Node n is body n, and direction +Z is up; table and hammer are node 0. The format rounds the sample interval to six
+    digits; the fourth line of each data set contains the exact rate.
 
     Raises `RecordingError` if samples were lost. Raises `SceneError` if there are too many samples for a text file,
     or too few for the format. Raises `RunError` if pyuff is not installed.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.decays.free_decay import outline
+from analysis.decays.free_decay import upper_bound
 from analysis.reproduction.parts import FIGURE_5, NOISES
 from rig.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
 from rig.scene.scene import STANDARD_GRAVITY
@@ -225,7 +225,7 @@ def figure_10b(parts: Parts) -> Figure:
         for name, shade, label in (("none", GRAY, "no damper"), ("three", BLUE, "three dampers")):
             data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
-            envelope = outline(data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0])))
+            envelope = upper_bound(data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0])))
             for side, entry in ((envelope, label), (-envelope, "")):
                 axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
         limits: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}

@@ -170,8 +170,8 @@ def modal_decay(
     noise = _noise(analytic[usable], rate, frequency, width)
     levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, kink_error = _damping(analytic[usable], levels, _HALF_FALL_NEPERS)
-    # Half of the noise power is in phase with the signal and changes the envelope. The noise at both ends of the fall is
-    # independent.
+    # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two ends of the
+    # fall is independent.
     amplitude = np.exp(levels)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
     noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # of the damping ratio, relative

@@ -10,7 +10,7 @@ import pytest
 
 import rig
 from daq.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
-from daq.drawing.stack import DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
+from daq.drawing.stack import COIL_LENGTH, DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
 from rig.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
@@ -22,8 +22,8 @@ shaker: {shaker}
 """
 
 
-def random_pose(scene, amplitude_m, seed=0, instants=50):
-    """Return random displacements and gaps of all parts, up to an amplitude."""
+def random_motion(scene, amplitude_m, seed=0, instants=50):
+    """Return a random motion of all parts: displacements up to an amplitude, and gaps from 0 to it."""
     noise = np.random.default_rng(seed)
     bodies, dampers = scene.structure.bodies, len(scene.dampers)
     return RigMotion(
@@ -36,13 +36,13 @@ def random_pose(scene, amplitude_m, seed=0, instants=50):
 def draw(scene, motion):
     """Return the view, and for each moving part its heights in m and its scale factors."""
     view = RigView(scene, Extremes().extended_by(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
-    parts = {path: (move[:, 2], scale) for path, move, scale in view.moving_parts(motion)}
+    parts = {entity: (translation[:, 2], scale) for entity, translation, scale in view.moving_parts(motion)}
     return view, parts
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_springs_end_at_the_parts_they_join(amplitude_m):
-    motion = random_pose(SCENE, amplitude_m)
+    motion = random_motion(SCENE, amplitude_m)
     view, parts = draw(SCENE, motion)
     ground = np.zeros(50)
     top_of_lower_part = ground
@@ -55,16 +55,16 @@ def test_springs_end_at_the_parts_they_join(amplitude_m):
         top_of_lower_part = bottom_of_body + view.stack.heights[body - 1]
     lower_end, scale = parts["rig/coil_spring"]
     np.testing.assert_allclose(lower_end, parts["rig/table"][0], atol=1e-12)
-    coil_spring_length_m = 0.110
-    np.testing.assert_allclose(lower_end + coil_spring_length_m * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)
+    np.testing.assert_allclose(lower_end + COIL_LENGTH * scale[:, 2], parts["rig/body_1"][0], atol=1e-12)
 
 
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_parts_never_pass_through_each_other(amplitude_m):
-    motion = random_pose(SCENE, amplitude_m, seed=1)
+    motion = random_motion(SCENE, amplitude_m, seed=1)
     _, parts = draw(SCENE, motion)
     for path, (height, scale) in parts.items():
         if scale is not None:
+            # Springs are compressed by at most 60 % of their length.
             assert scale[:, 2].min() > 0.3, path
         if path.endswith("damper"):
             assert height.min() >= 0.0, path
@@ -84,7 +84,7 @@ def test_damper_at_its_ceiling_touches_it():
 
 def test_cavity_with_distant_ceiling_is_open():
     scene = SCENE.replace(dampers=[{"body": 2, "mass": "50 g", "clearance": "1 m"}])
-    view, _ = draw(scene, random_pose(scene, 1e-3))
+    view, _ = draw(scene, random_motion(scene, 1e-3))
     [cavity] = cavities(scene.dampers, 2, view.exaggeration)
     assert cavity.ceiling is None
 
@@ -92,7 +92,7 @@ def test_cavity_with_distant_ceiling_is_open():
 def test_two_dampers_have_separate_cavities():
     pair = [{"body": 2, "mass": f"{mass} g", "clearance": "1 mm"} for mass in (30, 20)]
     scene = SCENE.replace(dampers=[*pair, {"body": 3, "mass": "10 g", "clearance": "1 mm"}])
-    _, parts = draw(scene, random_pose(scene, 1e-3))
+    _, parts = draw(scene, random_motion(scene, 1e-3))
     assert {"rig/body_2/damper_1", "rig/body_2/damper_2", "rig/body_3/damper"} <= parts.keys()
     left, right = cavities(scene.dampers, 2, 1.0)
     assert left.x + left.width / 2 + WALL == pytest.approx(right.x - right.width / 2)
@@ -102,11 +102,11 @@ def test_two_dampers_have_separate_cavities():
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_bundled_scene_is_drawn_completely(path):
     scene = rig.load(path)
-    view, parts = draw(scene, random_pose(scene, 1e-3))
-    still = [entity for entity, _ in view.still_parts()]
-    assert len(still) == len(set(still))
+    view, parts = draw(scene, random_motion(scene, 1e-3))
+    still_parts = [entity for entity, _ in view.still_parts()]
+    assert len(still_parts) == len(set(still_parts))
     for moving in parts:
-        assert any(entity == moving or entity.startswith(f"{moving}/") for entity in still), moving
+        assert any(entity == moving or entity.startswith(f"{moving}/") for entity in still_parts), moving
 
 
 @pytest.mark.parametrize(
@@ -119,25 +119,25 @@ def test_bundled_scene_is_drawn_completely(path):
 )
 def test_other_rigs_are_drawn_without_missing_parts(shaker):
     scene = rig.loads(CHAIN.format(name="chain", shaker=shaker))
-    view, parts = draw(scene, random_pose(scene, 1e-3))
-    still = {entity for entity, _ in view.still_parts()}
-    assert "rig/spring_3" not in still and "rig/spring_3" not in parts
+    view, parts = draw(scene, random_motion(scene, 1e-3))
+    still_parts = {entity for entity, _ in view.still_parts()}
+    assert "rig/spring_3" not in still_parts and "rig/spring_3" not in parts
     assert ("rig/table" in parts) == ("force" not in shaker)
-    assert ("rig/body_1/drive" in still) == ("force" in shaker)
-    assert ("rig/body_3/lug" in still) == ("body: 3" in shaker)
+    assert ("rig/body_1/drive" in still_parts) == ("force" in shaker)
+    assert ("rig/body_3/lug" in still_parts) == ("body: 3" in shaker)
 
 
 def test_matrices_draw_bodies_without_springs():
     matrices = {"mass": [[1.0, 0.0], [0.0, 1.0]], "stiffness": [[2e4, -1e4], [-1e4, 1e4]]}
     scene = rig.loads(f"name: given\nstructure: {{matrices: {matrices}}}\n".replace("'", ""))
-    view, parts = draw(scene, random_pose(scene, 1e-3))
+    view, parts = draw(scene, random_motion(scene, 1e-3))
     assert set(parts) == {"rig/body_1", "rig/body_2"}
     assert not any("spring" in entity for entity, _ in view.still_parts())
 
 
 def test_noise_at_rest_is_not_exaggerated():
     assert exaggeration(Extremes()) == 1.0
-    assert exaggeration(Extremes(spring=1e-15)) <= 1e4
+    assert exaggeration(Extremes(spring=1e-15)) <= 1e4  # the largest exaggeration
 
 
 def test_lost_samples_do_not_count_as_extremes():

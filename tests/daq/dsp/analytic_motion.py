@@ -1,4 +1,7 @@
-"""Motions in closed form, as `rig.simulation.motion.Motion`, and signal chains that measure them."""
+"""Motions in closed form, as `rig.simulation.motion.Motion`, and signal chains that measure them.
+
+A break is an instant between samples at which an impact changes the velocity abruptly.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -10,19 +13,15 @@ from rig.simulation.motion import Motion
 
 
 @dataclass(frozen=True)
-class Path:
-    """The motion of a point.
+class PointMotion:
+    """The motion of a point."""
 
-    Tones are (amplitude of acceleration in m/s^2, frequency in Hz, phase in rad); impacts are (time in s, jump of
-    velocity in m/s).
-    """
+    tones: tuple = ()  # (amplitude of acceleration in m/s^2, frequency in Hz, phase in rad) of each
+    impacts: tuple = ()  # (time in s, jump of velocity in m/s) of each
+    start_velocity: float = 0.0  # m/s
 
-    tones: tuple = ()
-    impacts: tuple = ()
-    start_velocity: float = 0.0
-
-    def at(self, time, strictly_before=False):
-        """Return displacement, velocity and acceleration (3, times)."""
+    def at(self, time, before_impact=False):
+        """Return displacement, velocity and acceleration (3, times), before or after an impact at that time."""
         t = np.asarray(time, dtype=float)
         x, v, a = self.start_velocity * t, np.full(t.shape, self.start_velocity), np.zeros(t.shape)
         for amplitude, frequency, phase in self.tones:
@@ -31,21 +30,21 @@ class Path:
             v = v + amplitude / omega * np.sin(omega * t + phase)
             a = a + amplitude * np.cos(omega * t + phase)
         for instant, jump in self.impacts:
-            has_passed = t > instant if strictly_before else t >= instant
+            has_passed = t > instant if before_impact else t >= instant
             x = x + has_passed * jump * (t - instant)
             v = v + has_passed * jump
         return np.stack([x, v, a])
 
 
-def motion_of(paths, rate, count, first=0):
+def motion_of(motions, rate, count, first=0):
     """Return `count` samples of the motion of several points; an impact at one point is a break for all."""
     t = np.arange(first, first + count) / rate
-    times = np.array(sorted({instant for path in paths for instant, _ in path.impacts}))
-    ticks = np.ceil(times * rate - 1e-9).astype(np.int64)
-    inside = (ticks >= first) & (ticks < first + count)
-    times, ticks = times[inside], ticks[inside]
-    x, v, a = np.moveaxis(np.array([path.at(t) for path in paths]), 1, 0)
-    before, after = (np.array([path.at(times, side) for path in paths]) for side in (True, False))
+    times = np.array(sorted({instant for point in motions for instant, _ in point.impacts}))
+    break_samples = np.ceil(times * rate - 1e-9).astype(np.int64)
+    inside = (break_samples >= first) & (break_samples < first + count)
+    times, break_samples = times[inside], break_samples[inside]
+    x, v, a = np.moveaxis(np.array([point.at(t) for point in motions]), 1, 0)
+    before, after = (np.array([point.at(times, side) for point in motions]) for side in (True, False))
     without_dampers = np.zeros((0, count))
     return Motion(
         first=first,
@@ -54,8 +53,8 @@ def motion_of(paths, rate, count, first=0):
         acceleration=a,
         gap=without_dampers,
         contact=without_dampers.astype(np.int8),
-        break_sample=ticks,
-        break_offset=times - (ticks - 1) / rate,
+        break_sample=break_samples,
+        break_offset=times - (break_samples - 1) / rate,
         break_displacement=after[:, 0],
         break_velocity=np.stack([before[:, 1], after[:, 1]]),
         break_acceleration=np.stack([before[:, 2], after[:, 2]]),
@@ -101,4 +100,4 @@ def chain_of(scene, oversampling=1):
 
 def at_rest(bodies, rate, count, first=0):
     """Return a motion at rest."""
-    return motion_of([Path()] * bodies, rate, count, first)
+    return motion_of([PointMotion()] * bodies, rate, count, first)

@@ -7,7 +7,7 @@ import pytest
 
 from daq.dsp.circuit import Circuit, Section, high_pass, integration, recovery, resonance
 
-S = 2j * np.pi * np.array([0.01, 0.7, 12.0, 300.0, 4e3, 9e4])
+S = 2j * np.pi * np.array([0.01, 0.7, 12.0, 300.0, 4e3, 9e4])  # rad/s
 
 
 def transfer_of_states(section: Section) -> np.ndarray:
@@ -23,7 +23,7 @@ def transfer_of_roots(section: Section) -> np.ndarray:
     return section.gain * numerator / denominator
 
 
-OMEGA = 2 * np.pi * 50.0
+OMEGA = 2 * np.pi * 50.0  # corner or resonance of the sections, rad/s
 # Sections and their transfer functions at `S`.
 SECTIONS = [
     (resonance(50.0, 7.0), OMEGA**2 / (S**2 + S * OMEGA / 7.0 + OMEGA**2)),

@@ -27,13 +27,13 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
     length, intervals = 7, 211
     taps = random.standard_normal((oversampling, MOMENTS, length))
     moments = random.standard_normal((intervals, MOMENTS))
-    buffers = SharedScratch()
-    decimator, parts = Decimator(taps, delay, buffers), []
+    scratch = SharedScratch()
+    decimator, parts = Decimator(taps, delay, scratch), []
     for begin, end in ((0, 1), (1, 1), (1, 3), (3, 100), (100, 105), (105, intervals)):
         decimator.moments_buffer(end - begin)[: end - begin] = moments[begin:end]
         parts.append(decimator.filter(end - begin).copy())
         # Other channels use the same memory.
-        buffers.rows(1000)[:] = np.nan
+        scratch.rows(1000)[:] = np.nan
     samples = np.concatenate(parts)
     assert samples.size == -(-intervals // oversampling)
     for n, sample in enumerate(samples):
@@ -59,6 +59,7 @@ def test_taps_are_integrals_of_the_kernel(oversampling):
     ramp = np.sum(taps[:, 0] * middle) + np.sum(taps[:, 1] * half / 3.0)
     assert ramp == pytest.approx(-DELAY_SAMPLES, abs=1e-9)
     total = quad(lambda t: float(low_pass.impulse_response(np.array(t))), -DELAY_SAMPLES, DELAY_SAMPLES, limit=400)[0]
+    # Some taps: interval p in the sample interval, sample interval j, and moment k.
     for p, j, k in ((0, 40, 0), (0, 40, 3), (oversampling - 1, 37, 1), (0, 2, 2)):
         # Moment k is the mean of the signal times P_k: its weight is (2 k + 1) times the mean of kernel times P_k.
         end = j + p / oversampling

@@ -14,11 +14,11 @@ class KnownValues:
     """A source of known values in place of random numbers."""
 
     def __init__(self, values):
-        self._values, self._used = values, 0
+        self._values, self._n_used = values, 0
 
     def fill(self, samples):
-        samples[:] = self._values[self._used : self._used + samples.size]
-        self._used += samples.size
+        samples[:] = self._values[self._n_used : self._n_used + samples.size]
+        self._n_used += samples.size
 
 
 @pytest.mark.parametrize("oversampling", [1, 2, 5])
@@ -29,14 +29,13 @@ def test_polynomials_of_intervals_equal_those_of_samples(oversampling, block_end
     disturbances = Disturbances([KnownValues(row) for row in samples], np.zeros(4), (0, 1, 2, 0), oversampling)
     n_intervals = 29 * oversampling + 1
     coefficients = np.concatenate([disturbances.draw(int(n)) for n in np.diff([0, *block_ends, n_intervals])], axis=1)
-    # Instants in an interval, from -1 to 1.
-    in_interval = np.linspace(-1.0, 1.0, 5)
+    interval_time = np.linspace(-1.0, 1.0, 5)  # instants in an interval, from -1 to 1
     # Interval 0 ends at sample 0; the polynomials of a sample are valid since the previous sample.
     for interval in range(n_intervals):
         sample = -(-interval // oversampling)
         position = (interval - 1) % oversampling
-        since_sample = (2 * position + 1 + in_interval) / oversampling - 1.0
-        values, expected = (legval(in_interval, coefficients[:3, interval]), legval(since_sample, samples[:3, sample]))
+        sample_time = (2 * position + 1 + interval_time) / oversampling - 1.0  # in the sample interval, from -1 to 1
+        values, expected = legval(interval_time, coefficients[:3, interval]), legval(sample_time, samples[:3, sample])
         np.testing.assert_allclose(values, expected, atol=1e-12)
         assert coefficients[3, interval] == samples[3, sample]
 

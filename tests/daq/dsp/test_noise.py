@@ -16,6 +16,7 @@ def spectral_density(samples, rate, segment):
 
 
 def draw_samples(source, count):
+    """Return the next `count` samples of a source of noise, V."""
     samples = np.empty(count)
     source.fill(samples)
     return samples
@@ -38,6 +39,7 @@ def test_white_density_is_that_of_the_data_sheet():
 def test_density_rises_below_the_corner(corner, rate):
     samples = draw_samples(Noise(1.0, corner, rate, generator(2, "c", "noise")), 3_000_000)
     frequency, density = spectral_density(samples, rate, int(rate / corner * 100))
+    # Limits of frequency bands relative to the corner.
     for low, high in ((0.08, 0.12), (0.3, 0.5), (0.9, 1.1), (3.0, 5.0), (10.0, 15.0)):
         inside = (frequency >= low * corner) & (frequency <= high * corner)
         expected = np.sqrt(np.mean(1.0 + corner / frequency[inside]))
@@ -87,9 +89,9 @@ def test_converter_noise_density_is_read():
 @pytest.mark.parametrize("oversampling", [1, 2])
 def test_noise_before_decimation_is_filtered(integrator, oversampling):
     keys = ", accelerometer: {sensitivity: 2, noise: 0.01}" + integrator
-    chain, fine = chain_of(scene_of(keys, converter="{filter: delta_sigma}"), oversampling)
-    rate = fine / oversampling
-    volts = chain.measure(at_rest(1, fine, 300_000 * oversampling))[0][500:]
+    chain, interval_rate = chain_of(scene_of(keys, converter="{filter: delta_sigma}"), oversampling)
+    rate = interval_rate / oversampling
+    volts = chain.measure(at_rest(1, interval_rate, 300_000 * oversampling))[0][500:]
     frequency, density = spectral_density(volts, rate, 512)
     low_pass = Decimation.standard(rate)
 
@@ -99,6 +101,7 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
 
     # White noise above half the rate is aliased, attenuated by the filter.
     expected = np.hypot(filtered_density(frequency), filtered_density(rate - frequency))
+    # Limits of frequency bands relative to the sample rate; the passband ends at 0.45.
     for low, high in ((0.02, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.4), (0.4, 0.45), (0.455, 0.475), (0.475, 0.495)):
         result = mean_density(frequency, density, low * rate, high * rate)
         assert result == pytest.approx(mean_density(frequency, expected, low * rate, high * rate), rel=0.02)

@@ -1,4 +1,4 @@
-"""`AmplitudeControl` finds the drive of a force level: convergence, stability, and response to jumps of the force."""
+"""`AmplitudeControl` determines the drive for a force level: convergence, stability, and jumps of the force."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEVEL = 2.6  # N
 
 
 def control_drive(force: Callable[[float], float], drive: float, max_drives: int = 30) -> list[float]:
-    """Return the drives of the controller until the level is reached."""
+    """Return the drives of the controller until the level is reached; `force`: steady force in N for a drive."""
     control = AmplitudeControl(LEVEL)
     drives = [drive]
     while len(drives) < max_drives and not control.is_at_level(force(drives[-1])):
@@ -63,8 +63,8 @@ def test_amplifier_limit_is_respected() -> None:
 def test_excessive_force_cuts_drive() -> None:
     control = AmplitudeControl(LEVEL)
     # The drive is reduced in proportion to the force, at most by a factor of three.
-    assert control.reduce_drive(9.0, 100.0) == pytest.approx(3.0)
-    assert control.reduce_drive(9.0, 2 * LEVEL) == pytest.approx(4.5)
+    assert control.reduce_drive(9.0, 100.0) == pytest.approx(9.0 / 3)
+    assert control.reduce_drive(9.0, 2 * LEVEL) == pytest.approx(9.0 / 2)
     assert control.next_drive(1.0, LEVEL / 2) == pytest.approx(2.0)
 
 
@@ -76,7 +76,7 @@ def test_tolerance_of_level_includes_standard_error() -> None:
     assert not control.is_at_level(105.0, standard_error=0.1)
 
 
-def test_unrelated_force_ends_control():
+def test_force_independent_of_drive_ends_control():
     control, drive = AmplitudeControl(LEVEL), 1.0
     for _ in range(1000):
         reduced_drive = control.reduce_drive(drive, 100 * LEVEL)
@@ -84,4 +84,5 @@ def test_unrelated_force_ends_control():
             break
         assert 0.0 < reduced_drive < drive
         drive = reduced_drive
-    assert 1e-5 < drive < 1e-4
+    # The control ends when the drive is below 1e-4 of its largest value; the last reduction was by a factor of three.
+    assert 1e-4 / 3 < drive < 1e-4

@@ -14,6 +14,9 @@ from rig.errors import SceneError
 from rig.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
+RATE = 5120  # sample rate of the scenes, Hz
+FORCE = 2.6  # level of the tests, N
+FORCE_ERROR = 0.006  # tolerance of the control, 0.5 %, and error of the estimate
 # Hz: off resonance, at the resonances of the structure alone and with the shaker's spring, and at antiresonances.
 FREQUENCIES = [10.0, 13.037, 13.811, 25.0, 28.6, 34.777, 43.6, 49.663, 57.9]
 
@@ -36,12 +39,12 @@ def test_stepped_compliance_is_exact() -> None:
     error = measured / exact - 1.0
     assert len(bench_run.marks_of("measure")) == len(FREQUENCIES)
     assert np.abs(error).max() < 0.002
-    assert np.abs(np.angle(1.0 + error, deg=True)).max() < 0.1
+    assert np.abs(np.angle(1.0 + error, deg=True)).max() < 0.1  # degrees
     for first, stop, fields in bench_run.marks_of("measure"):
         assert fields["settled"] is True
-        assert abs(bench_run.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
-        assert fields["force"] == pytest.approx(2.6, rel=0.006)
-        assert stop - first == round(20 * 5120.0 / fields["frequency"])
+        assert abs(bench_run.spring_force(first, stop, fields["frequency"])) == pytest.approx(FORCE, rel=FORCE_ERROR)
+        assert fields["force"] == pytest.approx(FORCE, rel=FORCE_ERROR)
+        assert stop - first == round(20 * RATE / fields["frequency"])  # 20 periods by default
     assert not bench_run.warnings
 
 
@@ -49,8 +52,8 @@ def test_stepped_drive_is_continuous() -> None:
     bench_run = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
     drive = bench_run.drive[0]
     largest = np.abs(drive).max()
-    # The second difference of a 40 Hz tone is (2 pi f / rate)^2 of its amplitude; a jump would exceed it.
-    assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / 5120.0) ** 2 * largest
+    # The second difference of a 40 Hz tone is (2 pi f / rate)^2 times its amplitude; that of a jump is larger.
+    assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / RATE) ** 2 * largest
     assert drive[0] == 0.0
     assert abs(drive[-1]) < 1e-4 * largest
 
@@ -62,7 +65,7 @@ def test_electrodynamic_shaker_holds_force() -> None:
     measured, exact = compliance(bench_run)
     assert np.abs(measured[0] / exact[0] - 1.0).max() < 0.005
     for first, stop, fields in bench_run.marks_of("measure"):
-        assert abs(bench_run.spring_force(first, stop, fields["frequency"])) == pytest.approx(2.6, rel=0.006)
+        assert abs(bench_run.spring_force(first, stop, fields["frequency"])) == pytest.approx(FORCE, rel=FORCE_ERROR)
 
 
 def test_three_dampers_hold_force_at_resonance() -> None:
@@ -71,7 +74,7 @@ def test_three_dampers_hold_force_at_resonance() -> None:
     bench_run = run(scene.replace(test=test))
     forces = [fields["force"] for _, _, fields in bench_run.marks_of("measure") if fields["settled"]]
     assert len(forces) >= 5
-    assert forces == pytest.approx([2.6] * len(forces), rel=0.02)
+    assert forces == pytest.approx([FORCE] * len(forces), rel=0.02)
 
 
 def test_levels_and_directions_run_in_order() -> None:
@@ -83,6 +86,7 @@ def test_levels_and_directions_run_in_order() -> None:
     steps = [(f["level"], f["direction"], f["frequency"]) for _, _, f in bench_run.marks_of("measure")]
     steps_of_a_level = [("up", 25.0), ("up", 26.0), ("down", 26.0), ("down", 25.0)]
     assert steps == [(1.0, *step) for step in steps_of_a_level] + [(2.0, *step) for step in steps_of_a_level]
+    # Progress after each of 8 steps.
     assert [fraction for fraction, _ in bench_run.reports] == [k / 8 for k in range(9)]
 
 
@@ -114,7 +118,7 @@ def test_force_shaker_is_driven_by_force() -> None:
         row = [channel.quantity for channel in bench_run.bench.channels].index("force")
         amplitudes = bench_run.amplitudes(first, stop, fields["frequency"])
         force = amplitudes[row] / bench_run.bench.channels[row].response(fields["frequency"])
-        assert abs(force) == pytest.approx(2.6, rel=1e-3)
+        assert abs(force) == pytest.approx(FORCE, rel=1e-3)
         exact = receptance(bench_run.bench.scene, np.array([fields["frequency"]]))[0, 0]
         motion = amplitudes[0] * bench_run.displacement_factor(0, fields["frequency"])
         assert abs(motion / force / exact - 1.0) < 0.002
@@ -137,26 +141,26 @@ def test_missing_table_channel_is_reported() -> None:
 def test_block_size_does_not_change_stepped_sine() -> None:
     test = {"kind": "stepped_sine", "frequencies": [49.6], "force": "2.6 N", "measure": {"periods": 5}}
     scene = rig.load("fig8-three-dampers").replace(test=test)
-    whole_run, divided_run = run(scene), run(scene, max_block=101)
-    np.testing.assert_array_equal(whole_run.drive, divided_run.drive)
-    np.testing.assert_array_equal(whole_run.readings, divided_run.readings)
-    assert whole_run.marks == divided_run.marks
+    undivided_run, divided_run = run(scene), run(scene, max_block=101)
+    np.testing.assert_array_equal(undivided_run.drive, divided_run.drive)
+    np.testing.assert_array_equal(undivided_run.readings, divided_run.readings)
+    assert undivided_run.marks == divided_run.marks
 
 
 def test_open_loop_tone_starts_with_sine() -> None:
     test = {"kind": "sine", "frequency": "218.8 rad/s", "force": "2.6 N", "duration": "0.5 s", "start": "empty"}
     bench_run = run(scene_with(test, shaker={"kind": "force", "body": 1}))
-    time = np.arange(2560) / 5120.0
-    np.testing.assert_allclose(bench_run.drive[0], 2.6 * np.sin(218.8 * time), rtol=0, atol=1e-11)
+    time = np.arange(RATE // 2) / RATE
+    np.testing.assert_allclose(bench_run.drive[0], FORCE * np.sin(218.8 * time), rtol=0, atol=1e-11)
     assert bench_run.marks_of("measure")[0][2]["settled"] is False
 
 
 def test_controlled_tone_has_its_duration() -> None:
     bench_run = run(scene_with({"kind": "sine", "frequency": 25.0, "force": "2.6 N", "duration": "1 s"}))
     first, stop, fields = bench_run.marks_of("measure")[0]
-    assert stop - first == 5120
+    assert stop - first == RATE
     assert fields["settled"] is True
-    assert abs(bench_run.spring_force(first, stop, 25.0)) == pytest.approx(2.6, rel=0.006)
+    assert abs(bench_run.spring_force(first, stop, 25.0)) == pytest.approx(FORCE, rel=FORCE_ERROR)
 
 
 @pytest.mark.thorough
@@ -166,7 +170,7 @@ def test_controlled_tone_has_its_duration() -> None:
 def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
     bench_run = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
     first, stop, fields = bench_run.marks_of("measure")[0]
-    assert stop - first == 20 * 5120
+    assert stop - first == 20 * RATE
     assert (fields["from"], fields["to"], fields["duration"]) == (sweep["from"], sweep["to"], 20.0)
     for fraction in (0.1, 0.5, 0.9):
         middle = first + round(fraction * (stop - first))
@@ -174,7 +178,7 @@ def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
         linear = sweep["from"] + (sweep["to"] - sweep["from"]) * fraction
         window = slice(middle - 512, middle + 512)
         zero_crossings = np.flatnonzero(np.diff(np.signbit(bench_run.drive[0, window]).astype(int)))
-        frequency = 5120.0 * (len(zero_crossings) - 1) / (zero_crossings[-1] - zero_crossings[0]) / 2
+        frequency = RATE * (len(zero_crossings) - 1) / (zero_crossings[-1] - zero_crossings[0]) / 2
         assert frequency == pytest.approx(logarithmic if sweep["spacing"] == "log" else linear, rel=0.02)
         force = abs(bench_run.spring_force(middle - 256, middle + 256, frequency))
         assert force == pytest.approx(2.6, rel=0.1)
@@ -182,17 +186,17 @@ def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
 
 
 def test_lock_in_ignores_offset_and_drift() -> None:
-    time = np.arange(1000) / 5120.0
+    time = np.arange(1000) / RATE
     samples = (0.3 * np.cos(2 * np.pi * 17.3 * time - 1.1) + 5.0 - 40.0 * time)[None]
-    assert lock_in(samples, 17.3, 5120.0)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
+    assert lock_in(samples, 17.3, RATE)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
 
 
 @pytest.mark.parametrize("frequency", [8.0, 13.037, 49.663, 333.3])
 def test_window_is_nearly_whole_periods(frequency: float) -> None:
-    samples = whole_periods(frequency, 5120.0, 0.1)
-    periods = samples * frequency / 5120.0
-    assert periods >= 2 - 1e-3 and samples >= 0.1 * 5120 - 1
-    assert abs(periods - round(periods)) < 0.035
+    samples = whole_periods(frequency, RATE, 0.1)
+    periods = samples * frequency / RATE
+    assert periods >= 2 - 1e-3 and samples >= 0.1 * RATE - 1
+    assert abs(periods - round(periods)) < 0.035  # rounding to whole samples at the highest frequency
 
 
 def test_lock_in_rejects_harmonics_and_drift() -> None:
@@ -225,5 +229,6 @@ def test_amplitudes_near_nyquist_are_estimated(samples_per_period: float) -> Non
 def test_too_short_measurement_is_extended() -> None:
     step = {"kind": "stepped_sine", "frequencies": [40.0], "force": 2.6, "measure": {"periods": 1}}
     first, stop, fields = run(scene_with(step, converter={"rate": 92.0})).marks_of("measure")[0]
+    # The minimum window has 8 samples; one period of 40 Hz has 2.3.
     assert stop - first == 8
-    assert fields["force"] == pytest.approx(2.6, rel=0.01)
+    assert fields["force"] == pytest.approx(FORCE, rel=0.01)

@@ -39,14 +39,14 @@ def force_ratios(bench_run: BenchRun) -> Array:
     frequency = fields["from"] * np.exp(log_ratio * fraction)
     phase = 2 * np.pi * fields["duration"] * fields["from"] * np.expm1(log_ratio * fraction) / log_ratio
     ratios, start = [], 0
-    while (size := round(4 * rate / frequency[start])) < fraction.size - start:
-        demodulation = np.hanning(size) * np.exp(-1j * phase[start : start + size])
-        samples = bench_run.readings[:, first + start : first + start + size]
+    while (length := round(4 * rate / frequency[start])) < fraction.size - start:
+        demodulation = np.hanning(length) * np.exp(-1j * phase[start : start + length])
+        samples = bench_run.readings[:, first + start : first + start + length]
         samples = samples - samples.mean(axis=1, keepdims=True)
-        amplitudes = 2 * (samples @ demodulation) / np.hanning(size).sum()
-        force = amplitudes @ bench_run.force_weights(frequency[start + size // 2])
+        amplitudes = 2 * (samples @ demodulation) / np.hanning(length).sum()
+        force = amplitudes @ bench_run.force_weights(frequency[start + length // 2])
         ratios.append(abs(force) / fields["level"])
-        start += size // 2
+        start += length // 2
     return np.array(ratios)
 
 
@@ -85,6 +85,7 @@ def test_force_below_level_is_marked() -> None:
     first, stop, _ = bench_run.marks_of("measure")[0]
     level_marks = bench_run.marks_of("level")
     assert level_marks and all(first <= begin < end <= stop for begin, end, _ in level_marks)
+    # At its limit of 2 V, the amplifier yields less than 80 % of the level at the resonance.
     assert min(fields["worst"] for _, _, fields in level_marks) < 0.8
     assert bench_run.marks_of("measure")[0][2]["lowest"] < 0.8
     assert np.abs(bench_run.drive).max() <= 2.0 * (1 + 1e-12)
@@ -93,15 +94,15 @@ def test_force_below_level_is_marked() -> None:
 
 def test_pretest_estimates_response_of_table() -> None:
     scene = scene_with(sweep(10.0, 40.0, duration=20.0, force=2.6))
-    drive_models = []
+    shaker_laws = []
 
     def only_pretest(station: Station) -> Any:
-        drive_models.append((yield from pretest(station, 10.0, 40.0, 2.6)))
+        shaker_laws.append((yield from pretest(station, 10.0, 40.0, 2.6)))
 
     run(scene, make_excitation=only_pretest)
     for frequency in (10.0, 20.0, 40.0):
         s = 2j * np.pi * frequency
-        per_force, per_motion = drive_models[0].at(s)
+        per_force, per_motion = shaker_laws[0].at(s)
         # The servo of the table is critically damped with its corner at 400 Hz.
         servo = (1 + s / (2 * np.pi * 400.0)) ** 2
         assert per_motion == pytest.approx(servo, rel=3e-3)
@@ -109,7 +110,8 @@ def test_pretest_estimates_response_of_table() -> None:
 
 
 def test_mode_is_identified_before_its_resonance() -> None:
-    # A sweep of 0.37 Hz/s from 10 to 12 Hz towards a mode at 13 Hz, observed each 0.04 s.
+    # A sweep of 0.37 Hz/s from 10 to 12 Hz towards a mode at 13 Hz, observed every 0.04 s. The motion is that of the
+    # exact solution for a constant force.
     mode, pole, gain, residual_term = NearestMode(), (-0.005 + 1j) * 2 * np.pi * 13.0, -9e-4j, 3e-5
     envelope, interval, sweep_rate, force = 0j, 0.04, 0.37, 2.6
     frequencies = np.arange(10.0, 12.0, sweep_rate * interval)
@@ -127,10 +129,10 @@ def test_mode_is_identified_before_its_resonance() -> None:
 @pytest.mark.parametrize(
     ("volts", "warning"), [(10.0, "did not change in the pretest"), (0.2, "At times the signals are below one count")]
 )
-def test_readings_below_a_count_end_sweep(volts: float, warning: str) -> None:
+def test_readings_below_a_count_are_reported(volts: float, warning: str) -> None:
     scene = rig.loads(INSENSITIVE).replace(converter={"rate": 2048.0, "bits": 16, "range": volts})
     bench_run = run(scene)
     first, stop, _ = bench_run.marks_of("measure")[0]
-    assert stop - first == 2048
+    assert stop - first == 2048  # the complete sweep of 1 s
     assert np.isfinite(bench_run.drive).all()
     assert warning in bench_run.warnings[-1]

@@ -15,7 +15,7 @@ from rig.arrays import Array, ComplexArray
 
 
 def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:
-    """Return the bare structure on an ideal table with ideal sensors, with this test and these other changes."""
+    """Return the bare structure on an ideal table with ideal sensors, with a test and other changed settings."""
     return rig.load("bare-structure").replace(test=test, **changes)
 
 
@@ -26,9 +26,10 @@ class BenchRun:
     bench: Bench
     drive: Array = field(default_factory=lambda: np.zeros((0, 0)))
     readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    marks: list[tuple[str, int, int, dict[str, Any]]] = field(default_factory=list)  # Kind, first, stop, fields.
+    # Kind, first sample, sample after the last, and fields of each mark.
+    marks: list[tuple[str, int, int, dict[str, Any]]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
-    reports: list[tuple[float, str]] = field(default_factory=list)  # Completed fraction, message.
+    reports: list[tuple[float, str]] = field(default_factory=list)  # completed fraction, message
 
     def marks_of(self, kind: str) -> list[tuple[int, int, dict[str, Any]]]:
         """Return the marks of a kind as (first, stop, fields)."""
@@ -39,7 +40,7 @@ class BenchRun:
         return complex(self.amplitudes(first, stop, frequency) @ self.force_weights(frequency))
 
     def force_weights(self, frequency: float) -> ComplexArray:
-        """Return the spring force in N for a unit amplitude of each channel (channels,)."""
+        """Return the weight of each channel in the spring force, N per unit of its reading; shape (channels,)."""
         shaker = self.bench.scene.shaker
         assert shaker is not None and shaker.spring is not None
         places = [channel.at for channel in self.bench.channels]
@@ -50,7 +51,7 @@ class BenchRun:
         return weights
 
     def displacement_factor(self, row: int, frequency: float) -> complex:
-        """Return the displacement in m for a unit amplitude of a channel."""
+        """Return the displacement in m for a unit amplitude of a channel, by integration in the frequency domain."""
         channel = self.bench.channels[row]
         order = ["displacement", "velocity", "acceleration"].index(channel.quantity)
         return complex(1.0 / channel.response(frequency) / (2j * np.pi * frequency) ** order)
@@ -85,10 +86,10 @@ def run(
     test = make_excitation(station)
     drive = next(test)
     while True:
-        size = drive.shape[1] if max_block is None else max_block
+        block = drive.shape[1] if max_block is None else max_block
         blocks = [
-            bench.physical(bench.acquire(drive[:, start : start + size]).samples)
-            for start in range(0, drive.shape[1], size)
+            bench.physical(bench.acquire(drive[:, start : start + block]).samples)
+            for start in range(0, drive.shape[1], block)
         ]
         station.now += drive.shape[1]
         drives.append(drive)

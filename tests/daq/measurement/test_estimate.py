@@ -25,8 +25,8 @@ def scene_with_channels(n_channels: int) -> rig.Scene:
 def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few, many, too_many = (estimate(scene_with_channels(count)) for count in (10, 2000, 4000))
     bytes_per_channel = (many.memory - few.memory) / (2000 - 10)
-    assert few.memory < 0.4e9
-    assert 0.25e6 < bytes_per_channel < 0.35e6
+    assert few.memory < 0.4e9  # the program alone has 0.33 GB
+    assert 0.25e6 < bytes_per_channel < 0.35e6  # signal path, and buffers of half a second
     check_resources(many, tmp_path / "a.mcap")
     with pytest.raises(RunError, match=r"all its channels.* would need 1\.\d+ GB of memory"):
         check_resources(too_many, tmp_path / "a.mcap")
@@ -48,9 +48,9 @@ def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
             peak = tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
-    # The next buffers of the file and of the display are allocated, but not used: they take no memory yet.
-    unused_buffers = 2 * samples.nbytes
-    assert peak - unused_buffers < CHANNEL_COPIES * 8.0 * (n_samples + 2 * block_length(RATE)) * n_channels
+    # The next buffers of the file and of the display are allocated, but not yet filled, and take no memory.
+    unfilled_buffers = 2 * samples.nbytes
+    assert peak - unfilled_buffers < CHANNEL_COPIES * 8.0 * (n_samples + 2 * block_length(RATE)) * n_channels
 
 
 def test_true_motion_is_in_estimated_size() -> None:

@@ -34,10 +34,10 @@ def make_scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
     return rig.loads(SCENE.format(shaker=shaker, level=level), where="a test")
 
 
-def in_blocks(cuts, values):
-    """Yield values, shape (channels, samples), in blocks between the cuts, each with the number of its first sample."""
+def blocks_between(boundaries, values):
+    """Yield values (channels, samples) in blocks between the boundaries, each with the number of its first sample."""
     first = 0
-    for block in np.split(values, cuts, axis=1):
+    for block in np.split(values, boundaries, axis=1):
         yield first, block
         first += block.shape[1]
 
@@ -56,13 +56,13 @@ def flagged_intervals_of(flags):
 @given(
     flags=st.lists(st.lists(st.booleans(), min_size=40, max_size=40), min_size=3, max_size=3),
     flag_spacing=st.integers(1, 7),
-    cuts=st.lists(st.integers(0, 40), max_size=5).map(sorted),
+    boundaries=st.lists(st.integers(0, 40), max_size=5).map(sorted),
 )
-def test_interval_of_overloads_is_marked_once(flags, flag_spacing, cuts):
+def test_interval_of_overloads_is_marked_once(flags, flag_spacing, boundaries):
     flags = np.array(flags) & (np.arange(40) % flag_spacing == 0)
     marked = {info.name: [] for info in INFOS}
     intervals = FlaggedIntervals("overload", INFOS, lambda kind, *span, channel: marked[channel].append(span))
-    for first, block in in_blocks(cuts, flags):
+    for first, block in blocks_between(boundaries, flags):
         intervals.add(first, block)
     intervals.close()
     assert marked == {info.name: flagged_intervals_of(row) for info, row in zip(INFOS, flags, strict=True)}
@@ -94,7 +94,8 @@ def test_first_reading_above_limit_aborts(readings):
     limits = Limits(make_scene(), INFOS, lambda kind, *span, channel: marked.append((kind, channel, *span)))
     exceedance = limits.watch(1000, readings)
     limits.close()
-    exceeding = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > (5.0, 4.0)[row]]
+    abort_limits = (5.0, 4.0)  # of channels t and a
+    exceeding = [(k, row) for k in range(12) for row in (0, 1) if abs(readings[row, k]) > abort_limits[row]]
     if exceeding:
         sample, row = exceeding[0]
         assert (exceedance.sample, exceedance.channel, exceedance.value) == (
@@ -102,7 +103,8 @@ def test_first_reading_above_limit_aborts(readings):
             INFOS[row],
             readings[row, sample],
         )
-        assert exceedance.limit == (5.0, 4.0)[row]
+        assert exceedance.limit == abort_limits[row]
+        # Sample 1000 is at 125 s, at 8 samples per second.
         assert f"channel {'ta'[row]}: {readings[row, sample]:.4g} m/s^2 at {125 + sample / 8:.3f} s" in str(exceedance)
     else:
         assert exceedance is None
@@ -140,6 +142,7 @@ def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
         assert messages[:2] == [None, None]
         assert (messages[2] is not None) == (row in rows)
         if row in rows:
+            # The overload begins at sample 16, and is reported at the end of the third block, sample 28.
             assert f"input {info.name}: overloaded since 2.00 s" in messages[2]
             assert calls.pop() == (scene, row, 3.5)
             # If several channels are clipped, the first is reported.

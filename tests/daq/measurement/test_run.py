@@ -75,10 +75,10 @@ def test_markers_state_every_point(tmp_path: Path) -> None:
     path = daq.record(steps_scene(), tmp_path / "new" / "s.mcap", progress=lambda *report: reports.append(report))
     with daq.open(path) as rec:
         points = [mark for mark in rec.markers if mark.kind == "measure"]
-        assert [mark.fields["frequency"] for mark in points] == [48.0, 49.6]
+        assert [mark.fields["frequency"] for mark in points] == STEPS["frequencies"]
         for mark in points:
             assert mark.last_sample is not None
-            assert mark.last_sample - mark.first_sample + 1 == round(10 * 5120 / mark.fields["frequency"])
+            assert mark.last_sample - mark.first_sample + 1 == round(10 * rec.rate / mark.fields["frequency"])
             assert mark.fields["settled"] and mark.fields["force"] == pytest.approx(2.6, rel=0.02)
             assert mark.fields["drive"] > 0
         assert rec.samples > points[-1].last_sample
@@ -181,13 +181,13 @@ def test_lost_blocks_leave_gaps(tmp_path: Path) -> None:
     # Samples 512 to 811 at 5120 S/s, and all samples from 3584 on.
     lost = [{"at": "0.1 s", "samples": 300}, {"at": "0.7 s", "samples": 10_000}]
     converter = {"rate": "5120 Hz", "bits": 24, "range": "5 V"}
-    whole = daq.record(hit_scene(converter=converter), tmp_path / "whole.mcap")
+    without_loss = daq.record(hit_scene(converter=converter), tmp_path / "without_loss.mcap")
     files = [
         daq.record(hit_scene(converter=converter | {"dropped_blocks": lost}), tmp_path / f"{block}.mcap", block=block)
         for block in (None, 100)
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
-    with daq.open(whole) as expected, daq.open(files[0]) as rec:
+    with daq.open(without_loss) as expected, daq.open(files[0]) as rec:
         readings = rec.read("body2")
         assert np.all(np.isnan(readings[512:812]))
         acquired = np.r_[0:512, 812:3584]
@@ -210,7 +210,7 @@ def test_removed_delay_keeps_times(tmp_path: Path) -> None:
 
 
 def interrupt_after(calls: int) -> Any:
-    """Return a progress callback that presses Ctrl-C after this number of calls."""
+    """Return a progress callback that sends the signal of Ctrl-C after this number of calls."""
     remaining_calls = iter(range(calls))
 
     def progress(fraction: float, message: str) -> None:
@@ -225,6 +225,7 @@ def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt, match=r"a\.mcap contains the first \d\.\d\d s"):
         daq.record(hit_scene(), path, progress=interrupt_after(2))
     with daq.open(path) as rec:
+        # The hit is at 0.25 s; the complete test takes 0.75 s.
         assert 0.3 * rec.rate < rec.samples < 0.75 * rec.rate
         assert [mark.kind for mark in rec.markers][-1] == "abort"
         assert rec.markers[-1].fields["reason"] == "interrupted"
@@ -300,6 +301,7 @@ def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     usage, messages = shutil.disk_usage(tmp_path), []
+    # The recorder keeps 1 MB free; 60 kB remain for the recording.
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
     scene = hit_scene().replace(test={**HIT, "repeats": 20})
     with pytest.raises(RunError, match="disk is full"):
@@ -425,17 +427,18 @@ def test_unsettled_steps_are_counted(
     assert "not settled: 1 of 1 measurements" in printed.out
 
 
-@pytest.mark.parametrize("size", [1, 3, 50])
-def test_block_size_does_not_change_flagged_intervals(size: int) -> None:
+@pytest.mark.parametrize("block", [1, 3, 50])
+def test_block_size_does_not_change_flagged_intervals(block: int) -> None:
     info = [ChannelInfo(name, "body 1", "acceleration", sensitivity=1.0, rate=10.0) for name in ("a", "b")]
     flags = np.zeros((2, 50), dtype=bool)
     flags[0, [3, 5, 9, 20, 21]] = True
     flags[1, 48] = True
     marks: list[tuple[Any, ...]] = []
     intervals = FlaggedIntervals("overload", info, lambda *mark, **fields: marks.append((*mark, fields["channel"])))
-    for start in range(0, 50, size):
-        intervals.add(start, flags[:, start : start + size])
+    for start in range(0, 50, block):
+        intervals.add(start, flags[:, start : start + block])
     intervals.close()
+    # Samples with a gap of up to half a second (5 samples) are merged.
     expected = [("overload", 3, 10, "a"), ("overload", 20, 22, "a"), ("overload", 48, 49, "b")]
     assert sorted(marks, key=lambda mark: mark[1]) == expected
 

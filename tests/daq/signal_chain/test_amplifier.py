@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 
 def test_gain_scales_the_integral():
-    path = Path(tones=((7.0, 20.0, 0.4),), impacts=((0.0312, 0.1),))
+    path = PointMotion(tones=((7.0, 20.0, 0.4),), impacts=((0.0312, 0.1),))
     for order, quantity, row in ((1, "velocity", 1), (2, "displacement", 0)):
         keys = f", accelerometer: {{sensitivity: 2}}, integrator: {{order: {order}, gain: 30}}"
         chain, rate = chain_of(scene_of(keys))

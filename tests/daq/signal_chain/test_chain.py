@@ -12,7 +12,7 @@ import rig
 from daq.dsp.circuit import Circuit, high_pass, integration, resonance
 from daq.signal_chain.chain import Chain
 from rig.errors import SceneError
-from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, cut, motion_of, scene_of
 
 SENSOR = ", accelerometer: {sensitivity: 100 mV/g, resonance: 30 kHz, low_cutoff: 4 Hz}"
 # Keys of a channel and of a converter with all effects.
@@ -40,7 +40,7 @@ def measured_and_stated_response(keys, rate, frequency, seconds=2.0):
     info = chain.channels[0]
     derivative = ("displacement", "velocity", "acceleration").index(info.quantity)
     omega = 2 * np.pi * frequency
-    path = Path(tones=((omega ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
+    path = PointMotion(tones=((omega ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
     readings = chain.measure(motion_of([path], rate, round(seconds * rate)))[0] / info.sensitivity
     t = np.arange(readings.size) / rate
     second_half = t > seconds / 2
@@ -99,7 +99,7 @@ def test_samples_of_impacts_have_closed_form(order, rate):
     impacts[15] = (round(impacts[15][0] * rate) / rate, 0.2)
     keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
     chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
-    volts = chain.measure(motion_of([Path(impacts=tuple(sorted(impacts)))], rate, samples))[0]
+    volts = chain.measure(motion_of([PointMotion(impacts=tuple(sorted(impacts)))], rate, samples))[0]
     circuit = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
     t = np.arange(samples) / rate
     expected, transition = np.zeros(samples), expm(circuit.a / rate)
@@ -115,7 +115,7 @@ def test_samples_of_impacts_have_closed_form(order, rate):
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 def test_double_integration_returns_displacement(rate):
-    path = Path(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=random_impacts(300, 1.0, seed=7))
+    path = PointMotion(tones=((300.0, 34.8, 0.3), (90.0, 13.0, 2.0)), impacts=random_impacts(300, 1.0, seed=7))
     chain, _ = chain_of(scene_of(", integrator: {order: 2}", converter=f"{{rate: {rate} Hz}}"))
     motion = motion_of([path], rate, round(rate))
     truth = motion.displacement[0] - motion.displacement[0, 0]
@@ -124,7 +124,7 @@ def test_double_integration_returns_displacement(rate):
 
 def test_summed_samples_return_velocity():
     rate = 5120.0
-    path = Path(tones=((300.0, 34.8, 0.3),), impacts=random_impacts(100, 0.5, seed=3), start_velocity=0.4)
+    path = PointMotion(tones=((300.0, 34.8, 0.3),), impacts=random_impacts(100, 0.5, seed=3), start_velocity=0.4)
     chain, _ = chain_of(scene_of())
     motion = motion_of([path], rate, round(rate / 2))
     assert np.cumsum(chain.measure(motion)[0]) / rate == pytest.approx(motion.velocity[0], abs=1e-12)
@@ -133,8 +133,8 @@ def test_summed_samples_return_velocity():
 def test_samples_do_not_depend_on_blocks():
     scene = scene_of(ALL_EFFECTS, SENSOR, converter=CONVERTER_WITH_ALL_EFFECTS)
     paths = [
-        Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1)),
-        Path(tones=((90.0, 33.0, 1.0),), impacts=random_impacts(20, 0.1, seed=2)),
+        PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1)),
+        PointMotion(tones=((90.0, 33.0, 1.0),), impacts=random_impacts(20, 0.1, seed=2)),
     ]
     _, rate = chain_of(scene)
     motion = motion_of(paths, rate, 512)
@@ -148,7 +148,7 @@ def test_samples_do_not_depend_on_blocks():
 def test_oversampled_samples_do_not_depend_on_blocks():
     scene = scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS)
     _, rate = chain_of(scene, oversampling=3)
-    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.05, seed=1))], rate, 600)
+    motion = motion_of([PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.05, seed=1))], rate, 600)
     expected = chain_of(scene, oversampling=3)[0].measure(motion)
     assert expected.shape == (1, 200)
     for size in (1, 7, 250):
@@ -158,7 +158,7 @@ def test_oversampled_samples_do_not_depend_on_blocks():
 
 
 def test_channels_are_independent():
-    paths = [Path(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1))] * 3
+    paths = [PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1))] * 3
     scene, with_other_channel = scene_of("", ALL_EFFECTS, SENSOR), scene_of(SENSOR, ALL_EFFECTS, SENSOR)
     motion = motion_of(paths, 5120.0, 512)
     samples = chain_of(scene)[0].measure(motion)
@@ -188,7 +188,7 @@ def test_settled_start_reads_zero():
 
 def test_initial_velocity_reads_as_impulse():
     chain, rate = chain_of(scene_of(", integrator: {order: 1}"))
-    samples = chain.measure(motion_of([Path(start_velocity=0.25)], rate, 10))[0]
+    samples = chain.measure(motion_of([PointMotion(start_velocity=0.25)], rate, 10))[0]
     assert samples == pytest.approx(np.full(10, 0.25), rel=1e-12)
 
 
@@ -228,7 +228,7 @@ def test_other_motion_rate_is_rejected(factor):
 def test_empty_block_changes_nothing():
     scene = scene_of(ALL_EFFECTS, SENSOR, converter=CONVERTER_WITH_ALL_EFFECTS)
     chain, rate = chain_of(scene)
-    motion = motion_of([Path(tones=((200.0, 60.0, 0.0),))] * 2, rate, 20)
+    motion = motion_of([PointMotion(tones=((200.0, 60.0, 0.0),))] * 2, rate, 20)
     assert chain.measure(cut(motion, 0, 0)).shape == (2, 0)
     first = chain.measure(cut(motion, 0, 9))
     assert chain.measure(cut(motion, 9, 9)).shape == (2, 0)

@@ -9,7 +9,7 @@ from rig.scene.data_sheets import data_sheets
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import complete_from_preset
-from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 
 def test_count_is_range_over_number_of_codes():
@@ -99,7 +99,7 @@ def test_preset_module_figures_apply():
 def test_presets_settle_and_read_a_tone():
     scene = scene_of(", accelerometer: {preset: pcb 352c33}", converter="{preset: NI 9234, rate: 5120 Hz}")
     chain, rate = chain_of(scene)
-    volts = chain.measure(motion_of([Path(tones=((10.0, 80.0, 0.0),))], rate, round(12 * rate)))[0]
+    volts = chain.measure(motion_of([PointMotion(tones=((10.0, 80.0, 0.0),))], rate, round(12 * rate)))[0]
     last_second = volts[-5120:] / chain.channels[0].sensitivity
     assert np.abs(volts[: round(rate)]).max() > 0.5
     assert abs(last_second.mean()) < 1.0
@@ -115,8 +115,8 @@ def test_skewed_channels_are_sampled_earlier(keys, filter_key):
     simultaneous, _ = chain_of(scene_of(keys, keys, keys, converter=f"{{rate: 5120 Hz{filter_key}}}"))
     delays = np.array([info.delay for info in skewed.channels]) - simultaneous.channels[0].delay
     assert delays == pytest.approx([80e-6, 40e-6, 0.0], abs=1e-15)
-    delayed_paths = [Path(impacts=tuple((t + delay, v) for t, v in impacts)) for delay in delays]
-    volts = skewed.measure(motion_of([Path(impacts=impacts)] * 3, rate, 300))
+    delayed_paths = [PointMotion(impacts=tuple((t + delay, v) for t, v in impacts)) for delay in delays]
+    volts = skewed.measure(motion_of([PointMotion(impacts=impacts)] * 3, rate, 300))
     expected = simultaneous.measure(motion_of(delayed_paths, rate, 300))
     assert volts == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
 
@@ -124,7 +124,7 @@ def test_skewed_channels_are_sampled_earlier(keys, filter_key):
 def test_skewed_tone_has_stated_phase():
     skewed, rate = chain_of(scene_of("", "", converter="{skew: 60 us}"))
     simultaneous, _ = chain_of(scene_of("", ""))
-    motion = motion_of([Path(tones=((50.0, 60.0, -np.pi / 2),))] * 2, rate, 5120)
+    motion = motion_of([PointMotion(tones=((50.0, 60.0, -np.pi / 2),))] * 2, rate, 5120)
     # Complex amplitudes over whole periods.
     demodulation = np.exp(-2j * np.pi * 60.0 / rate * np.arange(2560, 5120)) / 1280
     amplitudes, expected = (chain.measure(motion)[:, 2560:] @ demodulation for chain in (skewed, simultaneous))
@@ -143,7 +143,7 @@ def test_skew_over_a_sample_interval_is_rejected():
 def test_jitter_noise_is_slope_times_jitter(keys, filter_key):
     rate, frequency, jitter = 5120.0, 200.0, 1e-6
     omega = 2 * np.pi * frequency
-    path = Path(tones=((100.0, frequency, 0.0),))
+    path = PointMotion(tones=((100.0, frequency, 0.0),))
     jittered, _ = chain_of(scene_of(keys, keys, converter=f"{{jitter: {jitter}{filter_key}}}"))
     without_jitter, _ = chain_of(scene_of(keys, keys, converter=f"{{rate: 5120 Hz{filter_key}}}"))
     motion = motion_of([path] * 2, rate, 40_000)

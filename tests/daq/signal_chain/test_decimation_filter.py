@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from daq.signal_chain.decimation_filter import PASSBAND_EDGE, STOPBAND_EDGE, Decimation
-from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, cut, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, cut, motion_of, scene_of
 
 RATE = 1000.0  # Hz
 FILTERED = "{rate: 1 kHz, filter: delta_sigma}"
@@ -27,7 +27,7 @@ def test_pass_band_is_flat_and_delayed():
     assert info.delay == 38 / RATE  # the filter delays by 38 samples
     for relative_frequency in (0.02, 0.2, 0.4, PASSBAND_EDGE):
         chain, _ = chain_of(scene_of("", converter=FILTERED), oversampling=8)
-        path = Path(tones=((1.0, relative_frequency * RATE, 0.0),))
+        path = PointMotion(tones=((1.0, relative_frequency * RATE, 0.0),))
         result = amplitude(chain.measure(motion_of([path], rate, 8 * 3000))[0], relative_frequency * RATE, RATE)
         assert abs(result) == pytest.approx(1.0, abs=3e-5)
         delay_error = np.angle(result * np.exp(2j * np.pi * relative_frequency * 38)) / (2 * np.pi * relative_frequency)
@@ -38,7 +38,9 @@ def test_pass_band_is_flat_and_delayed():
 @pytest.mark.parametrize("relative_frequency", [STOPBAND_EDGE, 0.62, 0.97, 1.2, 1.9, 2.45, 3.3])
 def test_out_of_band_tone_is_suppressed(relative_frequency):
     chain, rate = chain_of(scene_of("", converter=FILTERED), oversampling=16)
-    samples = chain.measure(motion_of([Path(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[0]
+    samples = chain.measure(motion_of([PointMotion(tones=((1.0, relative_frequency * RATE, 0.7),))], rate, 16 * 1500))[
+        0
+    ]
     assert np.abs(samples[300:]).max() < 1e-5
 
 
@@ -47,7 +49,7 @@ def test_impact_response_is_convolved_with_filter():
     sensor = f", accelerometer: {{resonance: {resonance}, q: {q}}}"
     chain, _ = chain_of(scene_of(sensor, converter=f"{{rate: {rate}, filter: delta_sigma}}"))
     instant, jump = 20.3217 / rate, 0.13
-    samples = chain.measure(motion_of([Path(impacts=((instant, jump),))], rate, 110))[0]
+    samples = chain.measure(motion_of([PointMotion(impacts=((instant, jump),))], rate, 110))[0]
     low_pass = Decimation.standard(rate)
     # The decaying vibration of the sensor in closed form, convolved with the filter by a fine midpoint rule.
     omega = 2 * np.pi * resonance
@@ -66,12 +68,12 @@ def test_filtered_impulse_sums_to_velocity():
     chain, _ = chain_of(scene_of("", converter=FILTERED))
     for instant in (10.0, 20.0001, 29.5):
         chain, _ = chain_of(scene_of("", converter=FILTERED))
-        samples = chain.measure(motion_of([Path(impacts=((instant / RATE, 0.5),))], RATE, 130))[0]
+        samples = chain.measure(motion_of([PointMotion(impacts=((instant / RATE, 0.5),))], RATE, 130))[0]
         assert samples.sum() / RATE == pytest.approx(0.5, rel=1e-5)
 
 
 def test_removed_delay_renumbers_samples():
-    path = [Path(tones=((1.0, 41.0, 0.3),), impacts=((0.0517, 0.2),))]
+    path = [PointMotion(tones=((1.0, 41.0, 0.3),), impacts=((0.0517, 0.2),))]
     motion = motion_of(path, RATE, 200)
     with_delay, _ = chain_of(scene_of("", converter=FILTERED))
     without_delay, _ = chain_of(scene_of("", converter="{rate: 1 kHz, filter: delta_sigma, remove_delay: true}"))

@@ -10,7 +10,7 @@ import rig
 from daq.dsp.circuit import Circuit, high_pass, resonance
 from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
-from tests.daq.dsp.analytic_motion import Path, chain_of, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, chain_of, motion_of, scene_of
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -25,7 +25,7 @@ def test_point_samples_are_instant_voltages(seed):
         converter=f"{{rate: {rate}, sampling: point}}",
     )
     chain, fine = chain_of(scene, oversampling)
-    motion = motion_of([Path(impacts=tuple(sorted(impacts)))], fine, samples * oversampling)
+    motion = motion_of([PointMotion(impacts=tuple(sorted(impacts)))], fine, samples * oversampling)
     circuit = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
     time = np.arange(samples) / rate
     expected = np.zeros(samples)
@@ -39,7 +39,7 @@ def test_point_samples_are_instant_voltages(seed):
 
 
 def test_only_averages_include_impulses():
-    path = Path(impacts=((0.01234, 0.7),))
+    path = PointMotion(impacts=((0.01234, 0.7),))
     for sampling, velocity in (("point", 0.0), ("average", 0.7)):
         chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
         samples = chain.measure(motion_of([path], rate, 30))[0]

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 import rig
 from daq.signal_chain.decimation_filter import Decimation
 from daq.virtual_bench.bench import Bench
-from tests.daq.dsp.analytic_motion import Path, chain_of, cut, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, chain_of, cut, motion_of, scene_of
 
 RATES = (1000.0, 5120.0, 51200.0, 204800.0)  # Hz
 
@@ -134,7 +134,7 @@ def test_saturated_samples_agree_with_simulation(seed):
 
     scene = case.scene(saturation, amplifier_saturation)
     chain, rate = chain_of(scene, case.oversampling)
-    path = Path(impacts=tuple((step * case.step, jump) for step, jump in case.impacts))
+    path = PointMotion(impacts=tuple((step * case.step, jump) for step, jump in case.impacts))
     motion = motion_of([path], rate, (expected.size - 1) * case.oversampling + 1)
     samples = chain.measure(motion)[0]
     assert samples == pytest.approx(expected, abs=5e-3 * np.abs(expected).max())
@@ -159,7 +159,7 @@ def test_saturation_does_not_depend_on_rate(seed, filter_key):
     # Peak of the impulse response of the sensor's resonance.
     exponent = np.arctan(np.sqrt(4 * q * q - 1)) / np.sqrt(4 * q * q - 1)
     peak = jump * 2 * np.pi * frequency * np.exp(-exponent)
-    path = Path(impacts=((0.01 + rng.uniform(0.0, 1e-3), jump),))
+    path = PointMotion(impacts=((0.01 + rng.uniform(0.0, 1e-3), jump),))
     for relative_saturation in (0.995, 1.005):
         saturation = relative_saturation * peak
         keys = f", accelerometer: {{resonance: {frequency}, q: {q}, saturation: {saturation}}}"
@@ -173,7 +173,7 @@ def test_impulse_saturates_sensor_without_resonance():
     for rate in RATES:
         scene = scene_of(", accelerometer: {saturation: 50}, integrator: {order: 1}", converter=f"{{rate: {rate}}}")
         chain, _ = chain_of(scene)
-        samples = chain.measure(motion_of([Path(impacts=((0.0123, 0.4),))], rate, int(0.02 * rate)))[0]
+        samples = chain.measure(motion_of([PointMotion(impacts=((0.0123, 0.4),))], rate, int(0.02 * rate)))[0]
         assert samples == pytest.approx(np.zeros(samples.size), abs=1e-12)
         assert np.flatnonzero(chain.overload[0]).tolist() == [int(np.ceil(0.0123 * rate))]
 
@@ -181,7 +181,7 @@ def test_impulse_saturates_sensor_without_resonance():
 def test_zero_shift_is_part_of_the_overload():
     scene = scene_of(", accelerometer: {resonance: 20 kHz, saturation: 100, overload_recovery: 5 ms}")
     chain, rate = chain_of(scene)
-    samples = chain.measure(motion_of([Path(impacts=((0.01, 0.05),))], rate, 600))[0]
+    samples = chain.measure(motion_of([PointMotion(impacts=((0.01, 0.05),))], rate, 600))[0]
     flagged = np.flatnonzero(chain.overload[0])
     assert flagged[0] == np.ceil(0.01 * rate)
     assert np.array_equal(flagged, np.arange(flagged[0], flagged[-1] + 1))

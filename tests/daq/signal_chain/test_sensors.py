@@ -5,7 +5,7 @@ import pytest
 
 from daq.signal_chain.devices import accelerometer
 from rig.scene.measurement_chain import Accelerometer
-from tests.daq.dsp.analytic_motion import Path, at_rest, chain_of, motion_of, scene_of
+from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 
 def read_constant(keys, acceleration, count):
@@ -79,7 +79,7 @@ def test_constant_acceleration_decays_below_low_cutoff():
 
 def test_saturated_reading_recovers_at_once():
     chain, rate = chain_of(scene_of(", accelerometer: {sensitivity: 2, saturation: 5}"))
-    path = Path(tones=((20.0, 50.0, 0.0),))
+    path = PointMotion(tones=((20.0, 50.0, 0.0),))
     readings = chain.measure(motion_of([path], rate, 1000))[0] / 2.0
     instants = (np.arange(1, 1000)[:, None] - 1.0 + (np.arange(1000) + 0.5) / 1000) / rate
     expected = np.clip(20.0 * np.cos(2 * np.pi * 50.0 * instants), -5.0, 5.0).mean(axis=1)

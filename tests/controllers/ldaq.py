@@ -43,7 +43,9 @@ task.clear_task()
 time, data = measured["time"], measured["data"]
 assert data.shape == (10240, 3), data.shape
 assert np.allclose(np.diff(time), 1 / 5120)
+# 200 samples precede the trigger at 0.02 g in channel 1.
 assert data[:199, 1].max() < 0.02 <= data[199:202, 1].max(), data[195:205, 1]
+# The lines of the spectrum of the last second are 1 Hz apart; the tone of 25 Hz is the highest.
 spectrum = np.abs(np.fft.rfft(data[-5120:] * np.hanning(5120)[:, None], axis=0))
 assert (np.argmax(spectrum[5:], axis=0) + 5 == 25).all()
 # The sensors on one body agree within their tolerances.

@@ -48,11 +48,11 @@ def channel(number, sensitivity, unit, kind, excited, feedback):
 channels = [channel(0, 100, "g", "Acceleration", True, ""), channel(1, 1000, "V", "Voltage", False, "ao0")]
 daq = DataAcquisitionParameters(channels, RATE, 512, 1024, 0, None, [NAME], np.ones((2, 1), bool), 1, 1)
 lines = np.arange(FRAME // 2 + 1) * RATE / FRAME
-level = np.where((lines >= 20) & (lines <= 200), 2e-6, 0.0)
+target = np.where((lines >= 20) & (lines <= 200), 2e-6, 0.0)  # spectrum of the acceleration, g^2/Hz
 limits = np.full((2, lines.size, 1), np.nan)
 random = RandomVibrationMetadata(2, RATE, FRAME, 0.5, "Hann", 0.5, 0.5, False, 20, "Hann", 0.5, False,
                                  os.path.join(HERE, "control_laws", "control_laws.py"), "pseudoinverse_control", 0, "",
-                                 [0], [1], lines, level[:, None, None].astype(complex), limits, limits, None, None)
+                                 [0], [1], lines, target[:, None, None].astype(complex), limits, limits, None, None)
 random.sysid_frame_size, random.sysid_averaging_type = FRAME, "Linear"
 random.sysid_noise_averages, random.sysid_averages, random.sysid_estimator = 5, 20, "H1"
 random.sysid_exponential_averaging_coefficient, random.sysid_level, random.sysid_level_ramp_time = 0.1, 0.2, 0.5

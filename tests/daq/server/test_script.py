@@ -177,7 +177,7 @@ def test_example_of_acquisition_source_gives_all_samples():
     source = VirtualRig("bare-structure", clock="fast")
     source.set_data_source()
     blocks = [source.read_data() for _ in range(10)]
-    n_samples = math.ceil(source.rig.chassis.elapsed * source.sample_rate)
+    n_samples = math.ceil(source.bench.chassis.elapsed * source.sample_rate)
     source.terminate_data_source()
     assert source.channel_names == ["body1", "body2", "body3", "table"]
     assert all(block.shape[1] == 4 for block in blocks)

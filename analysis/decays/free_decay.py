@@ -186,7 +186,9 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     """
     names = responses(rec)
     if not names:
-        raise RecordingError(f"{rec.path}: no motion channel on a body. Add one to the scene's channels.")
+        raise RecordingError(
+            f"{rec.path}: no motion channel on a body. Add one to the scene's channels, and record again."
+        )
     info = motion_channel(rec, channel if channel is not None else names[-1])
     read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
     samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)

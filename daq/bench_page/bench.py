@@ -70,7 +70,7 @@ def bench(
             server = Server(chassis, f"127.0.0.1:{device_port}", further=(BenchTime(chassis),))
         except RuntimeError:
             raise SceneError(
-                f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port, or 0."
+                f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port; 0 chooses a free port."
             ) from None
         stack.callback(server.close)
         live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)

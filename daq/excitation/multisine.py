@@ -58,13 +58,14 @@ def excite(station: Station, test: Multisine) -> Excitation:
             )
             factor = min(limit_factor(station, wave) for wave in waves)
             experiment_fields: dict[str, object] = {}  # of the marker
-            message = f"realisation {realisation}"
+            message = f"realisation {realisation} of {test.realisations}"
             if len(shakers) > 1:
                 experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
-                message += f", experiment {experiment + 1}"
-            message += f" of {test.realisations}"
+                message += f", experiment {experiment + 1} of {len(shakers)}"
             if factor < 1.0:
-                station.warn(f"{message}: the amplifier limits the drive to {factor:.0%}. Lower the level.")
+                station.warn(
+                    f"{message}: the amplifier reaches only {factor:.0%} of the drive for the level. Lower the level."
+                )
             waves *= factor
             fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
             station.report(fraction, f"{message}, settling")
@@ -74,7 +75,10 @@ def excite(station: Station, test: Multisine) -> Excitation:
             station.mark("settle", first, station.now, realisation=realisation, settled=settled)
             if not settled:
                 max_wait_s = _max_wait(station, period) / station.rate
-                station.warn(f"{message}: not periodic within {max_wait_s:g} s. Its periods are marked as not settled.")
+                station.warn(
+                    f"{message}: the response did not become periodic within {max_wait_s:g} s. Its periods are marked "
+                    "as not settled. Choose another level."
+                )
             first, n_experiments = station.now, test.realisations * len(shakers)
             for period_index in range(test.periods):
                 station.report(

@@ -162,9 +162,12 @@ class Foresight(Result):
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
         lines = [*self.unread, *self.flights, *self.outside]
-        lines.append(f"takes {about}{duration_text(self.seconds)} on the bench, about {self.disk / 1e6:.3g} MB")
+        lines.append(
+            f"the test takes {about}{duration_text(self.seconds)} on the bench; its recording has about "
+            f"{self.disk / 1e6:.3g} MB"
+        )
         if self.rehearsed:
-            lines.append(f"rehearsed: {self.rehearsed}")
+            lines.append(f"simulated for this prediction: {self.rehearsed}")
         return "\n".join([self.summary(), *lines, "", *table_lines(rows, "<" * len(header))])
 
 

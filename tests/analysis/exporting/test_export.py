@@ -62,7 +62,7 @@ def test_npz_loads_without_pickles(recording, tmp_path):
     export(Slice.of(recording, ["body2"], 0.5, 1.0), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
         assert set(arrays) == {"body2", "channels", "units", "rate", "start_s"}
-        assert np.array_equal(arrays["body2"], recording.read("body2", 1280, 2560))
+        assert np.array_equal(arrays["body2"], recording.read("body2", 1280, 2560))  # 0.5 to 1 s at 2560 Hz
         assert arrays["units"].tolist() == ["m/s^2"]
         assert (arrays["rate"], arrays["start_s"]) == (RATE, 0.5)
 
@@ -98,10 +98,10 @@ def test_uff_is_read_by_pyuff(recording, tmp_path):
     export(Slice.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
     sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
     assert [data_set["type"] for data_set in sets] == [58, 58]
-    assert [data_set["func_type"] for data_set in sets] == [1, 1]
+    assert [data_set["func_type"] for data_set in sets] == [1, 1]  # time response
     assert [data_set["rsp_node"] for data_set in sets] == [1, 2]
-    assert [data_set["rsp_dir"] for data_set in sets] == [3, 3]
-    assert [data_set["ordinate_spec_data_type"] for data_set in sets] == [8, 12]
+    assert [data_set["rsp_dir"] for data_set in sets] == [3, 3]  # +Z
+    assert [data_set["ordinate_spec_data_type"] for data_set in sets] == [8, 12]  # displacement, acceleration
     assert [data_set["ordinate_axis_units_lab"] for data_set in sets] == ["m", "m/s^2"]
     assert sets[1]["id1"].startswith("body2: acceleration at body 2")
     assert sets[1]["id4"] == "sample rate 2560.0 Hz"
@@ -204,7 +204,7 @@ def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, me
 
 def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):
     segment = Slice.of(recording)
-    usage = SimpleNamespace(free=int(expected_bytes(segment, ".csv") / 4) - 1)
+    usage = SimpleNamespace(free=int(expected_bytes(segment, ".csv") / 4) - 1)  # a quarter may suffice
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: usage)
     with pytest.raises(RunError, match=r"would take about .* MB, and its disk has .* MB left"):
         export(segment, tmp_path / "a.csv")
@@ -213,7 +213,7 @@ def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):
     export(segment, tmp_path / "a.csv")
 
 
-def test_failing_disk_is_reported(recording, tmp_path):
+def test_missing_folder_is_reported(recording, tmp_path):
     with pytest.raises(FileNotFoundError):
         write_uff(Slice.of(recording), tmp_path / "missing" / "a.uff")
 
@@ -257,6 +257,15 @@ def test_channel_names_like_paths_are_replaced(tmp_path):
         assert arrays[".._x_y"].tolist() == [1.0] * 10
 
 
+@pytest.mark.parametrize(("names", "rejected"), [(("rate",), "rate"), (("a b", "a/b"), "a b")])
+def test_npz_rejects_channels_with_names_in_use(tmp_path, names, rejected):
+    infos = [ChannelInfo(name, "body 1", "force", 1.0, RATE) for name in names]
+    with Recorder(tmp_path / "a.mcap", make_scene(), infos, RATE) as recorder:
+        recorder.write(np.ones((len(names), 10)))
+    with daq.open(tmp_path / "a.mcap") as recording, pytest.raises(SceneError, match=f"channel '{rejected}' cannot be"):
+        export(Slice.of(recording), tmp_path / "a.npz")
+
+
 def test_unknown_format_is_rejected_before_writing(recording, tmp_path):
     result = CliRunner().invoke(app, ["export", str(recording.path), "-o", str(tmp_path / "a.tdms")])
     assert "ends in one of .csv" in str(result.exception) and "writing" not in result.output
@@ -269,7 +278,7 @@ def test_command_names_written_file(recording, tmp_path):
     )
     assert result.exit_code == 0
     assert f"wrote {path}" in result.output
-    assert len(path.read_text(encoding="utf-8").splitlines()) == 257
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 1 + 0.1 * RATE  # header and samples
 
 
 def test_exported_matlab_file_imports_equal(recording, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,15 @@ def test_random_spring_force_has_its_level() -> None:
     force = force_history(bench_run, first, stop)
     assert force.std() == pytest.approx(LEVEL, rel=0.1)
     assert bench_run.marks_of("settle")[0][2]["settled"] is True
+
+
+def test_clipped_samples_of_several_shakers_are_counted_once() -> None:
+    shaker = {"kind": "electrodynamic", "spring": "6.6 kN/m", "amplifier": {"limit": "10 mV"}}
+    test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "drive": "1 V", "duration": "1 s", "also": [2]}
+    bench_run = run(scene_with(test, shaker=[{**shaker, "body": 1}, {**shaker, "body": 3}]))
+    (warning,) = bench_run.warnings
+    n_clipped, n_samples = (int(number) for number in re.findall(r"\b\d+\b", warning))
+    assert 0.9 * RATE < n_clipped <= n_samples == RATE
 
 
 def test_bursts_end_in_silence() -> None:

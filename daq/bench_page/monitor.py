@@ -39,26 +39,26 @@ _DRIVE_S = 0.5
 
 
 class History:
-    """The last `size` samples of several signals; `stop` is the number of the next sample."""
+    """The last `length` samples of several signals; `stop` is the number of the next sample."""
 
-    def __init__(self, rows: int, size: int) -> None:
-        self._values = np.zeros((rows, size))
+    def __init__(self, rows: int, length: int) -> None:
+        self._values = np.zeros((rows, length))
         self.stop = 0
 
     def add(self, first: int, values: Array) -> None:
         """Add samples, the first with the number `first`; missing samples before it become zeros."""
-        size = self._values.shape[1]
-        missing = min(first - self.stop, size)
+        length = self._values.shape[1]
+        missing = min(first - self.stop, length)
         if missing > 0:
-            self._values[:, np.arange(first - missing, first) % size] = 0.0
+            self._values[:, np.arange(first - missing, first) % length] = 0.0
         self.stop = first + values.shape[1]
-        values = values[:, -size:]
-        self._values[:, np.arange(self.stop - values.shape[1], self.stop) % size] = values
+        values = values[:, -length:]
+        self._values[:, np.arange(self.stop - values.shape[1], self.stop) % length] = values
 
     def last(self, samples: int) -> Array:
         """Return the last samples, shape (rows, samples)."""
-        size = self._values.shape[1]
-        return self._values[:, np.arange(self.stop - min(samples, size), self.stop) % size]
+        length = self._values.shape[1]
+        return self._values[:, np.arange(self.stop - min(samples, length), self.stop) % length]
 
 
 class Monitor:

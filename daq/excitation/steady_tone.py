@@ -127,9 +127,9 @@ class SteadyTone(Tone):
         total: ComplexArray = np.zeros(0, dtype=complex)
         remaining = samples
         while remaining:
-            size = piece_samples if remaining >= 2 * piece_samples else remaining
-            weighted = size / samples * (yield from self.observe(size))
-            total, remaining = (total + weighted if total.size else weighted), remaining - size
+            window = piece_samples if remaining >= 2 * piece_samples else remaining
+            weighted = window / samples * (yield from self.observe(window))
+            total, remaining = (total + weighted if total.size else weighted), remaining - window
         return total
 
     def settle(

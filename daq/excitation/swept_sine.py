@@ -77,10 +77,10 @@ def excite(station: Station, test: SweptSine) -> Excitation:
             )
         total, completed = station.samples(test.duration), 0
         while completed < total:
-            size = min(total - completed, station.samples(_WINDOW_S))
-            phase = _phase(test, start_phase, completed, size, total)
+            window = min(total - completed, station.samples(_WINDOW_S))
+            phase = _phase(test, start_phase, completed, window, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
-            completed += size
+            completed += window
             station.report(completed / total, f"{sweep_frequency(test, completed / total):.2f} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     periods = float(sweep_periods(test, np.ones(1))[0])
@@ -110,11 +110,11 @@ def _sweep_controlled(
     next_amplitude = amplitude
     while completed < total:
         frequency = sweep_frequency(test, completed / total)
-        size = min(total - completed, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
-        phase = _phase(test, start_phase, completed, size, total)
-        envelope = amplitude + (next_amplitude - amplitude) * np.arange(size) / size
+        window = min(total - completed, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
+        phase = _phase(test, start_phase, completed, window, total)
+        envelope = amplitude + (next_amplitude - amplitude) * np.arange(window) / window
         readings = yield station.drive(np.real(envelope * np.exp(1j * phase)))
-        completed, amplitude = completed + size, next_amplitude
+        completed, amplitude = completed + window, next_amplitude
         control.add_drive(completed / rate, amplitude)
         length = observation_samples(frequency, rate)
         recent = np.concatenate([recent, readings[rows]], axis=1)[:, -length:]
@@ -127,7 +127,7 @@ def _sweep_controlled(
         monitor.add(station.now - length, station.now, middle_frequency, abs(force))
         sweep_rate = (sweep_frequency(test, completed / total) - middle_frequency) / (length / 2 / rate)
         observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, force)
-        next_amplitude = control.next_drive(observation, size / rate)
+        next_amplitude = control.next_drive(observation, window / rate)
         station.report(completed / total, f"{middle_frequency:.2f} Hz")
     return amplitude
 
@@ -200,12 +200,12 @@ def _displacements(
     return displacements
 
 
-def _phase(test: SweptSine, start_phase: float, completed: int, size: int, total: int) -> Array:
-    """Return the phase of the tone, rad, at the next `size` samples of the sweep, which has `total` samples.
+def _phase(test: SweptSine, start_phase: float, completed: int, window: int, total: int) -> Array:
+    """Return the phase of the tone, rad, at the next `window` samples of the sweep, which has `total` samples.
 
     `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before these.
     """
-    return start_phase + 2 * np.pi * sweep_periods(test, np.arange(completed, completed + size) / total)
+    return start_phase + 2 * np.pi * sweep_periods(test, np.arange(completed, completed + window) / total)
 
 
 def sweep_frequency(test: SweptSine, fraction: float) -> float:

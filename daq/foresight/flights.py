@@ -60,7 +60,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
         impacts = [(rehearsal, time) for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]
         flight_range = ""
         if exceeds_gravity.size:
-            # A damper flies by the linear response, or by an impact in a rehearsal.
+            # A damper flies where the linear response exceeds gravity, or where a rehearsal contains an impact.
             at_impacts = {rehearsal.frequency_at(round(time * rehearsal.rate)) for rehearsal, time in impacts} - {None}
             has_impact = [any(abs(f - tone) < 1e-3 * f for tone in at_impacts if tone) for f in frequencies]
             flies = exceeds_gravity[row] | np.array(has_impact)

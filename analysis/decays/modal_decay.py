@@ -232,8 +232,8 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
     rotation, angle = np.polyfit(t, np.unwrap(np.angle(baseband)), 1, w=weight)
     residual = baseband - np.exp(decay * t + log_amplitude + 1j * (rotation * t + angle))
     # The fit has four real parameters, that is two complex degrees of freedom.
-    independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
-    return float(np.sqrt(np.mean(abs(residual) ** 2) * independent / (independent - 2.0)))
+    n_independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
+    return float(np.sqrt(np.mean(abs(residual) ** 2) * n_independent / (n_independent - 2.0)))
 
 
 def _log_decay_envelope(envelope: Array) -> Array:

@@ -99,8 +99,18 @@ def tabulate_limits(
 ) -> Limits | None:
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
-    `output_limit`: of the output of the first `sensor_sections` sections, V; `rails`: of each state, V, (states,);
-    `gain`: V per unit of the input; `rate`: sample rate, Hz; `entries`: of the disturbances.
+    Parameters
+    ----------
+    sections, sensor_sections
+        Sections of the circuit, and number of the first sections that form the sensor.
+    output_limit
+        Largest magnitude of the sensor's output, V.
+    rails
+        Largest magnitude of each state, V; (states,).
+    gain, rate
+        V per unit of the input, and sample rate in Hz.
+    entries
+        Points at which the disturbances enter.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None
@@ -138,6 +148,7 @@ def tabulate_limits(
     varying_contributions = discrete.transition[states + 4 :].copy()
     varying_contributions[is_steady] = 0.0
     feedthrough = output_weights[width]
+    # Rows that yield the limited voltages from the extended vector, and the limits: sensor's output, then each state.
     limited = [(np.concatenate([output_weights[:size], np.zeros(len(extended) - size)]), output_limit)]
     limited += [(np.eye(len(extended))[state], rails[state]) for state in range(states)]
     limited = [(row, limit) for row, limit in limited if np.isfinite(limit)]

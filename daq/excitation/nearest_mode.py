@@ -121,15 +121,15 @@ def _fit_poles(
     step = np.diff(time)
     power = abs(force) ** 2
     weight = np.exp((time[1:] - time[-1]) / (2 * memory)) / np.sqrt(power[1:] + power[:-1] + 1e-300)
-    decay = (poles[:, None] - 0.5j * (angular_frequency[1:] + angular_frequency[:-1])) * step
-    decayed = np.exp(decay)
-    is_small = abs(decay) < _MIN_EXPONENT
-    mean = np.where(is_small, 1 + decay / 2, (decayed - 1) / np.where(is_small, 1, decay))
+    exponent = (poles[:, None] - 0.5j * (angular_frequency[1:] + angular_frequency[:-1])) * step
+    decay_factor = np.exp(exponent)
+    is_small = abs(exponent) < _MIN_EXPONENT
+    mean = np.where(is_small, 1 + exponent / 2, (decay_factor - 1) / np.where(is_small, 1, exponent))
     previous_force, previous_motion = force[:-1] * weight, motion[:-1] * weight
     force, motion = force[1:] * weight, motion[1:] * weight
     gain_column = mean * (step / 2 * (force + previous_force))
-    residual_column = force - decayed * previous_force
-    response = motion - decayed * previous_motion
+    residual_column = force - decay_factor * previous_force
+    response = motion - decay_factor * previous_motion
 
     dot = np.vecdot
     gain_gain, residual_residual = ((1 + _RIDGE) * dot(term, term).real for term in (gain_column, residual_column))
@@ -144,10 +144,10 @@ def _fit_poles(
     return gain, residual_term, residual
 
 
-def mean_exponential(decay: complex) -> complex:
-    """Return the mean of e^(decay u) for u from 0 to 1.
+def mean_exponential(exponent: complex) -> complex:
+    """Return the mean of e^(exponent u) for u from 0 to 1.
 
     >>> mean_exponential(0.0)
     1.0
     """
-    return 1 + decay / 2 if abs(decay) < _MIN_EXPONENT else (exp(decay) - 1) / decay
+    return 1 + exponent / 2 if abs(exponent) < _MIN_EXPONENT else (exp(exponent) - 1) / exponent

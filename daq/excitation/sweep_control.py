@@ -113,19 +113,22 @@ class SweepControl:
         center = 1j * observation.angular_frequency(observation.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(center), law.slope(center)
         # The envelope in the middle of the observation, from its windowed mean.
-        decay = mode.pole - center
-        spread = complex(_HANN @ np.exp(decay * observation.length * _INSTANTS))
-        envelope = (observation.motion - mode.residual_term * force) / spread + mode.gain * force * (
-            1 / spread - 1
-        ) / decay
+        relative_pole = mode.pole - center
+        window_mean = complex(_HANN @ np.exp(relative_pole * observation.length * _INSTANTS))
+        envelope = (observation.motion - mode.residual_term * force) / window_mean + mode.gain * force * (
+            1 / window_mean - 1
+        ) / relative_pole
         times, drives = (np.array(row) for row in zip(*self._drives, strict=True))
         step = observation.length / 2 / _STEPS
         for time in observation.middle + step * np.arange(1, _STEPS + 1):
             drive = complex(np.interp(time, times, drives))
             frequency_offset = 1j * observation.angular_frequency(time - step / 2) - center
-            decay = mode.pole - center - frequency_offset
-            decayed, forced_gain = exp(decay * step), mode.gain * step * mean_exponential(decay * step)
-            free_envelope = decayed * envelope + forced_gain * force
+            relative_pole = mode.pole - center - frequency_offset
+            decay_factor, forced_gain = (
+                exp(relative_pole * step),
+                mode.gain * step * mean_exponential(relative_pole * step),
+            )
+            free_envelope = decay_factor * envelope + forced_gain * force
             # X = c F + x, by backward Euler for the force, which may change fast within a step.
             motion_coefficient = per_motion + frequency_offset * motion_slope
             force_coefficient = (
@@ -136,9 +139,11 @@ class SweepControl:
             )
             force_rate_coefficient = (force_slope + motion_slope * mode.residual_term) / step
             next_force = (
-                drive - (motion_coefficient + motion_slope * decay) * free_envelope + force_rate_coefficient * force
+                drive
+                - (motion_coefficient + motion_slope * relative_pole) * free_envelope
+                + force_rate_coefficient * force
             ) / (force_coefficient + force_rate_coefficient)
-            envelope = decayed * envelope + forced_gain * (force + next_force) / 2
+            envelope = decay_factor * envelope + forced_gain * (force + next_force) / 2
             force = next_force
         return envelope, force
 
@@ -146,9 +151,9 @@ class SweepControl:
         """Return the drive amplitude that gives the requested force at the end of the window."""
         assert self._target_force is not None
         mode, target_force = self._mode, self._target_force
-        decay = mode.pole - 1j * observation.angular_frequency(observation.end + window / 2)
-        forced_gain = mode.gain * window * mean_exponential(decay * window)
-        envelope = exp(decay * window) * envelope + forced_gain * (force + target_force) / 2
+        relative_pole = mode.pole - 1j * observation.angular_frequency(observation.end + window / 2)
+        forced_gain = mode.gain * window * mean_exponential(relative_pole * window)
+        envelope = exp(relative_pole * window) * envelope + forced_gain * (force + target_force) / 2
         end = 1j * observation.angular_frequency(observation.end + window)
         (per_force, per_motion), (_, motion_slope) = self._law.at(end), self._law.slope(end)
         change = (mode.pole - end) * envelope + mode.gain * target_force

@@ -150,22 +150,22 @@ class ControlLoss:
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in controlled_places(scene)]
         self._scene, self._channels = scene, channels
-        self._since: int | None = None  # first sample of the present overload
+        self._overload_start: int | None = None  # first sample of the present overload
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
         """Check overload flags, shape (channels, samples); return a message if an overload lasts too long."""
-        clipped = [row for row in self._rows if flags[row].any()]
-        if not clipped:
-            self._since = None
+        overloaded_rows = [row for row in self._rows if flags[row].any()]
+        if not overloaded_rows:
+            self._overload_start = None
             return None
-        self._since = first if self._since is None else self._since
-        info, stop = self._channels[clipped[0]], first + flags.shape[1]
-        if stop - self._since <= _MAX_OVERLOAD_S * info.rate:
+        self._overload_start = first if self._overload_start is None else self._overload_start
+        info, stop = self._channels[overloaded_rows[0]], first + flags.shape[1]
+        if stop - self._overload_start <= _MAX_OVERLOAD_S * info.rate:
             return None
-        cause = bias_overload(self._scene, clipped[0], stop / info.rate)
+        cause = bias_overload(self._scene, overloaded_rows[0], stop / info.rate)
         return (
-            f"input {info.name}: overloaded since {self._since / info.rate:.2f} s, so the spring force cannot be "
-            f"controlled. {cause or 'Choose a lower force, a larger converter range or a lower sensitivity.'}"
+            f"input {info.name}: overloaded since {self._overload_start / info.rate:.2f} s, so the spring force cannot "
+            f"be controlled. {cause or 'Choose a lower force, a larger converter range or a lower sensitivity.'}"
         )
 
 

@@ -39,17 +39,17 @@ class Settings:
     """Values of the controls on the page."""
 
     kind: Kind
-    level: float  # amplitude of a tone or sweep, rms of random, or peak of a hit, N
+    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of a hit, N
     frequency: float  # of a sine, Hz
-    low: float  # limits of a sweep or of random, Hz
-    high: float
-    duration: float  # of a sweep or of random, s
+    low: float  # lower limit of a sweep or random test, Hz
+    high: float  # upper limit of a sweep or random test, Hz
+    duration: float  # of a sweep or random test, s
     interval: float  # between hits, s
     hits: int  # number of hits
 
 
 class TestController:
-    """Starts and stops tests on the bench of a chassis.
+    """Starts and stops tests on the bench of a chassis, which is the instrument with its modules.
 
     The initial `settings` are those of the scene's test. `kinds` are the tests for which the scene has a shaker or a
     hammer. `message` is the state of the test, or the reason why it did not start. `frf_unavailable_reason` is the

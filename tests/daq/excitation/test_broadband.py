@@ -57,7 +57,15 @@ def test_random_spring_force_has_its_level() -> None:
 
 def test_clipped_samples_of_several_shakers_are_counted_once() -> None:
     shaker = {"kind": "electrodynamic", "spring": "6.6 kN/m", "amplifier": {"limit": "10 mV"}}
-    test = {"kind": "random", "from": "8 Hz", "to": "60 Hz", "drive": "1 V", "duration": "1 s", "also": [2]}
+    test = {
+        "kind": "random",
+        "from": "8 Hz",
+        "to": "60 Hz",
+        "drive": "1 V",
+        "duration": "1 s",
+        "shaker": 1,
+        "also": [2],
+    }
     bench_run = run(scene_with(test, shaker=[{**shaker, "body": 1}, {**shaker, "body": 3}]))
     (warning,) = bench_run.warnings
     n_clipped, n_samples = (int(number) for number in re.findall(r"\b\d+\b", warning))

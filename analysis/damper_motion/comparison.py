@@ -32,11 +32,12 @@ class Peak:
     """A resonance peak of a measured receptance."""
 
     value: float  # height, m/N; a lower limit of the height if `bound` is infinite
-    # 95 % bound of the height, m/N; infinite if the curve has a jump or points next to the highest point were excluded
+    # 95 % bound of the height, m/N; infinite if the curve has a jump or few points, or if a point next to the highest
+    # was omitted
     bound: float
     frequency: float  # Hz
-    first: float  # lower limit of the frequency, Hz
-    last: float  # upper limit of the frequency, Hz
+    lowest_frequency: float  # lower limit of the frequency, Hz
+    highest_frequency: float  # upper limit of the frequency, Hz
     lower_limit: float = 0.0  # of the height: lower limit of the highest measured point, m/N
     interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
@@ -64,8 +65,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
     three points in the band.
     """
-    in_band = frf.to("displacement").sorted()
-    in_band = in_band.between(low, high)
+    in_band = frf.to("displacement").sorted().between(low, high)
     valid = np.isfinite(in_band.value) & (abs(in_band.value) > 0)
     f, inverse_frf, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
     if f.size < 3:
@@ -80,8 +80,8 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     others = five_points[five_points != highest]
     predicted = _interpolate(f[others], inverse_frf[others], f[[highest]])
     has_jump = five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
-    is_omitted_nearby = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
-    if has_jump or f.size < 4 or is_omitted_nearby:
+    has_omitted_neighbor = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
+    if has_jump or f.size < 4 or has_omitted_neighbor:
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
     grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
     curve = abs(1.0 / _interpolate(f[three_points], inverse_frf[three_points], grid))
@@ -97,8 +97,8 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
         abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
     )
     bound = measured_bound + interpolation_bound
-    possible = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
-    possible_frequencies = np.concatenate([possible, f[magnitude + point_bound >= curve[peak_index] - bound]])
+    possible_on_grid = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
+    possible_frequencies = np.concatenate([possible_on_grid, f[magnitude + point_bound >= curve[peak_index] - bound]])
     return Peak(
         float(curve[peak_index]),
         bound,
@@ -141,8 +141,8 @@ def _prediction_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.ndarra
             continue
         weights = _interpolate(f[others], np.eye(others.size), f[[k]])[:, 0]
         predicted = weights @ inverse_frf[others]
-        explained = abs(weights) @ scatter[others] + scatter[k]
-        errors.append(float((abs(predicted - inverse_frf[k]) - explained) / abs(predicted)))
+        scatter_of_difference = abs(weights) @ scatter[others] + scatter[k]
+        errors.append(float((abs(predicted - inverse_frf[k]) - scatter_of_difference) / abs(predicted)))
     return max(errors)
 
 
@@ -183,7 +183,11 @@ class PeakChange:
     def shift(self) -> tuple[float, float, float]:
         """Frequency shift of the peak in Hz, and its limits."""
         bare, damped = self._compared
-        return (damped.frequency - bare.frequency, damped.first - bare.last, damped.last - bare.first)
+        return (
+            damped.frequency - bare.frequency,
+            damped.lowest_frequency - bare.highest_frequency,
+            damped.highest_frequency - bare.lowest_frequency,
+        )
 
     @property
     def equivalent_damping(self) -> float:
@@ -203,7 +207,7 @@ def peak_changes(
     """Compare each resonance peak of each response without and with dampers.
 
     `modes`: modes of the bare structure; `bare`, `damped`: all responses of a recording without dampers, and of a
-    recording with dampers (or with two different sets); `same_sensors`: responses that were measured by the same
+    recording with dampers (or of two with different dampers); `same_sensors`: responses that were measured by the same
     sensors in both recordings, with the same force sensor. The changes are sorted by response, then by frequency.
     """
     frequency, low, high = peak_bands(modes)
@@ -213,16 +217,18 @@ def peak_changes(
     for curve in damped:
         if curve.response not in by_name:
             continue
-        for f, zeta, first, last in zip(frequency, damping, low, high, strict=True):
+        for f, zeta, band_low, band_high in zip(frequency, damping, low, high, strict=True):
             pair = by_name[curve.response], curve
-            before, after = (peak(response, first, last) for response in pair)
+            before, after = (peak(response, band_low, band_high) for response in pair)
             if before is None or after is None or before.at_end:
                 continue
             if after.at_end and not covers(curve, before.frequency):
                 continue
             without_sensitivity = None
             if curve.response in same_sensors:
-                bare_as_read, damped_as_read = (peak(response.without(SENSITIVITY), first, last) for response in pair)
+                bare_as_read, damped_as_read = (
+                    peak(response.without(SENSITIVITY), band_low, band_high) for response in pair
+                )
                 assert bare_as_read is not None
                 assert damped_as_read is not None
                 without_sensitivity = bare_as_read, damped_as_read

@@ -36,7 +36,7 @@ class Dampers(Result):
     sweep : Sweep
         Fundamental and harmonic amplitudes of all channels.
     bodies : tuple of list of DamperMotion
-        For each body with free dampers and a channel, the motion at each frequency.
+        For each body with dampers that are not locked and with a channel, the motion at each frequency.
     energy : CycleEnergy or None
         Energy balance; None if a required channel is missing.
     true_impact_energy : ndarray, shape (n,), or None

@@ -115,11 +115,11 @@ def _bound(
         gain_sensitivity.append(product.real.sum(axis=1))
         phase_sensitivity.append(abs(product).sum(axis=1))
         fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
-    parts = [
+    bounds = [
         np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees_of_freedom, 1.0), 0.975)
     ]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
-    parts.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
+    bounds.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
     _, aliased = aliased_ratios(
         rec,
         ChannelContributions(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
@@ -130,8 +130,8 @@ def _bound(
         (fundamental_sensitivity, lines.resolution),
     ):
         if error_ratio is not None:
-            parts.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
-    return np.asarray(np.sqrt(np.sum(np.square(parts), axis=0)))
+            bounds.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
+    return np.asarray(np.sqrt(np.sum(np.square(bounds), axis=0)))
 
 
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
@@ -139,8 +139,8 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 
     An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
     squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady motion. Over
-    whole periods the inertia and weight of a bed do no net work. The work of the walls is therefore the integral of
-    -m a v, with the mass m of the bed, the acceleration a of its body, and the velocity v at which the gap opens.
+    whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
+    -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens.
 
     The result is NaN for beds of grains, whose impacts are not recorded. It is also NaN if an instant impact acts on
     other dampers, in the same body or through a full mass matrix.
@@ -152,12 +152,12 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
         return np.full(len(sweep.lines.frequency), np.nan)
     model = structural_model(rec.scene)
     restitution = np.array([damper.restitution for damper in rec.scene.dampers])
-    # Locked beds belong to the masses of their bodies.
+    # The masses of locked dampers belong to their bodies.
     damper_mass, body_mass = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
-    loss_per_square = 0.5 * damper_mass * body_mass / (damper_mass + body_mass) * (1.0 - restitution**2)
+    loss_per_squared_speed = 0.5 * damper_mass * body_mass / (damper_mass + body_mass) * (1.0 - restitution**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]
-    loss = loss_per_square[events["damper"] - 1] * events["speed"] ** 2
+    loss = loss_per_squared_speed[events["damper"] - 1] * events["speed"] ** 2
     has_finite_contact = [damper.moves and damper.contact is not None for damper in rec.scene.dampers]
     losses = []
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
@@ -169,9 +169,10 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 
 
 def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
-    """Integrate -a v over a period for damper `j` (from 0), from the recorded true motion between two samples, J/kg.
+    """Return the mean of the integral of -a v over a period, J/kg, as in `impact_energy_per_cycle`.
 
-    It is computed from the spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
+    `j`: index of the damper, from 0; `first`, `stop`: samples of the true motion. The integral is computed from the
+    spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
     """
     periods = int((stop - first) / rec.rate * frequency)
     samples = round(periods / frequency * rec.rate)
@@ -183,5 +184,5 @@ def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: i
         for quantity, row in (("displacement", body), ("gap", j))
     )
     angular = 2.0 * np.pi * np.fft.rfftfreq(samples, 1.0 / rec.rate)
-    product = -(angular**2) * displacement * (1j * angular * gap).conj()
-    return float(-2.0 * np.sum(product.real) / frequency)
+    power = -(angular**2) * displacement * (1j * angular * gap).conj()
+    return float(-2.0 * np.sum(power.real) / frequency)

@@ -108,7 +108,7 @@ class Restitution:
 
 
 class _WallContact(NamedTuple):
-    """Contact of a damper with a wall: an impact, or the begin of a flight."""
+    """Contact of a damper with a wall: an impact, or the start of a flight."""
 
     time: float  # s
     wall: float  # height of the wall above the floor, m
@@ -172,7 +172,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
 
 
 def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) -> Array:
-    """Return the closing speeds of the only damper on a body for zero restitution, m/s; infinite without mass."""
+    """Return the closing speeds for zero restitution if a body has one damper, m/s; infinite for a massless damper."""
     return np.asarray(abs(detected.jump) * _speed_per_jump(scene, damper))
 
 
@@ -181,9 +181,9 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
     from rig.system.structural_model import structural_model
 
     model, body = structural_model(scene), damper.body - 1
-    bed = model.bed_mass[scene.dampers.index(damper)]
+    damper_mass = model.bed_mass[scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
-        return float(1.0 + 1.0 / (model.inverse_mass[body, body] * bed))
+        return float(1.0 + 1.0 / (model.inverse_mass[body, body] * damper_mass))
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:

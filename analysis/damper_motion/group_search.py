@@ -30,18 +30,18 @@ def search_group(
     fit: Callable[[list[Jump], int], tuple[list[Jump], float]],
     times: tuple[float, float],
     min_distance: float,
-    sufficient: float,
+    sufficient_square: float,
 ) -> tuple[list[Jump], float]:
     """Search for the jumps that best explain a segment; return them with the residual sum of squares.
 
     `fit`: joint fit of jumps to the segment with a number of iterations (1: fixed times), which returns the jumps and
     the residual sum of squares; `times`: limits of the times of the jumps, samples; `min_distance`: minimum distance
-    between two jumps, samples; `sufficient`: residual sum of squares at which the search ends.
+    between two jumps, samples; `sufficient_square`: residual sum of squares at which the search ends.
     """
     best_of_each_size: list[tuple[list[Jump], float]] = []
     beam: list[list[Jump]] = [[]]
     for _ in range(MAX_GROUP):
-        extended = []
+        fits = []
         for jumps in beam:
             candidates = [
                 [*jumps, Jump(float(time), np.zeros(3), 1.0, 0.0)]
@@ -51,15 +51,15 @@ def search_group(
             # The candidates are ranked by fits with fixed times; only the best are fitted completely.
             residual_squares = [fit(candidate, 1)[1] for candidate in candidates]
             ranking = np.argsort(residual_squares, kind="stable")[:_EXTENSIONS]
-            extended += [fit(candidates[k], ITERATIONS) for k in ranking]
-        extended.sort(key=lambda fitted: fitted[1])
+            fits += [fit(candidates[k], ITERATIONS) for k in ranking]
+        fits.sort(key=lambda fitted: fitted[1])
         distinct: list[tuple[list[Jump], float]] = []
-        for fitted in extended:
+        for fitted in fits:
             if not any(_have_same_times(fitted[0], other[0]) for other in distinct):
                 distinct.append(fitted)
         best_of_each_size += distinct[:1]
         beam = [jumps for jumps, _ in distinct[:_BEAM_WIDTH]]
-        if not distinct or distinct[0][1] < sufficient:
+        if not distinct or distinct[0][1] < sufficient_square:
             break
     return min(best_of_each_size, key=lambda fitted: cost(*fitted), default=([], np.inf))
 

@@ -1,8 +1,7 @@
 """Detection of damper impacts in a motion channel.
 
 An impact is an instant velocity jump of the damper's body or, with *finite-duration contact*, the velocity change by a
-force pulse, which ends at the *release*. A *bed* is the filling of a damper, which moves as one
-mass.
+force pulse, which ends at the *release*. A *bed* is the filling of a damper, which moves as one mass.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ _CONTACT_JUMP_ERROR = 0.03
 _CONTACT_TIME_ERROR = 0.04
 # Additional error of that time, relative to a sample interval.
 _CONTACT_SAMPLE_ERROR = 0.05
-# Number of readings during 90 % of an impact pulse; samples at a higher rate are averaged.
+# Number of readings until 90 % of an impact pulse; samples at a higher rate are averaged.
 _PULSE_READINGS = 8
 # Lower limit of the frequency band in which the motion of a body is determined.
 _LOW_HZ = 2.0
@@ -100,10 +99,10 @@ class Impacts:
     """Detection limit: smallest jump that is reliably detected, m/s; higher near a larger impact (see `ringing`)."""
     contact_duration: float
     """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be its release."""
-    searched: float
-    """Searched duration, s: the segment without its ends and without `left_out`."""
-    left_out: Array
-    """Begin and end of segments without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
+    searched_duration: float
+    """Duration of the segment without its ends and without `unsearched`, s."""
+    unsearched: Array
+    """Begin and end of intervals without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
     too closely spaced to be resolved."""
 
     @property
@@ -117,7 +116,7 @@ class Impacts:
         return _CONTACT_RESIDUAL_RATIO if self.contact_duration else RESIDUAL_RATIO
 
     @property
-    def kind(self) -> NDArray[np.str_]:
+    def wall(self) -> NDArray[np.str_]:
         """``"floor"`` or ``"ceiling"``, from the direction of the jump."""
         return np.where(self.jump < 0, "floor", "ceiling")
 
@@ -204,7 +203,7 @@ def impacts(
     position, position_error, jump, error = (values[accepted] for values in (position, position_error, jump, error))
     # The time of an average is that of its last sample.
     position, unresolved = ((values + 1.0) * decimation - 1.0 for values in (position, unresolved))
-    excluded = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
+    unresolved_duration = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(
         channel=info.name,
         time=(start + position) / rec.rate - info.delay,
@@ -217,8 +216,8 @@ def impacts(
         ringing=ringing,
         threshold=threshold,
         contact_duration=duration,
-        searched=float(search.searchable.sum()) / rate - excluded,
-        left_out=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),
+        searched_duration=float(search.searchable.sum()) / rate - unresolved_duration,
+        unsearched=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),
     )
 
 
@@ -287,15 +286,15 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
     samples = correct_motion(without_fast_poles, samples, info.quantity, _LOW_HZ, info.rate)
     # Samples during which the sensor rings are excluded. The average over an interval is assigned to its middle.
     decay_rate = min((-pole.real for pole in info.poles if abs(pole) > info.rate), default=np.inf)
-    gap = 2 + int(np.ceil(_DECAY_TIMES * info.rate / decay_rate + duration * info.rate))
+    excluded = 2 + int(np.ceil(_DECAY_TIMES * info.rate / decay_rate + duration * info.rate))
     side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))  # number of samples on each side
     acceleration = np.full(impact_samples.size, np.nan)
     jump_sample = np.floor(impact_samples).astype(np.intp)
-    evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + gap + side <= samples.size))
-    offsets = np.concatenate([np.arange(-side, 0), np.arange(gap, gap + side)])
+    evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + excluded + side <= samples.size))
+    offsets = np.concatenate([np.arange(-side, 0), np.arange(excluded, excluded + side)])
     for index in evaluable:
         indices = jump_sample[index] + offsets
-        time = (indices - impact_samples[index] - 0.5 * info.average) / (side + gap)
+        time = (indices - impact_samples[index] - 0.5 * info.average) / (side + excluded)
         columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
         if integrations:
             # The jump of the velocity, or the kink of the displacement.
@@ -303,5 +302,5 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
         coefficients = np.linalg.lstsq(np.stack(columns, axis=1), samples[indices], rcond=None)[0]
         # The acceleration is the derivative of this order at the impact: the coefficient times the factorial.
         factorial = (1.0, 1.0, 2.0)[integrations]
-        acceleration[index] = coefficients[integrations] * factorial * (info.rate / (side + gap)) ** integrations
+        acceleration[index] = coefficients[integrations] * factorial * (info.rate / (side + excluded)) ** integrations
     return acceleration

@@ -35,7 +35,7 @@ class Jump:
     amplitudes: Array
     """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
     error: float
-    """Standard deviation of the jump, including its covariance with the jointly fitted quantities, m/s."""
+    """Standard deviation of the jump, m/s, which includes the uncertainty of the jointly fitted quantities."""
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
     time_error: float = np.inf
@@ -104,8 +104,8 @@ def fit_within(
         solution = fit.solution.reshape(len(group), -1)
         amplitudes = solution[:, :3]
         if 0 < iteration < iterations - 1:
-            changed = times + np.clip(solution[:, 3], -_MAX_CHANGE_SAMPLES, _MAX_CHANGE_SAMPLES)
-            times = np.where(abs(changed - initial_times) < _MAX_DISTANCE_SAMPLES, changed, times)
+            new_times = times + np.clip(solution[:, 3], -_MAX_CHANGE_SAMPLES, _MAX_CHANGE_SAMPLES)
+            times = np.where(abs(new_times - initial_times) < _MAX_DISTANCE_SAMPLES, new_times, times)
     error = noise.reading * fit.error.reshape(len(group), -1)
     fitted = []
     for k, time in enumerate(times):

@@ -1,6 +1,7 @@
 """Type of damper motion in a stepped-sine test, estimated from the channels.
 
-A damper moves in a cavity of its body, between floor and ceiling. The types are those of the paper. Riding: at rest on
+A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and
+Hiraki (2011). Riding: at rest on
 the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor and ceiling per period;
 the damper leaves the ceiling at once (II), or stays there until the body's acceleration rises to -g (III). Other
 patterns are described by their numbers of impacts.
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
 
 
-# Tolerance of one impact per period: of about twenty impacts, one or two may be at the edge of a window or too close to
-# another impact.
+# Tolerance of one impact per period: of about twenty impacts, one or two may be at an end of the measurement or too
+# close to another impact.
 _COUNT_TOLERANCE = 0.15
 # Maximum number of periods after which a pattern of impacts must recur.
 _MAX_PATTERN_PERIODS = 4
@@ -136,41 +137,41 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
     # The searched duration excludes the ends of the segment.
-    periods = detected.searched * frequency
-    ceiling = detected.kind == "ceiling"
+    searched_periods = detected.searched_duration * frequency
+    is_at_ceiling = detected.wall == "ceiling"
     begin, end = motion.start / rate, (motion.start + motion.samples.size) / rate
     pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
     # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
     estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
     stays_at_ceiling = None
-    if ceiling.any():
+    if is_at_ceiling.any():
         stays_at_ceiling = _stays_at_ceiling(
-            detected.acceleration[ceiling] + gravity,
+            detected.acceleration[is_at_ceiling] + gravity,
             np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * amplitude,
             _fastest_rebound(motion, dampers, estimate),
-            _push_time(detected.acceleration[ceiling], amplitude, gravity, frequency),
+            _push_time(detected.acceleration[is_at_ceiling], amplitude, gravity, frequency),
         )
     return DamperMotion(
         frequency,
         detected.channel,
-        float(np.sum(~ceiling)) / periods,
-        float(np.sum(ceiling)) / periods,
+        float(np.sum(~is_at_ceiling)) / searched_periods,
+        float(np.sum(is_at_ceiling)) / searched_periods,
         stays_at_ceiling,
         detected.threshold,
         _min_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         pattern_periods,
-        not ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
+        not is_at_ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
     )
 
 
 def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
     """Return the smallest number of periods after which all impacts recur between two times, s; 0: no recurrence."""
-    walls = [detected.time[detected.kind == wall] for wall in ("floor", "ceiling")]
+    walls = [detected.time[detected.wall == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
     if any(times.size and not np.any((times > begin) & (times < end)) for times in walls):
         return 0
-    unsearched = detected.left_out + np.array([-1.0, 1.0]) * detected.resolution
+    unsearched = detected.unsearched + np.array([-1.0, 1.0]) * detected.resolution
     for periods in range(1, _MAX_PATTERN_PERIODS + 1):
         shift = periods / frequency
         recurs = True
@@ -215,7 +216,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
         restitution_bound = min(estimate.value + 2.0 * estimate.error, 1.0)
     if restitution_bound <= 0.0:
         return 0.0
-    at_ceiling = replace(detected, jump=detected.jump[detected.kind == "ceiling"])
+    at_ceiling = replace(detected, jump=detected.jump[detected.wall == "ceiling"])
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
     # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
     return float(
@@ -235,7 +236,7 @@ def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency:
 
 
 def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Return a lower bound of the acceleration of dampers at rest in a body, m/s², including noise and tolerance."""
+    """Return a lower bound of the acceleration of a body and of its dampers at rest, m/s², including the tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size
     for number in numbers:

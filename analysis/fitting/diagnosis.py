@@ -1,7 +1,9 @@
 """Search for the cause of a misfit between a scene and recordings.
 
 Each trial corrects the curves for one supposed mistake, such as a reversed sign, and fits the structure again. The
-mistake that lowers the residual variance enough is reported. Points that a fit omits are listed with their reasons.
+mistake whose correction makes the scene fit is reported. The *misfit variance* is the mean square of the residuals in
+standard deviations (reduced chi-square) or, if larger, the largest squared deviation of a sensor or clock from its
+prior. Points that a fit omits are listed with their reasons.
 """
 
 from __future__ import annotations
@@ -27,21 +29,24 @@ from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
 from rig.system.structural_model import structural_model
 
-# Ratio of the residual variance with a correction to that without it, below which the correction explains the misfit.
+# Ratio of the misfit variance with a correction to that without it, below which the correction explains the misfit.
 _EXPLAINED_RATIO = 0.02
-# Residual variance, relative to that of the stated noise, up to which a correction explains the misfit fully.
+# Misfit variance up to which the stated errors explain the residuals.
 _MAX_NOISE_VARIANCE = 4.0
-# Common unit errors: the ratio of the reading to the true value, and its cause.
+# Common errors of a sensor: the ratio of its reading to the true value, and the cause.
 _UNIT_ERRORS = {
     -1.0: "its sign is reversed",
-    9.80665: "m/s² read as g, or the reverse",
+    9.80665: "m/s² read as g",
     1.0 / 9.80665: "g read as m/s²",
     1000.0: "a factor of 1000, such as mV instead of V or mm instead of m",
     0.001: "a factor of 1/1000, such as V instead of mV or m instead of mm",
     39.3701: "inches instead of metres",
     0.0254: "metres instead of inches",
-    4.44822: "pounds instead of newtons",
-    1.0 / 4.44822: "newtons instead of pounds",
+}
+# The same for a force.
+_FORCE_UNIT_ERRORS = {
+    4.44822: "newtons instead of pounds",
+    1.0 / 4.44822: "pounds instead of newtons",
 }
 # Largest relative difference between a fitted factor and that of a unit error.
 _UNIT_TOLERANCE = 0.06
@@ -56,7 +61,7 @@ _MAX_DELAY_ERROR = 1e-4
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely.
 _FREE_TOLERANCE = 1e4
-# Ratio of fitted to initial masses above which a unit is probably wrong.
+# Ratio of fitted to initial masses, or its inverse, above which a unit is probably wrong.
 _MAX_MASS_RATIO = 2.5
 # Largest number of pairs of channels that are tested for a swap.
 _MAX_PAIRS = 15
@@ -64,7 +69,7 @@ _MAX_PAIRS = 15
 _MIN_RESPONSES = 2
 
 
-def cause(problem: Problem) -> tuple[bool, str]:
+def find_cause(problem: Problem) -> tuple[bool, str]:
     """Return whether a single mistake explains the misfit, and a text with the mistake or else with the next steps.
 
     Only the recordings without moving dampers are searched.
@@ -115,8 +120,11 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     factor = float(np.exp(np.mean((x - problem.start)[masses])))
     if 1.0 / _MAX_MASS_RATIO < factor < _MAX_MASS_RATIO:
         return ""
+    # Receptances are displacements over forces: these masses need readings of motion lower, or of force higher, by the
+    # factor.
+    unit_error = _unit_error(1.0 / factor) or _unit_error(factor, _FORCE_UNIT_ERRORS)
     return (
-        f"The curves fit with {factor:.4g} times the masses of the scene{_unit_error(1.0 / factor)}: the "
+        f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the "
         "unit of force or motion differs from that in the recording, or the masses of the scene are "
         "wrong. Correct one of them."
     )
@@ -125,7 +133,7 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
 class _Explanation(NamedTuple):
     """A supposed mistake whose correction was tried."""
 
-    variance: float  # residual variance with the correction
+    variance: float  # misfit variance with the correction
     text: str
     is_known_mistake: bool
 
@@ -161,6 +169,7 @@ def _try_swaps(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
 def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
     """Yield the best-fitting factor of each sensor; without a matching unit error the structure may also differ."""
     references = [curves.reference_sensor for curves in linear_curves]
+    force_sensors = [curves.reference_sensor for curves in linear_curves if curves.reference == "force"]
     for sensor in dict.fromkeys((*_sensors(linear_curves), *references)):
         freed_sensor = replace(sensor, tolerance=_FREE_TOLERANCE)
         refit = _fit_structure(
@@ -178,7 +187,8 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
             ],
         )
         factor = 1.0 + refit.problem.deviation(refit.x, freed_sensor)
-        unit_error = _unit_error(factor)
+        force_errors = _FORCE_UNIT_ERRORS if sensor in force_sensors else {}
+        unit_error = _unit_error(factor, _UNIT_ERRORS | force_errors)
         text = f"{sensor.name} reads {factor:.4g} times the value that fits{unit_error or _NO_UNIT_ERROR}"
         yield _Explanation(refit.variance, text, bool(unit_error))
 
@@ -214,7 +224,7 @@ def _try_delays(problem: Problem, linear_curves: list[Curves], undelayed: _Refit
             trial, initial_delay = undelayed, 0.0
 
         def variance(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
-            return trial.adjusted([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).variance
+            return trial.refit([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).variance
 
         bounds = (initial_delay - _MAX_DELAY_ERROR, initial_delay + _MAX_DELAY_ERROR)
         best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
@@ -236,15 +246,15 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
     return replace(
         curves,
         value=curves.value * phase_factors,
-        whiten=curves.whiten * phase_factors.conj().T[:, None],
+        whitening=curves.whitening * phase_factors.conj().T[:, None],
         frfs=tuple(frf.scaled(row) for frf, row in zip(curves.frfs, phase_factors, strict=True)),
     )
 
 
 def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
-    """Return the delay of a sensor, s, with which its phase is closest to 0 or 180 degrees; 0 without its responses.
+    """Return the delay of a sensor, s, that brings the phases closest to 0 or 180 degrees; 0 without responses.
 
-    Away from resonances the phase without delay has these values; a delay adds a phase proportional to frequency.
+    Away from resonances the phase of a response is near these values; a delay adds a phase proportional to frequency.
     """
     alignment = np.zeros(_TRIAL_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in linear_curves) else 1.0
@@ -255,7 +265,7 @@ def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
         rotation = np.exp(sign * 4j * np.pi * np.outer(_TRIAL_DELAYS, curves.frequency))
         for k in rows:
             direction = (curves.value[k] / np.maximum(abs(curves.value[k]), 1e-300)) ** 2
-            weight = np.minimum(abs(curves.whiten[:, k, k] * curves.value[k]), 30.0)
+            weight = np.minimum(abs(curves.whitening[:, k, k] * curves.value[k]), 30.0)
             alignment += (rotation @ (weight * direction)).real
     return float(_TRIAL_DELAYS[int(np.argmax(alignment))]) if alignment.any() else 0.0
 
@@ -274,7 +284,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
         rows = [k for k, channel_sensor in enumerate(curves.sensors) if channel_sensor != sensor]
         if len(rows) < _MIN_RESPONSES:
             return []
-        root = np.linalg.inv(curves.whiten)
+        root = np.linalg.inv(curves.whitening)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
         remaining: dict[str, Any] = {
             name: getattr(curves, name)[rows] for name in ("value", "line_limit", "correlated_limit")
@@ -282,7 +292,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
         errors = curves.errors.select(rows)
-        without_sensor.append(replace(curves, whiten=inverse_root(covariance), errors=errors, **remaining))
+        without_sensor.append(replace(curves, whitening=inverse_root(covariance), errors=errors, **remaining))
     return without_sensor
 
 
@@ -293,11 +303,12 @@ def list_omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapp
     """
     reasons: dict[str, list[str]] = {}
     for k in np.flatnonzero(~used).tolist():
-        reason = "the motion of the rig is irregular, or of another type than that of the model"
         if k in uncovered:
             reason = (
                 f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"
             )
+        else:
+            reason = "the motion of the rig is irregular, or of another type than that of the model"
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [
         f"{curves.label}: omitted {', '.join(frequencies)} Hz, where {reason}."
@@ -314,12 +325,12 @@ class _Refit:
 
     @property
     def variance(self) -> float:
-        """Residual variance or, if larger, the largest squared deviation of a sensor or clock from its prior."""
+        """Misfit variance."""
         problem = self.problem
         normalized_deviation = ((self.x - problem.start) / problem.prior_sd)[len(problem.parameters) :]
         return max(mean_square(problem, self.x, problem.groups), *(normalized_deviation**2), 0.0)
 
-    def adjusted(self, curves: list[Curves]) -> _Refit:
+    def refit(self, curves: list[Curves]) -> _Refit:
         """Fit slightly different curves, starting from these values."""
         trial = Problem(self.problem.model, self.problem.parameters, curves)
         return _Refit(trial, solve(trial, self.x, trial.groups, 0.0, max_evaluations=5))
@@ -343,8 +354,8 @@ def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None =
     return _Refit(trial, x)
 
 
-def _unit_error(factor: float) -> str:
-    for unit_factor, text in _UNIT_ERRORS.items():
+def _unit_error(factor: float, unit_errors: Mapping[float, str] = _UNIT_ERRORS) -> str:
+    for unit_factor, text in unit_errors.items():
         if abs(factor / unit_factor - 1.0) < _UNIT_TOLERANCE:
             return f" ({text})"
     return ""

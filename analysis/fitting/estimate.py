@@ -20,6 +20,7 @@ from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import initial_unknowns
 from rig.arrays import Array, ComplexArray
 
+# Function that is called with the name of each stage of a fit.
 Report = Callable[[str], None]
 
 # Coverage factor of 95 % intervals.
@@ -27,17 +28,17 @@ COVERAGE_FACTOR = 1.96
 # Model errors of the successive fits of the structure.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # Model errors of fits from random initial values, which are used if the modes lead to no solution.
-_MODEL_ERRORS_RANDOM = (0.3, 0.1, 0.01, 0.0)
+_RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
 # Standard deviation of the logarithms of random initial values around the values of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8
 # Mean square of the residuals above which the structure is searched from random initial values.
 _MAX_STRUCTURE_VARIANCE = 4.0
-# Mean square of the residuals above which the stated errors do not explain them.
-_MAX_NOISE_VARIANCE = 1.3
+# Mean square of the residuals above which they enlarge the intervals.
+_MIN_INFLATED_VARIANCE = 1.3
 # Model errors of the first fits of the dampers.
-_MODEL_ERRORS_DAMPERS = (0.2, 0.05)
+_DAMPER_MODEL_ERRORS = (0.2, 0.05)
 # A negligible model error that selects the Cauchy loss. With it, a point where rig and model have different orbits has
 # little effect.
 _ROBUST_MODEL_ERROR = 1e-6
@@ -64,15 +65,15 @@ _CLUSTERS = 40
 class Estimate:
     """Estimated unknowns with their covariance."""
 
-    x: Array  # unknowns of `Problem`, shape (unknowns,)
-    # F of the covariance ``F F^T``, from the stated errors or the residuals, the larger; shape (unknowns, columns)
+    x: Array  # estimated unknowns of `Problem`, shape (unknowns,)
+    # F of the covariance ``F F^T``, shape (unknowns, columns); from the stated errors or, if larger, the residuals
     factor: Array
     # mean square of the residuals in standard deviations; 1 if the stated errors explain them
     variance: float
 
     @property
     def deviation(self) -> Array:
-        """Standard deviations, shape (unknowns,)."""
+        """Standard deviations of the unknowns, shape (unknowns,)."""
         return np.asarray(np.linalg.norm(self.factor, axis=1))
 
     @property
@@ -102,10 +103,10 @@ def _estimate_dampers(
     Clearances with ceiling impacts and clearances without them are different optima, so both are tried.
     """
     best, lowest_cost, orbit_states = structure, np.inf, [group.orbit_state() for group in damper_groups]
-    # Quantity of each unknown of a damper; "" for all others.
-    names = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
-    names += [""] * (problem.size - len(names))
-    has_ceiling = "clearance" in names
+    # "" for the unknowns that do not belong to a damper.
+    quantities = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
+    quantities += [""] * (problem.size - len(quantities))
+    has_ceiling = "clearance" in quantities
     trials = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if has_ceiling else (1.0,))]
     if has_ceiling:
         trials.append((1.0, _UNREACHED_CLEARANCE_FACTOR))
@@ -118,13 +119,13 @@ def _estimate_dampers(
             group.restore(state)
         factors = {"mass": mass_factor, "mass_ratio": mass_factor, "clearance": clearance_factor}
         initial = best if is_unreached else structure
-        x = initial + np.log([factors.get(name, 1.0) for name in names])
+        x = initial + np.log([factors.get(quantity, 1.0) for quantity in quantities])
         # The prior would return an unreached clearance to its initial value, so it is fixed.
-        active = [k for k, name in enumerate(names) if not is_unreached or name != "clearance"]
+        active = [k for k, quantity in enumerate(quantities) if not is_unreached or quantity != "clearance"]
         # The first fits keep the structure fixed if linear recordings determine it.
-        first_active = [k for k in active if names[k] or not structure_known]
+        first_active = [k for k in active if quantities[k] or not structure_known]
         if first_active:
-            for model_error in _MODEL_ERRORS_DAMPERS:
+            for model_error in _DAMPER_MODEL_ERRORS:
                 x = solve(problem, x, damper_groups, model_error, first_active, 6)
             problem.residual(x, damper_groups)
         # If ceiling impacts explain the curves, a trial without them that fails at half of the points is not refined.
@@ -156,7 +157,7 @@ def _robust_cost(problem: Problem, x: Array, damper_groups: Sequence[Group]) -> 
     scene, costs = problem.scene(x), []
     for group in damper_groups:
         residual = problem.predicted(x, group, scene) - group.curves.value
-        whitened = np.einsum("nij,jn->ni", group.curves.whiten, residual)
+        whitened = np.einsum("nij,jn->ni", group.curves.whitening, residual)
         square = np.nan_to_num(abs(whitened) ** 2 / 2.0, nan=_FAILED_SQUARE)
         costs.append((square / (1.0 + square / _MAX_SQUARE)).ravel())
     return float(np.mean(np.concatenate(costs)))
@@ -177,7 +178,7 @@ def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Arr
         x = problem.start.copy()
         # The first of these starts is the scene itself.
         x[active] += generator.normal(0.0, _RANDOM_SD * min(number, 1), len(active))
-        for model_error in _MODEL_ERRORS_RANDOM:
+        for model_error in _RANDOM_MODEL_ERRORS:
             x = solve(problem, x, linear_groups, model_error, max_evaluations=15)
         if (square := mean_square(problem, x, linear_groups)) < lowest_square:
             best, lowest_square = x, square
@@ -270,7 +271,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     score_root = axes * np.sqrt(np.maximum(eigenvalues, 0.0) * max(variance, 1.0))
     stated = errors_of_unknowns(np.concatenate([score_root, prior_root], axis=1))
     inflation = np.ones(problem.size)
-    if variance > _MAX_NOISE_VARIANCE or all(group.curves.level is not None for group in problem.groups):
+    if variance > _MIN_INFLATED_VARIANCE or all(group.curves.level is not None for group in problem.groups):
         clustered = errors_of_unknowns(np.concatenate(cluster_scores, axis=1))
         inflation = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
     systematic = errors_of_unknowns(np.array(systematic_scores).T)
@@ -285,7 +286,7 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
     curves, used = group.curves, group.used
 
     def whiten(errors: ComplexArray) -> ComplexArray:
-        return np.asarray(np.einsum("nij,jn->ni", curves.whiten[used], errors[:, used]).ravel())
+        return np.asarray(np.einsum("nij,jn->ni", curves.whitening[used], errors[:, used]).ravel())
 
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
@@ -295,7 +296,7 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
     # Noise adds to the power of the reference: all responses are too small, without a phase error.
-    whitened = whiten(curves.common / np.sqrt(3.0) * curves.value)
+    whitened = whiten(curves.reference_noise_limit / np.sqrt(3.0) * curves.value)
     yield np.concatenate([whitened.real, whitened.imag])
 
 
@@ -306,7 +307,7 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
         # Whitened errors have unit variance.
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     real, imaginary = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
-    weights = np.einsum("nij,nip->njp", curves.whiten[used].conj(), real + 1j * imaginary)
+    weights = np.einsum("nij,nip->njp", curves.whitening[used].conj(), real + 1j * imaginary)
     deviation = curves.line_limit[:, used].T[..., None] / np.sqrt(3.0)
     line_errors = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(used)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 MAX_ROWS = 8
 # Height of a row of the figure, inches.
 _ROW_HEIGHT_IN = 2.4
-# Smallest ratio of a frequency step to its neighboring steps that is a gap in a curve.
-_GAP_RATIO = 3.0
+# Ratio of a frequency step to the larger of its neighboring steps above which the curve is interrupted.
+_MIN_BREAK_RATIO = 3.0
 
 
 def fit_figure(result: Fit) -> Figure:
@@ -49,14 +49,16 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
     neighboring_steps = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
-    gaps = np.flatnonzero(steps > _GAP_RATIO * neighboring_steps) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    breaks = (
+        np.flatnonzero(steps > _MIN_BREAK_RATIO * neighboring_steps) + 1 if steps.size > 1 else np.empty(0, dtype=int)
+    )
     for k, sensor in enumerate(curves.sensors):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
-        for ax, size in ((curve_axes, magnitude), (residual_axes, residual)):
-            ax.plot(frequency, np.where(used, size, np.nan), ".", color=color_of(k), label=sensor.name)
-            ax.plot(frequency, np.where(used, np.nan, size), "x", color=color_of(k))
-        line = np.insert(factor * abs(compared.predicted[k, order]), gaps, np.nan)
-        curve_axes.plot(np.insert(frequency, gaps, np.nan), line, "-", lw=0.8, color=color_of(k))
+        for ax, y in ((curve_axes, magnitude), (residual_axes, residual)):
+            ax.plot(frequency, np.where(used, y, np.nan), ".", color=color_of(k), label=sensor.name)
+            ax.plot(frequency, np.where(used, np.nan, y), "x", color=color_of(k))
+        line = np.insert(factor * abs(compared.predicted[k, order]), breaks, np.nan)
+        curve_axes.plot(np.insert(frequency, breaks, np.nan), line, "-", lw=0.8, color=color_of(k))
     log_axis(curve_axes, [factor * abs(curves.value)])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
     add_title(curve_axes, curves.label)

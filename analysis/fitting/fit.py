@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.fitting.diagnosis import cause, list_omitted_points, mass_scale_error
-from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, estimate
+from analysis.fitting.diagnosis import find_cause, list_omitted_points, mass_scale_error
+from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, Report, estimate
 from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
-from analysis.fitting.measured import Curves, measured
+from analysis.fitting.measured import Curves, measured_curves
 from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Group, Problem
 from analysis.recordings.names import as_context
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from daq.recording.recording import Recording
-
-Progress = Callable[[str], None]
 
 # Largest relative half width of the 95 % interval of a value that is determined roughly.
 _MAX_HALF_WIDTH = 0.5
@@ -172,7 +170,7 @@ def fit(
     recordings: Sequence[Recording | str | Path] | Recording | str | Path,
     scene: SceneLike,
     free: Sequence[str] | None = None,
-    progress: Progress | None = None,
+    progress: Report | None = None,
 ) -> Fit:
     """Fit a scene to recordings of the real structure, without and with dampers.
 
@@ -233,7 +231,7 @@ def fit(
     curves: list[Curves] = []
     for recording, path in zip(sources, paths, strict=True):
         with as_context(recording) as rec:
-            curves += measured(rec, path.name)
+            curves += measured_curves(rec, path.name)
     if not curves:
         raise RecordingError("fit: no recordings. Give at least one.")
     problem = Problem(model, parameters, curves)
@@ -241,7 +239,7 @@ def fit(
     return _result(problem, estimated, report)
 
 
-def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
+def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     largest_gaps = _largest_gaps(problem, estimated)
     # Without ceiling impacts, a clearance keeps its initial value unless the largest gap exceeds it.
     x = estimated.x.copy()
@@ -254,7 +252,7 @@ def _result(problem: Problem, estimated: Estimate, report: Progress) -> Fit:
     misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching the cause of the misfit")
-        is_explained, text = cause(problem)
+        is_explained, text = find_cause(problem)
         misfit = text if is_explained else f"{misfit} {text}"
     else:
         misfit = mass_scale_error(problem, x)
@@ -296,7 +294,7 @@ def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
     """Return the largest gaps, m, of dampers in flight with undetermined clearance, by the index of the parameter."""
     deviation = estimated.deviation
     gaps = {
-        k: problem.clearance_limit(estimated.x, parameter)
+        k: problem.clearance_lower_limit(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
         if parameter.quantity == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }
@@ -316,10 +314,10 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Comparis
     curves = group.curves
     predicted = problem.predicted(x, group, scene)
     residual = predicted - curves.value
-    normalized = abs(np.einsum("nij,jn->in", curves.whiten, residual))
+    normalized = abs(np.einsum("nij,jn->in", curves.whitening, residual))
     used = group.used & np.isfinite(normalized).all(axis=0)
     # Weights of 1 / standard deviation, so that lines with much noise have little influence.
-    weight = abs(np.einsum("nii->in", curves.whiten))[:, used]
+    weight = abs(np.einsum("nii->in", curves.whitening))[:, used]
     relative_square = np.sum(abs(weight * residual[:, used]) ** 2, axis=1)
     relative_square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
     relative = float(np.sqrt(relative_square.max())) if used.any() else np.inf

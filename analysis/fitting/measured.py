@@ -66,27 +66,29 @@ class Curves:
     frequency: Array  # Hz, in the order of measurement, shape (n,)
     value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
-    whiten: ComplexArray
+    whitening: ComplexArray
     errors: Covariance  # covariance of the random errors
     line_limit: Array  # limit of the systematic errors that differ from line to line, shape (responses, n)
     correlated_limit: Array  # limit of the systematic errors that are correlated over all lines, shape (responses, n)
-    common: Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
+    reference_noise_limit: (
+        Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
+    )
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
     bodies: tuple[int, ...]  # body of each response, counted from 0
     reference: str  # 'force' or 'table'
     level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
-    clock: float  # largest relative deviation of the sample clock
+    clock_tolerance: float  # largest relative deviation of the sample clock
     frfs: tuple[Response, ...]
     warnings: tuple[str, ...]  # warnings of the estimation
 
     @property
-    def moving(self) -> bool:
+    def has_moving_dampers(self) -> bool:
         """Whether there are dampers that can move in their cavities."""
         return any(damper.moves for damper in self.scene.dampers)
 
 
-def measured(rec: Recording, name: str) -> list[Curves]:
+def measured_curves(rec: Recording, name: str) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses are those of the structure with
@@ -115,13 +117,12 @@ def measured(rec: Recording, name: str) -> list[Curves]:
         )
     if has_tones:
         force_sweeps = sweeps(rec, required_channels(rec, names, reference))
-        several = len(force_sweeps) > 1
         return [
             _curves(
                 rec,
                 annotate(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
                 reference,
-                f"{name}, {format_number(sweep.level)} N {sweep.direction}" if several else name,
+                f"{name}, {format_number(sweep.level)} N {sweep.direction}" if len(force_sweeps) > 1 else name,
             )
             for sweep in force_sweeps
         ]
@@ -156,44 +157,46 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)
     frfs = [frf.at(is_valid) for frf in frfs]
-    relative_bias, common = _reference_noise(frfs, errors)
+    relative_bias, reference_noise_limit = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
         frequency=frfs[0].frequency,
         value=value[:, is_valid] * (1.0 + relative_bias),
-        whiten=_whitening(frfs, errors),
+        whitening=_whitening(frfs, errors),
         errors=errors,
         line_limit=_limits(frfs, ROUGH),
         correlated_limit=_limits(
             frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
         ),
-        common=common,
+        reference_noise_limit=reference_noise_limit,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
         bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),
         reference=reference,
         level=frfs[0].amplitude,
-        clock=abs(rec.scene.converter.clock_error or 0.0),
+        clock_tolerance=abs(rec.scene.converter.clock_error or 0.0),
         frfs=tuple(frfs),
         warnings=(*notes, *frfs[0].warnings),
     )
 
 
 def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Return the root sum of squares of the limits of selected systematic errors; shape (responses, n).
+    """Return the root sum of squares of the limits of systematic errors; shape (responses, n).
 
-    `names`: errors that are included, by default all; `without`: errors that are excluded.
+    `names`: included errors, by default all; `without`: excluded errors.
     """
-    rows = []
+    totals = []
     for frf in frfs:
-        selected = [part for name, part in frf.limits.items() if name in (names or frf.limits) and name not in without]
-        rows.append(np.linalg.norm([np.zeros(frf.value.size), *selected], axis=0))
-    return np.stack(rows)
+        included = [
+            limit for name, limit in frf.limits.items() if name in (names or frf.limits) and name not in without
+        ]
+        totals.append(np.linalg.norm([np.zeros(frf.value.size), *included], axis=0))
+    return np.stack(totals)
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses by noise of the reference, and the limit of its error; shape (n,)."""
+    """Return the relative bias of all responses by noise of the reference, and the limit of its error, shapes (n,)."""
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # A response's own noise lowers its coherence too. The smallest limit is therefore the best estimate of the
     # reference noise.
@@ -205,7 +208,7 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
-    """Return the inverse square root of the covariance of the real or imaginary part, as in `Curves.whiten`."""
+    """Return the inverse square root of the covariance of the real or imaginary part, as in `Curves.whitening`."""
     quadrature_covariance = errors.lines / 2.0
     variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
     magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)
@@ -215,13 +218,13 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     variance_floor = (_MIN_RELATIVE_ERROR * magnitude) ** 2 + (
         _MIN_ERROR_RELATIVE_TO_MAXIMUM * magnitude.max(axis=0)
     ) ** 2
-    # A variance from few degrees of freedom is itself uncertain: it is multiplied by the variance of Student's t
-    # distribution.
+    # A variance from few degrees of freedom is uncertain: it is multiplied by the variance of Student's t distribution,
+    # but at most by 2.
     inflation, systematic = np.ones(variance.shape), _limits(frfs, ROUGH)
     if errors.reference is None:
         systematic = _limits(frfs, without=_FITTED_ERRORS)
-        degrees = np.stack([frf.degrees for frf in frfs], axis=1)
-        inflation = np.where(degrees > 4.0, degrees / np.maximum(degrees - 2.0, 1.0), 2.0)
+        freedom = np.stack([frf.degrees for frf in frfs], axis=1)
+        inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
     quadrature_covariance *= inflation[:, :1, None]
     quadrature_covariance[:, index, index] = inflation * variance + systematic.T**2 / 3.0 + variance_floor

@@ -49,7 +49,7 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
     The shapes are (bodies, frequencies) and (beds, frequencies).
     """
     system = assemble(test_scene)
-    states = riding_response(system, _drive(test_scene), 2.0 * np.pi * frequency)
+    states = riding_response(system, _driven_place(test_scene), 2.0 * np.pi * frequency)
     if curves.reference == "table":
         states = states / states[system.points.index(test_scene.at_driven("table"))]
     beds = states[system.damper_coordinate]
@@ -58,28 +58,28 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
 
 
 def linear_derivatives(
-    test_scene: Scene, curves: Curves, frequency: Array, changed: Sequence[tuple[Scene, float]]
+    test_scene: Scene, curves: Curves, frequency: Array, changed_scenes: Sequence[tuple[Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return the derivatives of displacement / reference with respect to values of the scene, and to the frequency.
 
     They follow from the derivatives of the matrices, which are linear in masses and springs. Differences of the
     response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
 
-    `changed`: for each value, the scene with a slightly larger value, and the change of the value. The shapes are
-    (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
+    `changed_scenes`: for each value, the scene with a slightly larger value, and the change of the value. The shapes
+    are (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
     """
     system = assemble(test_scene)
-    equations = riding_equations(system, _drive(test_scene))
+    equations = riding_equations(system, _driven_place(test_scene))
     inertia, matrix, _ = equations
     omega = 2.0 * np.pi * frequency
-    states = riding_response(system, _drive(test_scene), omega)
+    states = riding_response(system, _driven_place(test_scene), omega)
     # Derivative of the equations (j omega inertia - matrix) states = inflow: by omega first, then by each value.
     right_sides = [-1j * (inertia @ states)]
     if not test_scene.dampers:
         equations = _structure_equations(test_scene, system.states)
-    for changed_scene, change in changed:
+    for changed_scene, change in changed_scenes:
         if test_scene.dampers:
-            changed_equations = riding_equations(assemble(changed_scene), _drive(changed_scene))
+            changed_equations = riding_equations(assemble(changed_scene), _driven_place(changed_scene))
         else:
             changed_equations = _structure_equations(changed_scene, system.states)
         pairs = zip(equations, changed_equations, strict=True)
@@ -97,7 +97,7 @@ def linear_derivatives(
 
 
 def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, Array]:
-    """Return the parts of `riding_equations` that fitted values change if there are no dampers, and zeros; faster."""
+    """Return `riding_equations` without dampers, with zeros where fitted values have no effect; this is faster."""
     mass, damping, stiffness = matrices_without_free_beds(test_scene)
     n = len(mass)
     inertia, matrix = np.zeros((2, states, states))
@@ -106,7 +106,7 @@ def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, 
     return inertia, matrix, np.zeros(states)
 
 
-def _drive(test_scene: Scene) -> str:
+def _driven_place(test_scene: Scene) -> str:
     """Return the place that is driven: the hammer, or the shaker of the test."""
-    hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
-    return "hammer" if hammer else test_scene.at_driven("shaker")
+    has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
+    return "hammer" if has_hammer else test_scene.at_driven("shaker")

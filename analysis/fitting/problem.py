@@ -35,7 +35,7 @@ _UNKNOWN_STEP = 1e-6
 _PARAMETER_STEP = 1e-6
 # Residual assigned to a point where the model has no periodic solution, in standard deviations.
 _FAILED_RESIDUAL = 30.0
-# Residual above which a point is an outlier, in standard deviations and in medians of the residuals.
+# Residual above which a point is an outlier, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
 # Ratio of frequencies up to which points are neighbors.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
@@ -62,7 +62,7 @@ class Group:
     used: NDArray[np.bool_]
     """Points that are fitted, shape (n,)."""
     local_peak: Array
-    """Largest value near each point, in standard deviations, shape (n, responses)."""
+    """Largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
     cached: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
     """Last predicted displacement / reference, with the unknowns it depends on and whether orbits were searched."""
 
@@ -93,7 +93,7 @@ class Group:
         channel_gains, reference_gain = problem.gains(x, curves)
 
         def largest_residual(k: int, value: ComplexArray) -> float:
-            whitened = abs(curves.whiten[k] @ (value - curves.value[:, k]))
+            whitened = abs(curves.whitening[k] @ (value - curves.value[:, k]))
             return float(np.nan_to_num(whitened, nan=np.inf).max())
 
         residuals = np.array([largest_residual(k, predicted[:, k]) for k in range(frequency.size)])
@@ -125,8 +125,8 @@ class Problem:
         Measured curves of each sweep or test.
     sensors : list of Sensor
         Sensors with a tolerance of their sensitivity.
-    clock : float
-        Largest relative deviation of the sample clock; 0 if it is no unknown.
+    clock_tolerance : float
+        Largest relative deviation of the sample clock; 0 if it is not an unknown.
     start, prior_sd : ndarray, shape (unknowns,)
         Prior mean, which is the initial value, and prior standard deviation.
     """
@@ -136,7 +136,7 @@ class Problem:
         self.groups = [
             Group(
                 measured,
-                _sweep_orbits(measured) if measured.moving else None,
+                _sweep_orbits(measured) if measured.has_moving_dampers else None,
                 np.ones(measured.frequency.size, bool),
                 _local_peaks(measured),
             )
@@ -144,10 +144,10 @@ class Problem:
         ]
         sensors = [sensor for measured in curves for sensor in (*measured.sensors, measured.reference_sensor)]
         self.sensors = [sensor for sensor in dict.fromkeys(sensors) if sensor.tolerance > 0.0]
-        self.clock = max(measured.clock for measured in curves)
+        self.clock_tolerance = max(measured.clock_tolerance for measured in curves)
         values = [parameter.unknown(parameter.start) for parameter in self.parameters]
         # A uniform distribution within the tolerance has a standard deviation of tolerance / sqrt(3).
-        limits = [sensor.tolerance for sensor in self.sensors] + [self.clock] * (self.clock > 0.0)
+        limits = [sensor.tolerance for sensor in self.sensors] + [self.clock_tolerance] * (self.clock_tolerance > 0.0)
         self.start = np.array(values + [0.0] * len(limits))
         self.prior_sd = np.array([PRIOR_SD] * len(values) + [limit / np.sqrt(3.0) for limit in limits])
 
@@ -181,13 +181,13 @@ class Problem:
 
         The amplitude is in N for a force and in m for a table; it is NaN for tests other than steady tones.
         """
-        clock = 1.0 + (float(x[-1]) if self.clock > 0.0 else 0.0)
+        clock = 1.0 + (float(x[-1]) if self.clock_tolerance > 0.0 else 0.0)
         level = np.nan if curves.level is None else curves.level
         return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
 
-    def clearance_limit(self, x: Array, parameter: Parameter) -> float:
-        """Return the largest gap of a damper, m, which is a lower limit of its clearance; 0 with ceiling impacts."""
-        scene, limit = self.scene(x), 0.0
+    def clearance_lower_limit(self, x: Array, parameter: Parameter) -> float:
+        """Return the largest gap of a damper in m, a lower limit of its clearance; 0 with ceiling impacts."""
+        scene, largest = self.scene(x), 0.0
         assert parameter.damper is not None
         body = self.model.dampers[parameter.damper].body
         for group in self.groups:
@@ -197,8 +197,8 @@ class Problem:
             for number, damper in enumerate(test_scene.dampers):
                 if damper.body == body and damper.moves:
                     points = self.operating_points(x, group.curves)
-                    limit = max(limit, group.orbits.largest_gap(test_scene, *points, number))
-        return limit if np.isfinite(limit) else 0.0
+                    largest = max(largest, group.orbits.largest_gap(test_scene, *points, number))
+        return largest if np.isfinite(largest) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement / reference as the sensors read it, shape (responses, n).
@@ -213,9 +213,9 @@ class Problem:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
         curves = group.curves
         level, frequency = self.operating_points(x, curves)
-        # The gain of the reference changes the true level, on which only orbits depend.
+        # The gain of the reference sensor changes the true level, on which only orbits depend.
         reference_gain = 0.0 if group.orbits is None else self.gains(x, curves)[1]
-        key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock > 0.0 else 0.0, reference_gain)
+        key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock_tolerance > 0.0 else 0.0, reference_gain)
         if group.cached is None or group.cached[0] != key or (search and not group.cached[1]):
             test_scene = scene_of_test(scene, curves)
             if group.orbits is None:
@@ -234,7 +234,7 @@ class Problem:
         """
         curves, used = group.curves, group.used
         residual = self.predicted(x, group, scene, search)[:, used] - curves.value[:, used]
-        whitened = np.einsum("nij,jn->ni", curves.whiten[used], residual)
+        whitened = np.einsum("nij,jn->ni", curves.whitening[used], residual)
         whitened = whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
         return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
@@ -244,14 +244,14 @@ class Problem:
         The order is: real parts, imaginary parts, deviations of the unknowns from their priors.
         """
         scene = self.scene(x)
-        parts = [self.normalized_residuals(x, group, scene, model_error, search) for group in groups]
-        flat = np.concatenate([part.ravel() for part in parts]) if parts else np.zeros(0, dtype=complex)
+        residuals = [self.normalized_residuals(x, group, scene, model_error, search).ravel() for group in groups]
+        flat = np.concatenate([np.zeros(0, dtype=complex), *residuals])
         return np.concatenate([flat.real, flat.imag, (x - self.start) / self.prior_sd])
 
     def jacobian(
         self, x: Array, groups: Sequence[Group], model_error: float = 0.0, active: Sequence[int] | None = None
     ) -> Array:
-        """Differentiate `residual` with respect to active unknowns, shape (residuals, active).
+        """Differentiate `residual` with respect to the active unknowns (indices; default all), (residuals, active).
 
         Derivatives are in closed form where the rig is linear, and finite differences of refined orbits elsewhere.
         """
@@ -298,9 +298,9 @@ class Problem:
             and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
         ]
         values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
-        changed = [self._changed_scene(k, float(values[k]), scene, curves) for k in effective]
+        changed_scenes = [self._changed_scene(k, float(values[k]), scene, curves) for k in effective]
         frequency = self.operating_points(x, curves)[1]
-        by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, changed)
+        by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, changed_scenes)
         channel_gains, bodies = channel_gains[:, None], list(curves.bodies)
         ratio = self._displacement_ratio(x, group, scene)[bodies]
         derivatives = np.zeros((len(indices), *curves.value.shape), dtype=complex)
@@ -317,7 +317,7 @@ class Problem:
                 derivatives[column] = by_sensor * ratio
             elif k >= count:
                 derivatives[column] = channel_gains / reference_gain * by_frequency[bodies] * curves.frequency
-        whitened = np.einsum("nij,cjn->nic", curves.whiten[used], derivatives[:, :, used])
+        whitened = np.einsum("nij,cjn->nic", curves.whitening[used], derivatives[:, :, used])
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
 
     def _changed_scene(self, k: int, value: float, scene: Scene, curves: Curves) -> tuple[Scene, float]:
@@ -330,11 +330,11 @@ class Problem:
 
 
 def _local_peaks(curves: Curves) -> Array:
-    """Return the largest value near each point in standard deviations, shape (n, responses)."""
+    """Return the largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
     order = np.argsort(curves.frequency, kind="stable")
     frequency, magnitude = curves.frequency[order], abs(curves.value[:, order])
     first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
     stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
     largest = np.empty(magnitude.T.shape)
     largest[order] = np.stack([magnitude[:, a:b].max(axis=1) for a, b in zip(first, stop, strict=True)])
-    return largest * abs(np.einsum("nii->ni", curves.whiten))
+    return largest * abs(np.einsum("nii->ni", curves.whitening))

@@ -1,4 +1,4 @@
-"""Initial values of a fit, with which the model has the modes that are identified from the linear recordings.
+"""Initial values of a fit: the model is first matched to the modes that the linear recordings have.
 
 A test band may contain only some of the model's modes, so the identified modes are assigned to model modes first.
 """
@@ -26,8 +26,8 @@ from rig.system.structural_model import driven_bodies, structural_model
 # Assumed relative standard deviations of identified frequencies and damping ratios.
 _FREQUENCY_SD = 3e-4
 _DAMPING_SD = 0.05
-# Assumed standard deviation of an identified mode shape, relative to its largest component.
-_SHAPE_SD = 0.05
+# Assumed standard deviation of a modal constant, relative to the largest constant of its mode.
+_CONSTANT_SD = 0.05
 # Largest number of assignments of identified modes to model modes that are ranked.
 _MAX_RANKED = 2000
 # Largest number of these assignments that are fitted.
@@ -38,12 +38,14 @@ _MODEL_ERROR = 0.1
 _MAX_RESIDUAL = 30.0
 # Difference of logarithmic frequencies that counts as a distance of 1 between an identified mode and a model mode.
 _LOG_FREQUENCY_SCALE = 0.1
-# Weight of 1 - MAC in the squared distance.
+# Weight of 1 - MAC (modal assurance criterion, `mac`) in the squared distance.
 _MAC_WEIGHT = 4.0
+# Largest number of evaluations of the model in the fit to the modes.
+_MAX_EVALUATIONS = 60
 
 
 def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
-    """Return unknowns with which the model has the identified modes, or those of the scene if no mode is identified.
+    """Return unknowns with which the model has the identified modes, or `problem.start` if no mode is identified.
 
     The k-th fit uses the k-th most likely assignment of every group; the fit with the smallest residual is returned.
     """
@@ -67,7 +69,7 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
 
 @lru_cache(maxsize=16)
 def _identify(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Identify the modes of curves, or return None; cached, because most trials of `diagnosis` use the same curves."""
+    """Identify the modes of curves, or return None; cached, because most trials of `diagnosis` use equal curves."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
@@ -81,26 +83,29 @@ def _fit_modes(
     modal_groups: Sequence[tuple[Group, Modes]],
     assignments: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Fit the active unknowns to the identified modes, which are assigned to modes of the model."""
+    """Fit the active unknowns to the identified modes.
+
+    `x`: initial values; `assignments`: the model mode of each identified mode, for each group.
+    """
 
     def residual(values: Array) -> Array:
         unknowns = x.copy()
         unknowns[active] = values
         scene = problem.scene(unknowns)
-        parts = [(values - problem.start[active]) / problem.prior_sd[active]]
+        residuals = [(values - problem.start[active]) / problem.prior_sd[active]]
         for (group, modes), assignment in zip(modal_groups, assignments, strict=True):
             frequency, damping, constants = _model_modes(scene, group)
             assigned = list(assignment)
             measured_constants = (modes.residue * (-2.0 * 2.0 * np.pi * modes.frequency)).imag
             largest = abs(measured_constants).max(axis=0)
-            parts += [
+            residuals += [
                 np.log(frequency[assigned] / modes.frequency) / _FREQUENCY_SD,
                 np.log(np.maximum(damping[assigned], 1e-9) / modes.damping) / _DAMPING_SD,
-                ((constants[:, assigned] - measured_constants) / largest / _SHAPE_SD).ravel(),
+                ((constants[:, assigned] - measured_constants) / largest / _CONSTANT_SD).ravel(),
             ]
-        return np.concatenate(parts)
+        return np.concatenate(residuals)
 
-    solution = scipy.optimize.least_squares(residual, x[active], max_nfev=60)
+    solution = scipy.optimize.least_squares(residual, x[active], max_nfev=_MAX_EVALUATIONS)
     fitted = x.copy()
     fitted[active] = solution.x
     return fitted
@@ -120,26 +125,27 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     shapes = modes.shapes / np.sqrt(modes.mass)
     has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
     driven = [test_scene.test.body - 1] if has_hammer else driven_bodies(test_scene)  # type: ignore[union-attr]
-    force = spring if group.curves.reference == "table" and spring is not None else 1.0
-    constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force
+    # With a coil spring, 1 m of table displacement is a force of `spring` on the body.
+    force_per_reference = spring if group.curves.reference == "table" and spring is not None else 1.0
+    constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force_per_reference
     return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, constants
 
 
 def _ranked_assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[int, ...]]:
-    """List the assignments of the identified modes to modes of the model, in rising order, most likely first."""
+    """List the assignments (the model mode of each identified mode, ascending), the most likely first."""
     frequency, _, constants = _model_modes(scene, group)
     count = modes.frequency.size
-    similarity = mac(constants, modes.shapes)
+    mac_values = mac(constants, modes.shapes)
     ranked = []
     for assignment in combinations(_nearest_modes(frequency, modes.frequency), count):
         distance = np.log(frequency[list(assignment)] / modes.frequency) / _LOG_FREQUENCY_SCALE
-        dissimilarity = 1.0 - similarity[list(assignment), range(count)]
-        ranked.append((float(np.sum(distance**2 + _MAC_WEIGHT * dissimilarity)), assignment))
+        mac_distance = _MAC_WEIGHT * (1.0 - mac_values[list(assignment), range(count)])
+        ranked.append((float(np.sum(distance**2 + mac_distance)), assignment))
     return [assignment for _, assignment in sorted(ranked)]
 
 
 def _nearest_modes(frequency: Array, identified: Array) -> list[int]:
-    """Select model modes, in rising order, for at most `_MAX_RANKED` assignments: those nearest to identified ones.
+    """Return the model modes nearest to the identified modes, ascending; their number allows `_MAX_RANKED` assignments.
 
     >>> _nearest_modes(np.array([1.0, 2.0, 3.0]), np.array([2.1]))
     [0, 1, 2]

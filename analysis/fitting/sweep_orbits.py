@@ -118,15 +118,15 @@ class SweepOrbits:
         return response
 
     def alternatives(self, test_scene: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at point k that are reached from its neighbors, riding dampers, and rest."""
+        """Yield the stable orbits at point k that are reached from those of its neighbors, riding dampers, and rest."""
         solver = _OrbitSolver(test_scene)
         for neighbor in (k - 1, k + 1):
             if 0 <= neighbor < frequency.size and (orbit := self.current[neighbor]) is not None:
                 reached = solver.continue_orbit(orbit, frequency[[neighbor, k]], level[[neighbor, k]])
                 if reached is not None:
                     yield reached
-        for moving in (True, False):
-            reached = self._search(solver, frequency, level, k, moving)
+        for from_riding in (True, False):
+            reached = self._search(solver, frequency, level, k, from_riding)
             if reached is not None:
                 yield reached
 
@@ -148,18 +148,18 @@ class SweepOrbits:
                 return refined
         if k in self.failed:
             return None
-        reached = self._search(solver, frequency, level, k, moving=True)
+        reached = self._search(solver, frequency, level, k, from_riding=True)
         if reached is None:
             self.failed.add(k)
         return reached
 
     def _search(
-        self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, moving: bool
+        self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, from_riding: bool
     ) -> OrbitResponse | None:
-        """Search the orbit of point k, from rest unless `moving`; store the reason if it cannot be computed."""
+        """Search the orbit of point k, as `_OrbitSolver.search`; store the reason if it cannot be computed."""
         self.uncovered.pop(k, None)
         try:
-            return solver.search(frequency[k], level[k], moving)
+            return solver.search(frequency[k], level[k], from_riding)
         except UncoveredMotionError as error:
             self.uncovered[k] = error.args[0]
             return None
@@ -191,8 +191,8 @@ class _OrbitSolver:
         if shaker.kind == "electrodynamic":
             self.table = self.problem.system.points.index("table")
 
-    def search(self, frequency: float, level: float, moving: bool) -> OrbitResponse | None:
-        """Search the orbit that is reached from the steady motion with riding dampers or, unless `moving`, from rest.
+    def search(self, frequency: float, level: float, from_riding: bool) -> OrbitResponse | None:
+        """Search the orbit that is reached from steady motion with riding dampers or, unless `from_riding`, from rest.
 
         Returns None if no stable orbit is reached. Raises `UncoveredMotionError` if the motion settles to a kind for
         which orbits are not computed.
@@ -204,7 +204,7 @@ class _OrbitSolver:
         orbit: Orbit | None = None
         for _ in range(_MAX_SEARCHES if self.table is not None else 1):
             point = OperatingPoint(float(frequency), float(drive))
-            propagator = start_propagator(self.problem, point, moving)[0]
+            propagator = start_propagator(self.problem, point, from_riding)[0]
             if orbit is not None:
                 set_to_orbit(propagator, orbit)
             try:
@@ -220,7 +220,8 @@ class _OrbitSolver:
             solution = self._refine_at_drive(stored, frequency, drive)
             if solution is None:
                 return None
-            drive *= float(np.clip(level / solution[2], 0.5, 2.0))
+            reached_level = solution[2]
+            drive *= float(np.clip(level / reached_level, 0.5, 2.0))
         return None
 
     def refine_unchecked(self, start: StoredOrbit, frequency: float, level: float) -> OrbitResponse | None:

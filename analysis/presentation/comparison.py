@@ -166,8 +166,8 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
         if after.at_end:
             rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
-                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between {after.first:.2f} and "
-                f"{after.last:.2f} Hz, where the curve reaches {after_text} µm/N"
+                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between "
+                f"{after.lowest_frequency:.2f} and {after.highest_frequency:.2f} Hz, where the curve reaches {after_text} µm/N"
             )
             continue
         unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]

@@ -127,7 +127,7 @@ def _impact_phases(
         return np.zeros(0), np.zeros(0)
     inside = (detected.time >= first / recording.rate) & (detected.time < stop / recording.rate)
     phases = (2 * np.pi * frequency * detected.time) % (2 * np.pi)
-    return phases[inside & (detected.kind == "floor")], phases[inside & (detected.kind == "ceiling")]
+    return phases[inside & (detected.wall == "floor")], phases[inside & (detected.wall == "ceiling")]
 
 
 def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:

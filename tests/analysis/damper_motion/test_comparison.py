@@ -59,7 +59,7 @@ def test_measured_peak_lies_within_bounds(natural, ratio, offset, points_per_ban
     exact = abs(two_modes(dense, natural, ratio))
     assert estimate is not None
     assert abs(estimate.value - exact.max()) <= estimate.bound + 1e-5 * exact.max()
-    assert estimate.first - step / 200 <= dense[np.argmax(exact)] <= estimate.last + step / 200
+    assert estimate.lowest_frequency - step / 200 <= dense[np.argmax(exact)] <= estimate.highest_frequency + step / 200
     # With coarse points, interpolation of a wide peak is less certain.
     assert error > 0 or ratio > 0.02 or estimate.bound < 0.02 * exact.max()
 
@@ -103,7 +103,7 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
     assert step > 0.05 or estimate.bound < 0.02 * exact
 
 
-def test_coarse_points_name_the_needed_spacing() -> None:
+def test_warning_of_coarse_points_states_required_step() -> None:
     resolved, coarse = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
     [warning] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
     assert warning.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")
@@ -113,7 +113,7 @@ def test_coarse_points_name_the_needed_spacing() -> None:
     assert estimate is not None and math.isinf(estimate.bound)
 
 
-def test_bounded_changes_state_direction_and_limit() -> None:
+def test_changes_are_printed_with_their_limits() -> None:
     peaks = [Peak(1e-3, 1e-5, 10.0, 9.9, 10.1), Peak(2e-4, 1e-5, 9.5, 9.4, 9.8), Peak(1e-3, 2e-5, 10.05, 9.9, 10.2)]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
     _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes))
@@ -161,7 +161,7 @@ def test_same_structure_shows_no_change(tmp_path) -> None:
     with daq.open(path) as rec:
         [curves] = analysis.frequency_responses(rec)
     changes = peak_changes(analysis.identify(curves), curves, curves)
-    assert len(changes) == 9
+    assert len(changes) == 9  # three responses, three modes
     for change in changes:
         value, low, high = change.decibel
         assert low <= value == 0.0 <= high and change.shift[0] == 0.0
@@ -169,7 +169,7 @@ def test_same_structure_shows_no_change(tmp_path) -> None:
     second_path = synthetic.stepped_sine(tmp_path / "b.mcap", frequencies + 0.01)
     run = CliRunner().invoke(app, ["compare", str(path), str(second_path)])
     assert run.exit_code == 0 and len(re.findall(r"^  body\d ", run.output, re.MULTILINE)) == 9
-    assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10
+    assert (tmp_path / "a+b-compare.csv").read_text(encoding="utf-8").count("\n") == 10  # with the header
     assert CliRunner().invoke(app, ["compare", str(path)]).exit_code != 0
 
 

@@ -99,14 +99,14 @@ def test_missing_channel_is_named(tmp_path):
             energy_per_cycle(rec, sweep)
 
 
-def test_resonance_alone_is_no_jump(tmp_path):
+def test_linear_resonance_is_not_a_jump(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         for [*curves] in analysis.frequency_responses(rec):
             assert [jumps(curve) for curve in curves] == [[], [], []]
 
 
 @pytest.mark.parametrize(
-    ("floor", "ceiling", "sticks", "name"),
+    ("floor", "ceiling", "stays_at_ceiling", "name"),
     [
         (0, 0, False, "riding"),
         (1, 0, False, "I"),
@@ -116,8 +116,9 @@ def test_resonance_alone_is_no_jump(tmp_path):
         (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
     ],
 )
-def test_type_follows_from_impacts_per_period(floor, ceiling, sticks, name):
-    assert DamperMotion(30.0, "body2", floor, ceiling, sticks, 1e-3, True).name == name
+def test_type_follows_from_impacts_per_period(floor, ceiling, stays_at_ceiling, name):
+    motion = DamperMotion(30.0, "body2", floor, ceiling, stays_at_ceiling, threshold=1e-3, stays_on_floor=True)
+    assert motion.name == name
 
 
 @pytest.fixture(scope="module")
@@ -288,11 +289,13 @@ def test_scene_without_dampers_is_rejected(tmp_path):
         present_dampers([path])
 
 
-@pytest.mark.parametrize(("true", "clearance"), [(0.0, 1e-3), (0.0, float("inf")), (0.3, 1e-3), (0.6, 1e-3)])
-def test_restitution_lies_within_its_bounds(tmp_path, true, clearance):
+@pytest.mark.parametrize(
+    ("true_restitution", "clearance"), [(0.0, 1e-3), (0.0, float("inf")), (0.3, 1e-3), (0.6, 1e-3)]
+)
+def test_restitution_lies_within_its_bounds(tmp_path, true_restitution, clearance):
     sensor = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
     scene = rig.load("fig8-no-damper").replace(
-        dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": clearance, "restitution": true}],
+        dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": clearance, "restitution": true_restitution}],
         shaker={"kind": "force", "body": 1},
         test={"kind": "sine", "frequency": 49.5, "force": 2.6, "duration": 2.0},
         channels=[{"name": "body2", "at": "body 2", "accelerometer": sensor}, {"name": "force", "at": "shaker"}],
@@ -303,4 +306,4 @@ def test_restitution_lies_within_its_bounds(tmp_path, true, clearance):
         first, stop = window.first_sample, window.stop
         estimate = restitution(BodyMotion(rec, "body2", first, stop), scene.dampers[0])
     assert estimate is not None and estimate.error < 0.05
-    assert abs(estimate.value - true) < 2.0 * estimate.error
+    assert abs(estimate.value - true_restitution) < 2.0 * estimate.error

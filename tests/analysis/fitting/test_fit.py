@@ -13,13 +13,15 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.fitting.diagnosis import _try_factors
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Comparison, Fit, Fitted, _misfit
 from analysis.fitting.identifiability import LevelDamping, coupled_values
-from analysis.fitting.measured import measured
+from analysis.fitting.measured import measured_curves
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from analysis.fitting.presentation import describe
+from analysis.fitting.problem import Problem
 from rig.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
@@ -130,6 +132,17 @@ def test_faulty_channel_is_named(tolerance, faults, causes, noisy_sweep):
         assert cause in result.misfit
 
 
+def test_unit_of_force_is_named(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=0.5)) as recording:
+        # The analysis divides by the gain: the reading is in pounds, but is taken for newtons.
+        recording.channels["hammer"] = replace(recording.channels["hammer"], gain=4.44822)
+        curves = measured_curves(recording, "a")
+    model = with_ratio_per_mode(synthetic.scene().replace(shaker=None, test=None))
+    problem = Problem(model, free_parameters(model, ["structure.springs", "structure.damping"]), curves)
+    explained = min(_try_factors(problem, curves))
+    assert explained.text == "hammer reads 0.2248 times the value that fits (pounds instead of newtons)"
+
+
 def test_dead_channel_is_omitted(tmp_path):
     force = synthetic.band_noise(20.0, 5.0, 60.0)
     marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
@@ -143,12 +156,12 @@ def test_dead_channel_is_omitted(tmp_path):
         synthetic.write(tmp_path / "b.mcap", scene, infos, rows, marks)
         with daq.open(tmp_path / "b.mcap") as recording:
             if expected_names:
-                (curves,) = measured(recording, "b")
+                (curves,) = measured_curves(recording, "b")
                 assert [sensor.name for sensor in curves.sensors] == expected_names
                 assert "body2 reads zero throughout" in curves.warnings[0]
                 continue
             with pytest.raises(RecordingError, match="read zero throughout: dead or not connected"):
-                measured(recording, "b")
+                measured_curves(recording, "b")
 
 
 def test_dampers_with_hits_are_rejected(tmp_path):
@@ -171,7 +184,7 @@ def test_error_of_unknown_parameter_names_others():
         free_parameters(initial_scene(), ["dampers.clearance"])
 
 
-def test_inserted_values_change_nothing_else():
+def test_inserted_values_leave_other_values_unchanged():
     scene = with_ratio_per_mode(rig.load("fig9"))
     parameters = free_parameters(scene)
     changed = with_values(
@@ -184,9 +197,9 @@ def test_inserted_values_change_nothing_else():
 
 
 @pytest.mark.parametrize(("irregular", "regular", "is_misfit"), [(9, 2, False), (0, 6, True), (12, 0, True)])
-def test_irregular_omitted_points_are_no_misfit(irregular, regular, is_misfit):
+def test_omitted_irregular_points_are_not_a_misfit(irregular, regular, is_misfit):
     with daq.open(DEMO) as recording:
-        [curves] = measured(recording, "demo")
+        [curves] = measured_curves(recording, "demo")
     predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
     predicted[:, :irregular], used[: irregular + regular] = np.nan, False
     compared = Comparison(curves, predicted, used, np.zeros((3, 20)), 0.0)
@@ -202,7 +215,7 @@ def test_omitted_points_are_drawn_as_crosses():
     used = np.array([True, True, False, True])
     value = np.full((1, 4), 1e-5 + 0j)
     with daq.open(DEMO) as recording:
-        [demo] = measured(recording, "demo")
+        [demo] = measured_curves(recording, "demo")
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
     result = SimpleNamespace(compared=[Comparison(curves, value, used, np.ones((1, 4)), 1.0)])
     axes = fit_figure(result).axes  # type: ignore[arg-type]

@@ -13,7 +13,7 @@ import daq
 import rig
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.identifiability import coupled_values
-from analysis.fitting.measured import measured
+from analysis.fitting.measured import measured_curves
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Problem
 
@@ -24,7 +24,7 @@ FORCE_TOLERANCE = 0.05
 def test_residual_derivatives_agree_with_differences():
     model = with_ratio_per_mode(rig.load("bare-structure"))
     with daq.open(SWEEP) as recording:
-        problem = Problem(model, free_parameters(model), measured(recording, "sweep"))
+        problem = Problem(model, free_parameters(model), measured_curves(recording, "sweep"))
     x, step = problem.start + np.linspace(0.002, 0.01, problem.size), 1e-7
     exact = problem.jacobian(x, problem.groups)
     for k, unit in enumerate(np.eye(problem.size)):
@@ -45,7 +45,7 @@ converter: {{rate: 2048 Hz}}
 """)
     mass = analysis.fit(daq.record(scene, tmp_path / "a.mcap"), scene)["structure.masses[1]"]
     assert mass.low < 0.21 < mass.high
-    # Evenly distributed within the tolerance.
+    # 1.96 standard deviations of a uniform distribution within the tolerance.
     assert mass.half_width == pytest.approx(1.96 * FORCE_TOLERANCE / 3**0.5, rel=0.1)
 
 

@@ -30,7 +30,7 @@ def test_reference_noise_is_separated_from_response_noise(bench):
     with daq.open(bench[1]) as recording:
         curves = analysis.frfs(recording)
     errors = curves.covariance()
-    # 3 % of the force's rms, white to 500 Hz; the force ends at 262 Hz.
+    # Noise of 3 % of the force's rms value is white up to 500 Hz; the force has a bandwidth of 262 Hz.
     assert np.median(errors.reference) == pytest.approx(0.03**2 * 262.0 / 500.0, rel=0.3)
     variances = np.einsum("kaa->ka", errors.lines).real
     peak = int(np.argmax(abs(curves[0].value)))
@@ -72,7 +72,7 @@ def test_delayed_channel_is_named_with_its_delay(bench):
     with daq.open(path) as recording:
         recording.channels["a2"] = replace(recording.channels["a2"], delay=-5e-5)
         fitted = analysis.fit(recording, scene)
-    # A smaller time advance of the other channel explains the curves nearly as well.
+    # An advance of the other channel explains the curves nearly as well.
     delay_text = re.search(r"a2 reads ([\d.]+) µs late", fitted.misfit)
     assert delay_text is not None and float(delay_text[1]) == pytest.approx(50.0, abs=1.0)
     assert "another" not in fitted.misfit

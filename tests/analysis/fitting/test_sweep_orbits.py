@@ -9,7 +9,7 @@ import numpy as np
 
 import daq
 from analysis.fitting.diagnosis import list_omitted_points
-from analysis.fitting.measured import measured
+from analysis.fitting.measured import measured_curves
 from analysis.fitting.predicted import scene_of_test
 from analysis.fitting.sweep_orbits import SweepOrbits
 from rig.orbits.orbit import OrbitFamily
@@ -20,7 +20,7 @@ DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mc
 def nearest_points(*requested_frequencies):
     """Return the curves of the demo, and frequency and level of the points nearest to the requested frequencies."""
     with daq.open(DAMPED) as recording:
-        [curves] = measured(recording, "demo")
+        [curves] = measured_curves(recording, "demo")
     assert curves.level is not None
     indices = [int(np.argmin(abs(curves.frequency - frequency))) for frequency in requested_frequencies]
     return curves, curves.frequency[indices], curves.level[indices]
@@ -55,7 +55,7 @@ def test_continued_motions_have_right_derivatives():
         )
 
 
-def test_infinite_rebounds_are_explained():
+def test_infinite_rebounds_are_a_stated_reason():
     curves, frequency, level = nearest_points(49.0)
     dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
     bouncy_scene = curves.scene.replace(dampers=dampers)

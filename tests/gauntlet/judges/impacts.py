@@ -41,7 +41,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
         detected = impacts(recording, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
         is_judged = (time > low) & (time < high) & detectable(time, jump, detected)
-        is_judged &= ~_is_in_excluded_interval(time, detected.left_out)
+        is_judged &= ~_is_in_excluded_interval(time, detected.unsearched)
         _, right, is_detected = score(detected.time, time, _max_distance(detected, recording.rate))
         n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
         if detected.contact_duration and right.any():

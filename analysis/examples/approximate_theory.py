@@ -2,13 +2,14 @@
 Compare with the approximate theory: Types I to III
 ===================================================
 
-The paper reduces the structure to one mode and predicts three types of periodic motion. Type I: the damper flies and
-lands on the floor. Type II: it also hits the ceiling and leaves it at once. Type III: it stays at the ceiling for a
-while. Exact orbits of the full structure show the accuracy of the reduction.
+Inoue, Yokomichi and Hiraki (2011) reduce the structure to one mode and predict three types of periodic motion. Type I:
+the damper flies and lands on the floor. Type II: it also hits the ceiling and leaves it at once. Type III: it stays at
+the ceiling for a while. Exact orbits of the full structure show the accuracy of the reduction.
 """
 
 # %%
-# The approximate method for mode 3 of the scene of Fig. 9, with one damper below a ceiling.
+# The approximate method for mode 3 of the scene of Fig. 9, with one damper in a cavity of finite clearance. As
+# the theory assumes, a force without a coil spring acts on body 1.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -22,6 +23,7 @@ print(theory)
 # Exact periodic orbits over the same band.
 frequencies = np.linspace(47.5, 51.5, 17)
 exact = rig.orbit_response(scene, frequencies)
+# `theory` shows the body with the largest motion in the mode.
 body = int(np.argmax(abs(theory.mode.shape)))
 axes = plt.subplots(layout="constrained")[1]
 theory.draw(axes)

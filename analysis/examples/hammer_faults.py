@@ -46,6 +46,7 @@ for name, text in tests.items():
         except rig.errors.RecordingError as error:
             print(f"{name}: {error}")
             continue
+    # N s; the minimum is taken below 2 kHz.
     spectrum = abs(np.fft.rfft(force)) / 5120.0
     above.semilogy(np.fft.rfftfreq(4096, 1 / 5120.0), spectrum, label=name)
     below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)

@@ -49,6 +49,7 @@ with (
     inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:2")
     inputs.timing.cfg_samp_clk_timing(RATE, samps_per_chan=BLOCK * BLOCKS)
     volts = np.array(inputs.read(BLOCK * BLOCKS, timeout=200.0))
+# Sensitivities: 100 mV/g and 11 mV/N.
 acceleration, force = volts[:2] / (0.1 / 9.80665), volts[2:] / 0.011
 
 # %%

@@ -7,7 +7,8 @@ time; a shorter wait leaves an error. The rehearsal shows both before the test.
 """
 
 # %%
-# The paper's structure without dampers, 15 points around the second resonance (34.8 Hz, 0.5 % damping).
+# The structure of Inoue, Yokomichi and Hiraki (2011) without dampers; 15 points around its second resonance
+# (34.8 Hz, 0.5 % damping).
 import matplotlib.pyplot as plt
 
 import analysis

@@ -75,7 +75,7 @@ def write_csv(segment: Slice, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in segment.infos)])
-        for first, samples in segment.blocks(segment.channels):
+        for first, samples in segment.pieces(segment.channels):
             time = np.arange(first, first + samples.shape[1]) / segment.recording.rate
             writer.writerows(zip(time.tolist(), *samples.tolist(), strict=True))
 
@@ -95,7 +95,7 @@ def write_npz(segment: Slice, path: Path) -> None:
             with archive.open(_zip_entry(member), "w", force_zip64=True) as stream:
                 header = {"descr": "<f8", "fortran_order": False, "shape": (segment.stop - segment.start,)}
                 np.lib.format.write_array_header_1_0(stream, header)
-                for _, samples in segment.blocks([name]):
+                for _, samples in segment.pieces([name]):
                     stream.write(samples.astype("<f8").tobytes())
         rate = segment.recording.rate
         metadata = {
@@ -130,14 +130,14 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
             "channels or a segment (--from, --to)."
         )
     peaks = np.zeros(n_channels)
-    for _, samples in segment.blocks(segment.channels):
+    for _, samples in segment.pieces(segment.channels):
         peaks = np.maximum(peaks, np.abs(samples).max(axis=1))
     full_scale = np.where(peaks > 0, peaks, 1.0)
     with path.open("wb") as stream, wave.open(stream, "wb") as sound:
         sound.setnchannels(n_channels)
         sound.setsampwidth(3)
         sound.setframerate(round(rate))
-        for _, samples in segment.blocks(segment.channels):
+        for _, samples in segment.pieces(segment.channels):
             integers = np.ascontiguousarray(np.rint(samples.T / full_scale * (2**23 - 1)), dtype="<i4")
             # 24-bit samples are the lower three of four bytes; the channels are interleaved.
             sound.writeframesraw(integers.view(np.uint8).reshape(*integers.shape, 4)[..., :3].tobytes())

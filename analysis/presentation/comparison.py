@@ -167,7 +167,8 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
             rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
                 f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between "
-                f"{after.lowest_frequency:.2f} and {after.highest_frequency:.2f} Hz, where the curve reaches {after_text} µm/N"
+                f"{after.lowest_frequency:.2f} and {after.highest_frequency:.2f} Hz, where the curve reaches "
+                f"{after_text} µm/N"
             )
             continue
         unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]

@@ -29,7 +29,7 @@ class Slice:
     channels: tuple[str, ...]
     start: int  # first sample
     stop: int  # one past the last sample
-    # called with the number of samples read since the last call, summed over the channels
+    # function that is called with the number of samples read since its last call, summed over the channels
     on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
 
     @classmethod
@@ -60,7 +60,7 @@ class Slice:
         """Return the data sheets of the channels."""
         return [self.recording.channels[name] for name in self.channels]
 
-    def blocks(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
         """Yield the first sample number and the samples of each piece, shape (channels, samples), in physical units."""
         for first in range(self.start, self.stop, PIECE_SAMPLES):
             stop = min(first + PIECE_SAMPLES, self.stop)
@@ -112,7 +112,7 @@ def _read_piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
-    """Return the first and last sample of every hit; a free decay is a hit of a single sample at its start."""
+    """Return the first and last sample of every hit; a free decay counts as one hit at sample 0."""
     hit_limits = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
     if hit_limits:
         return hit_limits

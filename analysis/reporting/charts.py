@@ -41,8 +41,7 @@ class EvenlySpaced:
 class Curve:
     """One curve of a panel, with its uncertainty limits if they are known.
 
-    x, y, low, high : shape (n,)
-    color : index into the palette
+    All arrays have the shape (n,).
     """
 
     label: str
@@ -50,7 +49,7 @@ class Curve:
     y: ArrayLike
     low: ArrayLike | None = None  # lower limit of `y`
     high: ArrayLike | None = None  # upper limit of `y`
-    color: int = 0
+    color: int = 0  # index into the palette
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class Panel:
     height: int = 170  # px
     logarithmic: bool = False  # vertical axis
     limits: tuple[float, float] | None = None  # of the vertical axis
-    ticks: Sequence[float] | None = None
+    ticks: Sequence[float] | None = None  # of the vertical axis
     image: dict[str, Any] | None = None  # from `level_image`
 
 
@@ -102,8 +101,8 @@ class ChartWriter:
         )
 
 
-def logarithmic(frequencies: ArrayLike) -> bool:
-    """Return whether a frequency axis of these values should be logarithmic."""
+def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
+    """Return whether these frequencies span so wide a band that their axis is logarithmic."""
     values = np.asarray(frequencies, dtype=float)
     return bool(values.size and values.min() > 0 and values.max() > _MIN_LOGARITHMIC_RATIO * values.min())
 

@@ -44,17 +44,17 @@ def rig_drawing(scene: Scene) -> str:
     count = structure.bodies
     height = 2 * _MARGIN + count * _BODY_HEIGHT + count * _SPACING
     tops = [height - _MARGIN - (body * (_BODY_HEIGHT + _SPACING)) for body in range(1, count + 1)]
-    parts = [_ground(height - _MARGIN)]
+    elements = [_ground(height - _MARGIN)]
     for body in range(1, count + 1):
-        parts += _body(scene, body, tops[body - 1])
+        elements += _body(scene, body, tops[body - 1])
     for number, shaker in enumerate(scene.shakers, 1):
         for body in shaker.bodies:
-            parts += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
-    parts += _channels(scene, tops)
+            elements += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
+    elements += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
         f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 620 {height}" width="620" '
-        f'height="{height}" stroke-width="1.3" fill="none">{"".join(parts)}</svg>'
+        f'height="{height}" stroke-width="1.3" fill="none">{"".join(elements)}</svg>'
     )
 
 
@@ -67,11 +67,11 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
     """Draw a body, the spring below it (dashed if the scene gives matrices) and the dampers inside."""
     structure = scene.structure
     middle = _LEFT + _BODY_WIDTH / 2
-    mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
+    body_mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
     yield (
         f'<rect class="body" x="{_LEFT}" y="{top:g}" width="{_BODY_WIDTH}" height="{_BODY_HEIGHT}" rx="3" '
         'stroke="currentColor" fill="currentColor" fill-opacity="0.07"/>'
-        f'<text x="{_LEFT + 6}" y="{top + 16:g}">{escape_html(structure.label(body))}{mass}</text>'
+        f'<text x="{_LEFT + 6}" y="{top + 16:g}">{escape_html(structure.label(body))}{body_mass}</text>'
     )
     stiffness = None if structure.springs is None else structure.springs[body - 1]
     if stiffness:
@@ -89,9 +89,9 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
         )
         if len(dampers) == 1:
             clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
-            size = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
+            mass = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             locked = ", locked" if damper.locked else ""
-            yield f'<text x="{x + 32:g}" y="{top + 44:g}">{size}{locked}{clearance}</text>'
+            yield f'<text x="{x + 32:g}" y="{top + 44:g}">{mass}{locked}{clearance}</text>'
 
 
 def _spring(x: float, top: float, bottom: float) -> str:
@@ -116,7 +116,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
     """Write the names of the channels next to the body or table at which their sensor is mounted."""
     names_at: dict[str, list[str]] = {}
-    tables, others = dict(scene.tables), []
+    tables, other_channels = dict(scene.tables), []
     for channel in scene.channels or ():
         names_at.setdefault(channel.at, []).append(channel.name)
     for place, names in names_at.items():
@@ -134,9 +134,9 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
                 f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
             )
         else:
-            others.append(f"{', '.join(names)} ({place})")
-    if others:
-        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {escape_html("; ".join(others))}</text>'
+            other_channels.append(f"{', '.join(names)} ({place})")
+    if other_channels:
+        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {escape_html("; ".join(other_channels))}</text>'
 
 
 def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:

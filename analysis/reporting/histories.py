@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest number of samples, over all channels, of a recording that is drawn sample by sample. A longer recording is
-# drawn as the smallest and largest value of each interval.
+# Largest number of samples, summed over the channels, of a recording that is drawn sample by sample. A longer recording
+# is drawn as the smallest and largest value of each interval.
 _MAX_SAMPLES = 300_000
 # Number of these intervals.
 _INTERVALS = 1500
@@ -66,9 +66,9 @@ def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
     for first, block in rec.blocks(names):
         interval = np.searchsorted(edges, np.arange(first, first + block.shape[1]), side="right") - 1
         starts = np.flatnonzero(np.diff(interval, prepend=interval[0] - 1))
-        present = interval[starts]
-        smallest[:, present] = np.fmin(smallest[:, present], np.fmin.reduceat(block, starts, axis=1))
-        largest[:, present] = np.fmax(largest[:, present], np.fmax.reduceat(block, starts, axis=1))
+        touched = interval[starts]
+        smallest[:, touched] = np.fmin(smallest[:, touched], np.fmin.reduceat(block, starts, axis=1))
+        largest[:, touched] = np.fmax(largest[:, touched], np.fmax.reduceat(block, starts, axis=1))
     # Each pair is drawn at one and three quarters of its interval.
     time = (edges[:-1, None] + np.diff(edges)[:, None] * [0.25, 0.75]).ravel() / rec.rate
     values = np.stack([smallest, largest], axis=2).reshape(len(names), -1)

@@ -34,13 +34,19 @@ Returned = TypeVar("Returned")
 
 
 @dataclass(frozen=True)
-class Pass:
-    """One sweep through the frequencies.
+class SweepResults:
+    """Results of one sweep, or of another test.
 
-    frfs : one frequency response for each pair of response and reference
-    modes : None if the identification failed
-    peaks : for each mode, the response with the highest compliance peak near it, or None if no response has a peak
-    highest : the highest compliance peak of all frequencies, whether or not a mode was identified there
+    Attributes
+    ----------
+    frfs : list of Response
+        One frequency response for each pair of response and reference.
+    modes : Modes or None
+        None if the identification failed.
+    peaks : tuple
+        For each mode, the response with the highest compliance peak near it; None if no response has a peak.
+    highest : tuple or None
+        The highest compliance peak of all frequencies, whether or not a mode was identified there.
     """
 
     frfs: list[Response]
@@ -56,7 +62,7 @@ class Measured:
     path: Path
     label: str  # name of the recording in legends and sentences
     rec: Recording
-    passes: tuple[Pass, ...] = ()
+    sweeps: tuple[SweepResults, ...] = ()
     dampers: tuple[Dampers, ...] = ()
     decay: Decay | None = None
 
@@ -86,20 +92,22 @@ class Measurements:
     def changes(self) -> list[tuple[Measured, Measured, PeakChange]]:
         """Compute the change of each resonance peak from the first recording to every other recording."""
         first, *others = self.results
-        if not first.passes or first.passes[0].modes is None:
+        if not first.sweeps or first.sweeps[0].modes is None:
             return []
         return [
             (first, other, change)
             for other in others
-            if other.passes
+            if other.sweeps
             for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
-        sweeps = None
+        frfs_of_sweeps = None
         if rec.test.drives:
-            sweeps = self._attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
-        passes = tuple(self._pass(path, label, rec, frfs) for frfs in sweeps or ())
+            frfs_of_sweeps = self._attempt(
+                path, "Frequency responses", frequency_responses, rec, progress=self.progress
+            )
+        sweeps = tuple(self._evaluate_sweep(path, label, rec, frfs) for frfs in frfs_of_sweeps or ())
         has_damper_results = rec.test.kind is TestKind.TONES and rec.scene.dampers
         dampers = None
         if has_damper_results:
@@ -112,17 +120,17 @@ class Measurements:
             if free_decay is not None:
                 free_decay = relabel(free_decay, rec.scene.name, label)
                 self._warn(path, free_decay.warnings)
-        return Measured(path, label, rec, passes, tuple(dampers or ()), free_decay)
+        return Measured(path, label, rec, sweeps, tuple(dampers or ()), free_decay)
 
-    def _pass(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> Pass:
+    def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
         self._warn(path, frfs[0].warnings)
         modes = self._attempt(path, "Modes", identify, frfs)
         if modes is None:
-            return Pass(frfs, None)
+            return SweepResults(frfs, None)
         self._warn(path, modes.warnings)
         peaks = _highest_peaks(frfs, modes)
-        return Pass(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
+        return SweepResults(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
 
     def _attempt(
         self,
@@ -148,7 +156,7 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
     compliances = [frf for frf in frfs if frf.reference == "force"]
     _, low, high = peak_bands(modes)
     highest: list[tuple[Response, Peak] | None] = []
-    # The bands are in ascending order of frequency, the modes need not be.
+    # The bands are in ascending order of frequency; the modes may be in another order.
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [(frf, peak(frf, low[rank], high[rank])) for frf in compliances]
         inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
@@ -161,7 +169,7 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest compliance peak, near a mode or at another frequency.
 
-    A peak at another frequency replaces these if the lower limit of its compliance exceeds their heights.
+    `peaks`: the highest peak near each mode. A peak at another frequency replaces them if its lower limit exceeds them.
     """
     highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
     height = 0.0 if highest is None else highest[1].value
@@ -180,10 +188,10 @@ def highest_peak(
 
 
 def _peak_changes(first: Measured, other: Measured) -> list[PeakChange]:
-    """Return the change of each peak between two recordings; errors of shared sensors cancel in the ratio."""
-    modes = first.passes[0].modes
+    """Return the change of each peak between two recordings."""
+    modes = first.sweeps[0].modes
     assert modes is not None
     points, first_points = (MeasurementPoints.of(measured.path, measured.rec) for measured in (other, first))
     points.comparable_with(first_points)
-    same_sensors, first_frfs = points.same_sensors(first_points), first.passes[0].frfs
-    return [change for sweep in other.passes for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]
+    same_sensors, first_frfs = points.same_sensors(first_points), first.sweeps[0].frfs
+    return [change for sweep in other.sweeps for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]

@@ -76,33 +76,33 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     results, charts = measurements.results, ChartWriter()
     changes = measurements.changes()
     sentences = summarize(results, changes)
-    parts = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
-    parts += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))]
-    parts.append("</section>")
-    parts += [changes_table(changes), resonances(results), decays(results)]
+    sections = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
+    sections += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))]
+    sections.append("</section>")
+    sections += [changes_table(changes), resonances(results), decays(results)]
     if measurements.warnings:
         items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
-        parts.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
+        sections.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
     responses = [charts.write(chart) for chart in response_charts(results)]
     if responses:
-        parts += ["<h2>Frequency responses</h2>", *responses]
-    parts += _modes(results)
+        sections += ["<h2>Frequency responses</h2>", *responses]
+    sections += _modes(results)
     motions = [charts.write(damper_chart(measured, result)) for measured in results for result in measured.dampers]
     if motions:
-        parts += ["<h2>Dampers</h2>", *motions]
+        sections += ["<h2>Dampers</h2>", *motions]
     free_decays = [charts.write(chart) for chart in decay_charts(results)]
     if free_decays:
-        parts += ["<h2>Free decays</h2>", *free_decays]
-    parts += _budgets(results)
+        sections += ["<h2>Free decays</h2>", *free_decays]
+    sections += _budgets(results)
     for measured in results:
-        parts += [
+        sections += [
             f"<h2>Recording {escape_html(measured.path.name)}</h2>",
             f"<figure>{rig_drawing(measured.rec.scene)}</figure>",
         ]
-        parts += [settings(measured), charts.write(time_histories(measured.rec))]
-        parts += [charts.write(chart) for chart in spectrograms(measured.rec)]
-    parts += _commands(paths, results)
-    return sentences, "\n".join(parts)
+        sections += [settings(measured), charts.write(time_histories(measured.rec))]
+        sections += [charts.write(chart) for chart in spectrograms(measured.rec)]
+    sections += _commands(paths, results)
+    return sentences, "\n".join(sections)
 
 
 def _test_description(measured: Measured) -> str:
@@ -116,9 +116,9 @@ def _test_description(measured: Measured) -> str:
 
 def _modes(results: Sequence[Measured]) -> list[str]:
     """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
-    parts = []
+    sections = []
     for measured in results:
-        for modes in [sweep.modes for sweep in measured.passes[:1] if sweep.modes is not None]:
+        for modes in [sweep.modes for sweep in measured.sweeps[:1] if sweep.modes is not None]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
@@ -126,13 +126,16 @@ def _modes(results: Sequence[Measured]) -> list[str]:
                 mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_text(k)}")
                 for k, frequency in enumerate(modes.frequency)
             ]
-            parts += [f"<h3>{escape_html(measured.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
-    return ["<h2>Mode shapes</h2>", *parts] if parts else []
+            sections += [
+                f"<h3>{escape_html(measured.label)}</h3>",
+                f'<div class="shapes">{"".join(drawings)}</div>',
+            ]
+    return ["<h2>Mode shapes</h2>", *sections] if sections else []
 
 
 def _budgets(results: Sequence[Measured]) -> list[str]:
     """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
-    peaks = [(measured, measured.passes[0].highest) for measured in results if measured.passes]
+    peaks = [(measured, measured.sweeps[0].highest) for measured in results if measured.sweeps]
     tables = [budget(measured, *highest) for measured, highest in peaks if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
@@ -141,8 +144,8 @@ def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
     """List the commands that reproduce the recordings and the results, and the version of shotrig, as HTML."""
     all_paths = " ".join(shlex.quote(str(path)) for path in paths)
     analyzed_by = [
-        ("frf", [measured for measured in results if measured.passes]),
-        ("modes", [measured for measured in results if any(sweep.modes is not None for sweep in measured.passes)]),
+        ("frf", [measured for measured in results if measured.sweeps]),
+        ("modes", [measured for measured in results if any(sweep.modes is not None for sweep in measured.sweeps)]),
         ("dampers", [measured for measured in results if measured.dampers]),
         ("decay", [measured for measured in results if measured.decay is not None]),
     ]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.damper_motion.dampers import Dampers
-from analysis.reporting.charts import Chart, Curve, Panel, logarithmic
+from analysis.reporting.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.reporting.measured import Measured
 from rig.results.response import Response
 
@@ -22,8 +22,8 @@ def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
     The responses of a single recording share a chart. With several recordings each response has its own chart, so
     that the recordings can be compared. Responses to different inputs never share a chart.
     """
-    with_responses = [measured for measured in measurements if measured.passes]
-    frfs = [frf for measured in with_responses for sweep in measured.passes for frf in sweep.frfs]
+    with_responses = [measured for measured in measurements if measured.sweeps]
+    frfs = [frf for measured in with_responses for sweep in measured.sweeps for frf in sweep.frfs]
     several = len({measured.label for measured in with_responses}) > 1
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
@@ -39,15 +39,15 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
     """Return a chart of magnitude with 95 % bounds, phase, coherence and relative bound, for one input."""
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
-    magnitude, phase, coherence, relative = [], [], [], []
+    magnitude, phase, coherence, relative_bound = [], [], [], []
     for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
-        f, height, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
+        f, modulus, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
         # A logarithmic axis cannot show a lower limit of zero or below.
-        low = np.maximum(height - bound, 1e-3 * height)
-        magnitude.append(Curve(name, f, height, low, height + bound, color=k))
+        low = np.maximum(modulus - bound, 1e-3 * modulus)
+        magnitude.append(Curve(name, f, modulus, low, modulus + bound, color=k))
         phase.append(Curve(name, f, np.degrees(np.angle(frf.value)), color=k))
         coherence.append(Curve(name, f, frf.coherence, color=k))
-        relative.append(Curve(name, f, 100.0 * bound / height, color=k))
+        relative_bound.append(Curve(name, f, 100.0 * bound / modulus, color=k))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
@@ -59,9 +59,9 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
             Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
             Panel("phase", "°", phase, height=140, limits=(-185.0, 185.0), ticks=(-180, -90, 0, 90, 180)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
-            Panel("bound", "% of value", relative, height=130, logarithmic=True),
+            Panel("bound", "% of value", relative_bound, height=130, logarithmic=True),
         ],
-        logarithmic=logarithmic(band),
+        logarithmic=needs_logarithmic_axis(band),
     )
 
 
@@ -109,7 +109,7 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
         "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % bounds.",
         f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
         panels,
-        logarithmic=logarithmic(frequency),
+        logarithmic=needs_logarithmic_axis(frequency),
     )
 
 

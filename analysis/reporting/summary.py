@@ -73,7 +73,7 @@ def _initial_height(change: PeakChange) -> float:
 def _resonance_sentences(measured: Measured) -> list[str]:
     """List natural frequencies and damping ratios of each sweep, and its highest compliance."""
     sentences = []
-    for sweep in measured.passes:
+    for sweep in measured.sweeps:
         modes = sweep.modes
         if modes is None or not modes.frequency.size:
             continue
@@ -109,7 +109,7 @@ def _impact_sentences(measured: Measured, result: Dampers) -> list[str]:
         largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
         if share[largest] > bound[largest] > 0:
             value = with_bound(100 * float(share[largest]), 100 * float(bound[largest]))
-            text += f"; they dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
+            text += f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
     return [f"{text}."]
 
 

@@ -46,7 +46,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 def resonances(measurements: Sequence[Measured]) -> str:
     """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for modes, peaks in ((sweep.modes, sweep.peaks) for measured in measurements for sweep in measured.passes):
+    for modes, peaks in ((sweep.modes, sweep.peaks) for measured in measurements for sweep in measured.sweeps):
         if modes is None:
             continue
         rows.append((modes.label,))
@@ -169,14 +169,14 @@ def test_text(scene: Scene) -> str:
 
 def _on_one_line(settings: Mapping[str, object]) -> str:
     """Return settings on one line; a group of settings is in parentheses."""
-    parts = []
+    texts = []
     for key, value in settings.items():
         if isinstance(value, Mapping):
             text = f"({_on_one_line(value)})"
         else:
             text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-        parts.append(f"{key} {text}")
-    return ", ".join(parts)
+        texts.append(f"{key} {text}")
+    return ", ".join(texts)
 
 
 def settings(measured: Measured) -> str:
@@ -220,8 +220,8 @@ def settings(measured: Measured) -> str:
 
 def _middle_frequency(measured: Measured) -> float:
     """Return the frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
-    if measured.passes:
-        band = measured.passes[0].frfs[0].frequency
+    if measured.sweeps:
+        band = measured.sweeps[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))
     if measured.decay is not None and measured.decay.modes:
         return float(np.exp(np.mean([np.log(mode.center) for mode in measured.decay.modes])))

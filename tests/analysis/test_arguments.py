@@ -116,6 +116,7 @@ def test_shapes_of_bodies_average_their_sensors(hit: Path) -> None:
     modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in analysis.frfs(hit)], 2)
     bodies = modes.of_bodies()
     assert modes.responses == ("low", "left", "right") and bodies.names == ("base", "arm")
+    # Eigenvectors of the bracket (base of each mode), scaled so that the arm is 1.
     assert bodies.shapes[0] == pytest.approx([0.827, -0.3167], abs=0.01)
     assert abs(bodies.shapes).max(axis=0) == pytest.approx(1.0)
 
@@ -131,6 +132,7 @@ def test_average_of_sensors_is_weighted_by_variance() -> None:
     )  # fmt: skip
     bodies = modes.of_bodies()
     assert bodies.names == ("a", "body 2")
+    # The weights are 1 / error², 100 to 1.
     assert bodies.shapes[1, 0].real == pytest.approx(0.5 + 0.11 / 101)
     assert bodies.errors[1, 0] == pytest.approx(0.01, rel=0.01)
 

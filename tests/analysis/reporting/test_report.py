@@ -63,7 +63,7 @@ def test_page_needs_no_network(page: Path) -> None:
     assert page.stat().st_size < 6e6
 
 
-def test_page_states_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
+def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
     answer = text[text.index('<section class="answer">') : text.index("</section>")]
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
@@ -76,6 +76,7 @@ def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
     [responses] = analysis.frf(recordings[0])
     highest = highest_peak(list(responses.curves()), [None])
     assert highest is not None
+    # First natural frequency 13.04 Hz; the points are 1 Hz apart.
     assert highest[1].frequency == pytest.approx(13.0, abs=0.1)
 
 

@@ -1,4 +1,4 @@
-"""Random structures with two close modes, as exact curves and as scenes to record, for the judge of modes."""
+"""Random structures with two close modes, as exact curves and as scenes to record, for the check of modes."""
 
 from __future__ import annotations
 

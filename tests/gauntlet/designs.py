@@ -1,8 +1,9 @@
 """Damper designs compared with brute force on random structures: ``python -m tests.gauntlet.designs --seed 7``.
 
 Each structure has two to five bodies, as a chain or with cross springs. `rig design` chooses one to three dampers for
-it. Brute force then tries places, masses and clearances at twenty times the cost of the search. The designed scene is
-recorded and analyzed. Exit code 1: brute force is more than 1 % better, or the recorded reduction differs by 0.3 dB.
+it. Brute force then tries bodies, masses and clearances at twenty times the cost of the search. The designed scene is
+recorded and analyzed. Exit code 1: brute force is more than 1 % better, or the recorded reduction differs by more than
+0.3 dB.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ MAX_DIFFERENCE_DB = 0.3
 _MASS_FRACTIONS = (1.0, 0.7)
 # Number of the best choices of brute force that are computed again on the design's final frequency grid.
 _FINALISTS = 8
+# Distance of the seeds from those of the other random scenes.
 _SEED_OFFSET = 80_000
 
 
@@ -63,6 +65,7 @@ def draw_scene(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
         shaker = {"kind": "table", "body": driven, "spring": round(chain["springs"][0] * random.uniform(0.1, 0.5), 1)}
         channels.append({"name": "table", "at": "table", "accelerometer": sensor})
     else:
+        # A force sensor has the settings of a hammer.
         channels.append(
             {"name": "force", "at": "shaker", "hammer": {"sensitivity": "11.2 mV/N", "noise": "1e-4 N/sqrt(Hz)"}}
         )
@@ -80,7 +83,7 @@ def draw_scene(seed: int, number: int) -> tuple[rig.Scene, dict[str, Any]]:
     resonances = natural_frequencies[(natural_frequencies > low) & (natural_frequencies < high)]
     frequencies = np.unique(np.append(np.linspace(low, high, 4001), resonances))
     peak_accelerance = float((np.abs(receptance(scene, frequencies)) * (2 * np.pi * frequencies) ** 2).max())
-    # Without dampers, this force causes an acceleration of 3 to 12 g at the highest resonance.
+    # Without dampers, this force causes an acceleration of 3 to 12 g at the largest resonance peak.
     force = float(f"{random.log_uniform(3.0, 12.0) * 9.81 / peak_accelerance:.4g}")
     requirements = {
         "budget": f"{random.uniform(2.0, 10.0)} %", "dampers": min(random.integer(1, 3), bodies), "band": (low, high),
@@ -105,27 +108,30 @@ def _add_cross_spring(random: Draw, chain: Settings) -> Settings:
     return {"matrices": {name: matrix.tolist() for name, matrix in matrices.items()}}
 
 
-def brute_force(design: rig.Design, places: list[tuple[int, ...]]) -> Iterator[Choice]:
-    """Yield choices spread evenly over places, masses and clearances, at `COST_FACTOR` times the cost of the search."""
+def brute_force(design: rig.Design, locations: list[tuple[int, ...]]) -> Iterator[Choice]:
+    """Yield choices spread evenly over bodies, masses and clearances, at `COST_FACTOR` times the cost of the search.
+
+    `locations`: sets of bodies with a damper.
+    """
     levels, dampers = len(design.question.levels), design.space.dampers
     search_cost = (
         len(design.trials) * levels
-        + len(places) * len(GRID_MASS_RATIOS) * GRID_CLEARANCES
+        + len(locations) * len(GRID_MASS_RATIOS) * GRID_CLEARANCES
         + FINAL_DESIGNS * levels * FINE_DENSITY // COARSE_DENSITY
     )
-    count = -(-COST_FACTOR * search_cost // (levels * len(places) * len(_MASS_FRACTIONS)))
+    count = -(-COST_FACTOR * search_cost // (levels * len(locations) * len(_MASS_FRACTIONS)))
     points = qmc.Halton(2 * dampers - 1, scramble=False).random(count)
     clearances = np.exp(
         qmc.scale(points[:, :dampers], *np.log(np.array(design.space.clearance)[:, None] * np.ones(dampers)))
     )
-    # The intervals between sorted uniform points are distributed evenly over all divisions of the total mass.
+    # The spacings of sorted uniform points are uniformly distributed over all divisions of the total mass.
     divisions = np.sort(points[:, dampers:], axis=1)
     masses = design.space.mass * np.diff(divisions, axis=1, prepend=0.0, append=1.0)
-    for place in places:
+    for location in locations:
         for fraction in _MASS_FRACTIONS:
             for mass, clearance in zip(fraction * masses, clearances, strict=True):
                 if mass.min() > 0.0:
-                    yield Choice(place, tuple(mass.tolist()), tuple(clearance.tolist()))
+                    yield Choice(location, tuple(mass.tolist()), tuple(clearance.tolist()))
 
 
 def worst_peak_below(question: Question, levels: list[float], bound: float, choice: Choice) -> float | None:
@@ -171,8 +177,8 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     start = time.perf_counter()
     design = rig.design(scene, **requirements)
     seconds = time.perf_counter() - start
-    places = [place for place in design.space.locations if len(place) == design.space.dampers]
-    choices = list(brute_force(design, places))
+    locations = [location for location in design.space.locations if len(location) == design.space.dampers]
+    choices = list(brute_force(design, locations))
     best = best_peak(design, choices, workers)
     brute_force_seconds = time.perf_counter() - start - seconds
     peak, undamped_peak = design.best.peak, design.bare

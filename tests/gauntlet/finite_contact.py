@@ -1,4 +1,4 @@
-"""Random scenes of the paper's rig with finite-duration contact, for the judges of impacts and types of motion."""
+"""Random scenes of the paper's rig with finite-duration contact, for the checks of impacts and types of motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.system.landing import spring_damper
 from tests.gauntlet.instant_contact import draw_force_for_flight
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_drawn_instruments
 
-# The paper's rig.
+# The rig of Inoue, Yokomichi and Hiraki (2011).
 _MASSES_KG = (0.74, 0.71, 0.64)
 _SPRINGS_N_PER_M = (24.3e3, 21.8e3, 19.8e3)
 _NATURAL_FREQUENCIES_HZ = (12.6, 34.8, 49.2)

@@ -42,19 +42,22 @@ MAX_FREQUENCY_ERROR = 1e-4
 MIN_COVERAGE = 0.90
 # Largest relative error of a value in the guess.
 _GUESS_ERROR = 0.2
+# Distances of the seeds from those of the other random scenes.
 _SEED_OFFSET = 50_000
 _CONTACT_SEED_OFFSET = 60_000
 
 
 @dataclass(frozen=True)
-class JudgedValue:
-    """A fitted value with its status, its relative error and its relative 95 % bound."""
+class ComparedValue:
+    """A fitted value, compared with the true value."""
 
     scene: str
     name: str
     status: str
     error: float
+    """Relative error."""
     bound: float
+    """Relative 95 % bound."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +65,7 @@ class Trial:
     """Result of the fit to one scene; without values if the fit failed, for the reason in the note."""
 
     scene: str
-    values: tuple[JudgedValue, ...]
+    values: tuple[ComparedValue, ...]
     seconds: float
     note: str
 
@@ -109,7 +112,7 @@ def draw_scene(seed: int, number: int) -> rig.Scene:
     response = receptance(scene, frequency)
     monitored = [body - 1 for body in damper_bodies] or list(range(bodies))
     peak_accelerance = float(((2 * np.pi * frequency) ** 2 * abs(response[monitored]).max(axis=0)).max())
-    # Without dampers, their bodies would reach 4 to 12 g at the highest resonance.
+    # Without dampers, their bodies would reach 4 to 12 g at the largest resonance peak.
     force = float(f"{random.log_uniform(4.0, 12.0) * 9.81 / peak_accelerance:.4g}")
     return scene.replace(test=scene.test.replace(force=force))
 
@@ -163,7 +166,7 @@ def run_trial(seed: int, number: int) -> Trial:
     if fit.misfit:
         return Trial(scene.name, (), seconds, f"misfit: {fit.misfit}")
     values = [
-        JudgedValue(
+        ComparedValue(
             scene.name, true.quantity, fitted.status, float(np.log(fitted.value / true.start)), fitted.half_width
         )
         for true, fitted in zip(parameters, fit.parameters, strict=True)
@@ -173,10 +176,10 @@ def run_trial(seed: int, number: int) -> Trial:
     for mode, true in zip(fit.modes, omega / (2 * np.pi), strict=True):
         bound = mode.frequency_bound / mode.frequency
         status = "determined" if bound < MAX_FREQUENCY_ERROR else "roughly"
-        values.append(JudgedValue(scene.name, "frequency", status, mode.frequency / true - 1, bound))
-    unused = sum(int((~curve.used).sum()) for curve in fit.compared)
+        values.append(ComparedValue(scene.name, "frequency", status, mode.frequency / true - 1, bound))
+    n_omitted = sum(int((~curve.used).sum()) for curve in fit.compared)
     note = f"{len(scene.structure.masses)} bodies, {len(scene.dampers)} dampers, variance {fit.variance:.2f}"
-    return Trial(scene.name, tuple(values), seconds, f"{note}, {unused} points left out")
+    return Trial(scene.name, tuple(values), seconds, f"{note}, {n_omitted} points left out")
 
 
 def main() -> int:
@@ -208,7 +211,7 @@ def _max_error(name: str) -> float:
 
 def print_summary(trials: list[Trial]) -> int:
     """Print a row for each value and status; return the exit code."""
-    groups: dict[str, list[JudgedValue]] = defaultdict(list)
+    groups: dict[str, list[ComparedValue]] = defaultdict(list)
     for trial in trials:
         for value in trial.values:
             groups[value.name].append(value)

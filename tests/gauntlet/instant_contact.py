@@ -1,6 +1,6 @@
 """Random scenes of dampers in flight with instant contact, with and without ceiling.
 
-The judges of impacts, restitution, motion types and decays use them.
+The checks of impacts, restitution, motion types and decays use them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TONE, STEPS, DECAY = "tone_dampers", "steps_dampers", "decay_dampers"
 
 
 def draw_instant_contact(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a tone or steps near a mode, measured by real accelerometers and a delta-sigma converter, with truth."""
+    """Draw a tone or steps near a mode, with imperfect accelerometers, a delta-sigma converter and recorded truth."""
     random = Draw(seed, number)
     chain, natural_frequencies = draw_chain(random)
     bodies = len(chain["masses"])

@@ -8,7 +8,7 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import run_trial
 
 SEED = 5
-# Numbers of scenes whose results are all judged, not refused, and which take a few seconds at most.
+# Numbers of scenes whose results are all compared, not refused, and which take a few seconds at most.
 SCENE_NUMBERS = {
     "random": 1,
     "burst_random": 6,
@@ -36,6 +36,6 @@ SCENE_NUMBERS = {
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_results_of_random_scene_are_right(kind: str) -> None:
-    verdicts = run_trial(SEED, SCENE_NUMBERS[kind], kind)
-    assert verdicts
-    assert {verdict.outcome for verdict in verdicts} == {"right"}
+    results = run_trial(SEED, SCENE_NUMBERS[kind], kind)
+    assert results
+    assert {result.outcome for result in results} == {"right"}

@@ -13,14 +13,14 @@ import rig
 from analysis.exporting.export import export
 from analysis.recordings.slices import Slice
 from rig.errors import ShotrigError
+from tests.gauntlet.checks import CHECKS, Check, modes
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, draw_close_modes, exact_curves
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact
 from tests.gauntlet.instant_contact import DECAY, STEPS, TONE, draw_decay, draw_instant_contact
-from tests.gauntlet.judges import JUDGES, Judge, modes
+from tests.gauntlet.result import Case, CheckResult
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.two_shakers import MULTISINE as MULTISINE_TWO_SHAKERS
 from tests.gauntlet.two_shakers import RANDOM, draw_two_shakers
-from tests.gauntlet.verdict import Case, Verdict
 
 # File formats of imported recordings.
 _FILE_ENDINGS = (".npz", ".csv")
@@ -30,8 +30,8 @@ _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED), draw_close_modes)
 _DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 
 
-def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
-    """Draw a scene, record its test, and collect the verdicts of all judges."""
+def run_trial(seed: int, number: int, kind: str) -> list[CheckResult]:
+    """Draw a scene, record its test, and collect the results of all checks."""
     scene = _DRAW_FUNCTIONS.get(kind, draw)(seed, number, kind)
     if kind == CURVES:
         # Curves in closed form need no recording.
@@ -42,15 +42,15 @@ def run_trial(seed: int, number: int, kind: str) -> list[Verdict]:
         try:
             daq.record(scene, path)
         except ShotrigError as error:
-            # A test that aborts without a recording counts as refused. A partial recording is judged.
+            # A test that aborts without a recording counts as refused. A partial recording is compared.
             if not path.exists():
-                return [Verdict("record", kind, "refused", note=str(error), scene=scene.name)]
+                return [CheckResult("record", kind, "refused", note=str(error), scene=scene.name)]
         if kind.startswith("imported_"):
             path = _export_and_import(path, scene, _FILE_ENDINGS[number % len(_FILE_ENDINGS)])
         with daq.open(path) as recording:
             case = Case(scene, recording, [str(warning.message) for warning in caught_warnings])
-            verdicts = [verdict for name, judge in JUDGES.items() for verdict in _run_judge(name, judge, case, kind)]
-    return [replace(verdict, scene=scene.name) for verdict in verdicts]
+            results = [result for name, check in CHECKS.items() for result in _run_check(name, check, case, kind)]
+    return [replace(result, scene=scene.name) for result in results]
 
 
 def _export_and_import(path: Path, scene: rig.Scene, ending: str) -> Path:
@@ -60,12 +60,12 @@ def _export_and_import(path: Path, scene: rig.Scene, ending: str) -> Path:
     return daq.import_files(path.with_suffix(ending), scene, path.with_name("imported.mcap"))
 
 
-def _run_judge(name: str, judge: Judge, case: Case, kind: str) -> list[Verdict]:
-    """Return the verdicts of a judge; an exception becomes a verdict."""
+def _run_check(name: str, check: Check, case: Case, kind: str) -> list[CheckResult]:
+    """Return the results of a check; an exception becomes the outcome."""
     try:
-        return judge(case, kind)
+        return check(case, kind)
     except ShotrigError as error:
-        return [Verdict(name, kind, "refused", note=str(error))]
+        return [CheckResult(name, kind, "refused", note=str(error))]
     except Exception:
         # A traceback counts as a wrong answer.
-        return [Verdict(name, kind, "wrong", note=traceback.format_exc(limit=-3))]
+        return [CheckResult(name, kind, "wrong", note=traceback.format_exc(limit=-3))]

@@ -15,8 +15,8 @@ from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
+from tests.gauntlet.checks.impacts import detectable, score
 from tests.gauntlet.instant_contact import TONE
-from tests.gauntlet.judges.impacts import detectable, score
 from tests.gauntlet.trial import run_trial
 
 RATE = synthetic.RATE
@@ -345,6 +345,6 @@ def test_overloaded_channel_gives_no_impact(tmp_path):
 
 def test_separate_rebounds_in_integrated_channel_are_detected():
     # A trial of the gauntlet whose velocity channel records several rebounds in each period.
-    [verdict, *_] = [verdict for verdict in run_trial(600101, 69, TONE) if verdict.judge == "impacts"]
-    assert verdict.points > 100
-    assert verdict.inside == verdict.points
+    [result, *_] = [result for result in run_trial(600101, 69, TONE) if result.check == "impacts"]
+    assert result.points > 100
+    assert result.inside == result.points

@@ -9,8 +9,8 @@ _ENGINE = (
     f"tests/rig/engine/test_invariants.py -k 'not ({_SLOW})'"
 )
 
-# Place: {module: tests, the most sensitive first}. The doctests of the module always run.
-PLACES: dict[str, dict[str, str]] = {
+# Group: {module: tests, the most sensitive first}. The doctests of the module always run.
+GROUPS: dict[str, dict[str, str]] = {
     "physics laws": {
         "rig/system/structural_model.py": (
             "tests/rig/system/test_structural_model.py tests/rig/system/test_receptance.py "

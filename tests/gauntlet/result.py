@@ -1,4 +1,4 @@
-"""Input and output of a judge: the recorded random scene, and the verdict on one kind of result of the analysis."""
+"""Input and output of a check: the recorded random scene, and whether one kind of result of the analysis is right."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Verdict of a judge on one kind of result for one scene."""
+class CheckResult:
+    """Outcome of one check for one scene."""
 
-    judge: str
-    """Name of the judge."""
+    check: str
+    """Name of the check."""
     kind: str
     """Kind of test."""
     outcome: Outcome
@@ -42,9 +42,9 @@ class Verdict:
     inside: int = 0
     """Number of points within their stated 95 % bound."""
     points: int = 0
-    """Number of judged points."""
-    width: float = np.nan
-    """Median of bound / true value. A large value reveals bounds that are kept only because they are wide."""
+    """Number of compared points."""
+    relative_bound: float = np.nan
+    """Median of bound / true value. A large value shows that the bounds are kept only because they are wide."""
     note: str = ""
     """Largest deviation, or the reason for a refusal."""
     scene: str = ""

@@ -1,4 +1,4 @@
-"""Judge of impacts: F1 score of the impacts detected in the channels, against the true impacts of the simulation.
+"""Check of impacts: F1 score of the impacts detected in the channels, against the true impacts of the simulation.
 
 True impacts count only above the detection threshold that the result states. They do not count if, according to the
 result, they cannot be separated from a larger impact or are hidden by its ringing. A detected impact may match any true
@@ -18,11 +18,11 @@ from rig.arrays import Array
 from rig.system.assembly import assemble
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
 from tests.gauntlet.instant_contact import TONE
-from tests.gauntlet.verdict import Case, Verdict
+from tests.gauntlet.result import Case, CheckResult
 
 # Largest time between a detected impact and its true impact, samples.
 MAX_DISTANCE_SAMPLES = 2.0
-# Margin at both ends of a window in which impacts are not judged: ringing of earlier impacts decays there.
+# Margin at both ends of a window in which impacts are not compared: ringing of earlier impacts decays there.
 _MARGIN_S = 0.05
 # Largest plausible error, in standard uncertainties.
 MAX_ERROR_SIGMAS = 4.0
@@ -30,7 +30,7 @@ MAX_ERROR_SIGMAS = 4.0
 MIN_F1_SCORE = 0.8
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
+def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare the impacts of every damper; the points are detected plus true impacts, as in the F1 score."""
     if kind not in (TONE, TONE_FINITE_CONTACT):
         return []
@@ -40,19 +40,19 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     for number, damper in enumerate(case.scene.dampers, 1):
         detected = impacts(recording, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
-        is_judged = (time > low) & (time < high) & detectable(time, jump, detected)
-        is_judged &= ~_is_in_excluded_interval(time, detected.unsearched)
+        is_compared = (time > low) & (time < high) & detectable(time, jump, detected)
+        is_compared &= ~_is_in_excluded_interval(time, detected.unsearched)
         _, right, is_detected = score(detected.time, time, _max_distance(detected, recording.rate))
         n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
         if detected.contact_duration and right.any():
             right[right] = _agrees_within_errors(detected, right, time, jump, recording.channels[detected.channel])
             is_detected = score(detected.time[right], time, _max_distance(detected, recording.rate))[2]
             n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
-        n_detected, n_missed = int(np.sum(is_detected & is_judged)), int(np.sum(~is_detected & is_judged))
+        n_detected, n_missed = int(np.sum(is_detected & is_compared)), int(np.sum(~is_detected & is_compared))
         n_matched, points = n_matched + 2 * n_detected, points + 2 * n_detected + n_missed + n_false
         notes.append(f"a{damper.body}: {n_detected} detected, {n_missed} missed, {n_false} false")
     outcome = "right" if n_matched >= MIN_F1_SCORE * points else "wrong"
-    return [Verdict("impacts", kind, outcome, n_matched, points, note="; ".join(notes))]
+    return [CheckResult("impacts", kind, outcome, n_matched, points, note="; ".join(notes))]
 
 
 def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -1,7 +1,7 @@
-"""Judge of frequency responses: the exact curve lies within the 95 % interval of each line, or the line is marked.
+"""Check of frequency responses: the exact curve lies within the 95 % interval of each line, or the line is marked.
 
 There are two comparisons. "responses": full intervals with the exact response of the structure. "responses, as built":
-intervals without sensor tolerances, with the exact response as read by the actual sensors, which deviate from their
+intervals without sensor tolerances, with the exact response as read by the drawn sensors, which deviate from their
 data sheets. The second comparison reveals errors that wide tolerances would hide.
 """
 
@@ -27,16 +27,16 @@ from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import ForceShaker
 from rig.system.structural_model import receptance
 from tests.gauntlet.instant_contact import STEPS, TONE
+from tests.gauntlet.result import Case, CheckResult, Outcome
 from tests.gauntlet.two_shakers import exact_receptance
-from tests.gauntlet.verdict import Case, Outcome, Verdict
 
 # Function from frequencies [Hz] to the receptances of all bodies (bodies, frequencies), m/N.
 ReceptanceFunction = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
 # Smallest fraction of the lines of a scene within their intervals.
 MIN_COVERAGE = 0.7
-# With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also right if the joint probability of its errors,
-# if the intervals are correct, is larger than this.
+# With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also right if the joint probability of its errors
+# under correct intervals exceeds this.
 MIN_PROBABILITY = 1e-4
 # A line is misleading if its error exceeds both this multiple of its bound and `MISLEADING_ERROR`.
 MISLEADING_BOUNDS = 3.0
@@ -54,13 +54,13 @@ _ROUNDING = 1e-9
 _FORCE_STEP = 2e-3
 # Largest relative derivative: larger values indicate a change to another type of motion.
 _MAX_RELATIVE_SLOPE = 20.0
-# The true motion at a frequency is regular if the amplitudes of the parts of its measurement scatter less: relative
-# standard deviation.
+# Largest relative standard deviation of the amplitudes in parts of a measurement at which the true motion is regular.
 _MAX_AMPLITUDE_DEVIATION = 0.02
-# Largest relative change of the true amplitude from the first to the second half of a steady measurement. A decaying
-# transient that is as large as `_MIN_DIFFERENCE_OF_MOTIONS` changes more.
+# Largest relative change of the true amplitude from the first to the second half of a steady measurement. A transient
+# as large as `_MIN_DIFFERENCE_OF_MOTIONS` decays by more.
 _MAX_STEADY_DRIFT = 1e-3
-# A steady motion is another stable motion than the periodic orbit if its amplitude differs by more than this fraction.
+# Relative difference of the amplitudes above which a steady motion is not the computed periodic orbit, but a coexisting
+# stable motion.
 _MIN_DIFFERENCE_OF_MOTIONS = 0.01
 # Largest relative difference between an orbit and a simulation to steady state of the same motion.
 _MAX_DIFFERENCE_OF_METHODS = 1e-3
@@ -78,16 +78,16 @@ class _Tally:
     inside: int = 0
     """Lines within their bounds."""
     points: int = 0
-    """Judged lines: those with a finite bound that are not marked as unsteady."""
+    """Compared lines: those with a finite bound that are not marked as unsteady."""
     probability: float = 1.0
     """Joint probability of errors that are at least as large, for the least likely curve."""
     misleading: int = 0
     unresolved: int = 0
     """Lines without a value or without a finite bound."""
-    marked: int = 0
+    unsteady: int = 0
     """Lines marked as unsteady."""
-    widths: list[float] = field(default_factory=list)
-    """Bound relative to the true value, for each judged line."""
+    relative_bounds: list[float] = field(default_factory=list)
+    """Bound relative to the true value, for each compared line."""
     notes: list[str] = field(default_factory=list)
 
     def add(self, frf: Response, exact: NDArray[np.complex128]) -> None:
@@ -97,63 +97,66 @@ class _Tally:
         bound = bound + _ROUNDING * magnitude
         resolved = np.isfinite(frf.value) & np.isfinite(bound)
         steady = np.ones(resolved.size, dtype=bool) if frf.unsteady is None else ~frf.unsteady
-        judged, is_inside = is_known & resolved & steady, error <= bound
-        self.inside += int(np.sum(is_inside & judged))
-        self.points += int(judged.sum())
+        compared, is_inside = is_known & resolved & steady, error <= bound
+        self.inside += int(np.sum(is_inside & compared))
+        self.points += int(compared.sum())
         self.unresolved += int(np.sum(is_known & ~resolved))
-        self.marked += int(np.sum(is_known & resolved & ~steady))
+        self.unsteady += int(np.sum(is_known & resolved & ~steady))
         self.misleading += int(
-            np.sum(judged & (error > MISLEADING_BOUNDS * bound) & (error > MISLEADING_ERROR * magnitude))
+            np.sum(compared & (error > MISLEADING_BOUNDS * bound) & (error > MISLEADING_ERROR * magnitude))
         )
-        if judged.any():
+        if compared.any():
             # A complex Gaussian error exceeds k times its 95 % bound with a probability of 0.05^(k^2). Therefore the
             # sum of these exponents has a gamma distribution.
-            exponent = -np.log(0.05) * np.sum((error / bound)[judged] ** 2)
-            self.probability = min(self.probability, float(special.gammaincc(judged.sum(), exponent)))
-            self.widths += (bound / magnitude)[judged].tolist()
-            worst = int(np.argmax(np.where(judged, error / bound, 0.0)))
+            exponent = -np.log(0.05) * np.sum((error / bound)[compared] ** 2)
+            self.probability = min(self.probability, float(special.gammaincc(compared.sum(), exponent)))
+            self.relative_bounds += (bound / magnitude)[compared].tolist()
+            worst = int(np.argmax(np.where(compared, error / bound, 0.0)))
             self.notes.append(
-                f"{frf.response} {is_inside[judged].mean():.0%} (largest error {error[worst] / magnitude[worst]:.2%}, "
-                f"bound {bound[worst] / magnitude[worst]:.2%}, at {frf.frequency[worst]:.4g} Hz; median "
-                f"{np.median((error / magnitude)[judged]):.2%}, bound {np.median((bound / magnitude)[judged]):.2%})"
+                f"{frf.response} {is_inside[compared].mean():.0%} "
+                f"(largest error {error[worst] / magnitude[worst]:.2%}, bound {bound[worst] / magnitude[worst]:.2%}, "
+                f"at {frf.frequency[worst]:.4g} Hz; median "
+                f"{np.median((error / magnitude)[compared]):.2%}, bound {np.median((bound / magnitude)[compared]):.2%})"
             )
 
-    def verdict(self, kind: str, warnings: list[str]) -> Verdict:
-        """Return the verdict on all added curves, given the warnings of the analysis."""
-        lines = self.points + self.unresolved + self.marked
+    def result(self, kind: str, warnings: list[str]) -> CheckResult:
+        """Return the result on all added curves, given the warnings of the analysis."""
+        lines = self.points + self.unresolved + self.unsteady
         covered = self.inside >= MIN_COVERAGE * self.points or self.probability > MIN_PROBABILITY
         is_right = covered and self.misleading <= MAX_MISLEADING_FRACTION * self.points
         outcome: Outcome
         if self.unresolved > MAX_UNRESOLVED_FRACTION * lines:
             outcome = "refused"
-        elif self.marked > MAX_UNRESOLVED_FRACTION * lines or any(
+        elif self.unsteady > MAX_UNRESOLVED_FRACTION * lines or any(
             cause in text for text in warnings for cause in _NOT_TONES
         ):
             outcome = "warned"
         else:
             outcome = "right" if is_right else "wrong"
         note = "; ".join(self.notes) + "".join(f" [{text}]" for text in dict.fromkeys(warnings))
-        # The bounds of refused curves, and of curves with a warning, do not count.
+        # The lines of refused curves, and of curves with a warning, do not count.
         counted = outcome in ("right", "wrong")
-        return Verdict(
+        return CheckResult(
             self.name,
             kind,
             outcome,
             self.inside if counted else 0,
             self.points if counted else 0,
-            float(np.median(self.widths)) if self.widths else np.nan,
+            float(np.median(self.relative_bounds)) if self.relative_bounds else np.nan,
             note,
         )
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
+def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare all curves of a recording with closed form or exact orbits."""
     if case.scene.test.kind == "free" or kind in (TONE, STEPS):
         return []
     if len(case.scene.shakers) > 1:
-        return _judge_several_shakers(case, kind)
+        return _check_several_shakers(case, kind)
     full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
+    # The truth where the motion is regular, corrected to the actual forces. For intervals without tolerances the
+    # correction is accurate enough only near the nominal force.
     regular_truth = _exclude_irregular(case, _truth(case.scene))
     truth = _truth_at_actual_forces(case, regular_truth, np.inf)
     truth_near_nominal_force = _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION)
@@ -166,10 +169,10 @@ def judge(case: Case, kind: str) -> list[Verdict]:
             without_tolerances.add(
                 frf_without_tolerances, _curve_of_actual_sensors(case, frf, truth_near_nominal_force)
             )
-    return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
+    return [tally.result(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
-def _judge_several_shakers(case: Case, kind: str) -> list[Verdict]:
+def _check_several_shakers(case: Case, kind: str) -> list[CheckResult]:
     """Compare the responses to each of several simultaneous forces with closed form."""
     full_bound, without_tolerances = _Tally("responses"), _Tally("responses, as built")
     warnings: list[str] = []
@@ -188,7 +191,7 @@ def _judge_several_shakers(case: Case, kind: str) -> list[Verdict]:
             without_tolerances.add(
                 frf_without_tolerances, exact_receptance(case.scene, clock * frf.frequency, shaker)[body] * gain
             )
-    return [tally.verdict(kind, warnings) for tally in (full_bound, without_tolerances)]
+    return [tally.result(kind, warnings) for tally in (full_bound, without_tolerances)]
 
 
 def _truth(scene: rig.Scene) -> ReceptanceFunction:
@@ -202,7 +205,7 @@ def _truth(scene: rig.Scene) -> ReceptanceFunction:
         key = frequency.tobytes()
         if key not in cache:
             if scene.test.kind == "multisine":
-                # If dampers fly, the analysis warns and the curve is not judged. Otherwise the dampers are at rest.
+                # If dampers fly, the analysis warns and the curve is not compared. Otherwise the dampers are at rest.
                 dampers = [damper.replace(locked=True) for damper in scene.dampers]
                 cache[key] = receptance(scene.replace(dampers=dampers), frequency)
             elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
@@ -234,6 +237,7 @@ def _exclude_irregular(case: Case, exact: ReceptanceFunction) -> ReceptanceFunct
             is_irregular = np.any(amplitudes.std(axis=0) > _MAX_AMPLITUDE_DEVIATION * mean)
             is_other_motion = False
             if drift < _MAX_STEADY_DRIFT and isinstance(case.scene.driven_shaker, ForceShaker):
+                # The drive of an ideal force shaker is the force, N.
                 expected = marker.fields["drive"] * abs(exact(np.array([frequency]))[: len(mean), 0])
                 is_other_motion = np.any(abs(mean / expected - 1.0) > _MIN_DIFFERENCE_OF_MOTIONS)
             if is_irregular or is_other_motion:
@@ -323,7 +327,7 @@ def _force_gain(case: Case, frequency: NDArray[np.float64], exact: NDArray[np.co
     # The force is the spring's stiffness times the difference of the displacements of table and body. Relative to the
     # force, stiffness times displacement is 1 + r at the table and r at the body.
     r = case.scene.shaker.spring * exact[number - 1]
-    # NaN where the truth is unknown; these lines are not judged.
+    # NaN where the truth is unknown; these lines are not compared.
     with np.errstate(invalid="ignore"):
         gain = _gain(case, table, frequency) * (1.0 + r) - _gain(case, driven, frequency) * r
     return np.asarray(gain)

@@ -1,4 +1,4 @@
-"""Judge of modes: natural frequencies and damping ratios, compared with the structure within their stated errors.
+"""Check of modes: natural frequencies and damping ratios, compared with the structure within their stated errors.
 
 Both modes of a close pair must be identified. Of other structures a mode may be missing, because noise may hide it.
 """
@@ -15,7 +15,7 @@ from rig.arrays import Array
 from rig.results.response import Response
 from rig.system.structural_model import structure_matrices
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED
-from tests.gauntlet.verdict import Case, Outcome, Verdict
+from tests.gauntlet.result import Case, CheckResult, Outcome
 
 # Coverage factor of the 95 % interval.
 COVERAGE_FACTOR = 1.96
@@ -28,19 +28,19 @@ _ROUNDING = 1e-9
 _CLOSE_MODES = (CURVES, MULTISINE, STEPPED)
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
+def check(case: Case, kind: str) -> list[CheckResult]:
     """Identify the modes of a linear structure from all curves of the first level."""
     if case.scene.dampers or case.scene.test.kind == "free":
         return []
-    verdicts = [
+    results = [
         compare_modes(case.scene, curves, kind)
         for curves in analysis.frequency_responses(case.recording)
         if curves[0].frequency.size > 2
     ]
-    return verdicts[:1]
+    return results[:1]
 
 
-def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdict:
+def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckResult:
     """Compare the modes identified from curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
     true_frequency, true_ratio = _true_modes(scene)
@@ -67,10 +67,10 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> Verdic
     note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard uncertainties"
     note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in spurious)
     note += "" if is_separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
-    width = float(np.median(COVERAGE_FACTOR * modes.damping_error / modes.damping))
-    return Verdict(
+    relative_bound = float(np.median(COVERAGE_FACTOR * modes.damping_error / modes.damping))
+    return CheckResult(
         "modes", kind, outcome, int(np.sum(error < COVERAGE_FACTOR)) if counted else 0, error.size if counted else 0,
-        width, note, scene.name,
+        relative_bound, note, scene.name,
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
-"""Judge of decays: damping ratio against amplitude of a free decay with a damper, compared with the exact motion.
+"""Check of decays: damping ratio against amplitude of a free decay with a damper, compared with the exact motion.
 
-With the damper at rest on the floor the truth is in closed form. In flight it follows from the decay of the simulated
-amplitudes over 6 dB around each amplitude: this is how the estimate is defined.
+Below 1 g the exact damping ratio is known in closed form. Above, it is the mean slope of the logarithm of the simulated
+amplitude within 3 dB of each level, which is the definition of the estimate.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import analysis
 import rig
 from rig.arrays import Array
 from tests.gauntlet.instant_contact import DECAY, GRAVITY
-from tests.gauntlet.verdict import Case, Verdict
+from tests.gauntlet.result import Case, CheckResult, Outcome
 
-# Sample rate of the exact motion, Hz. It gives a relative error of 1e-7 of a maximum.
+# Sample rate of the exact motion, Hz. Interpolated maxima then have a relative error of 1e-7.
 _RATE = 20480.0
 # Half of the 6 dB range, as natural logarithm of an amplitude ratio.
-_HALF_RANGE_NP = 3.0 / 20.0 * np.log(10.0)
-# Smallest fraction of the levels within their 95 % intervals.
+_HALF_RANGE_NEPER = 3.0 / 20.0 * np.log(10.0)
+# Smallest fraction of the levels whose true damping ratio must lie within the 95 % interval.
 MIN_COVERAGE = 0.8
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
-    """Compare the damping ratio of the single mode; the points are its amplitudes."""
+def check(case: Case, kind: str) -> list[CheckResult]:
+    """Compare the damping ratio of the single mode; each amplitude level counts as one point."""
     if kind != DECAY:
         return []
     decay = analysis.decay(case.recording, channel="a1")
@@ -34,10 +34,12 @@ def judge(case: Case, kind: str) -> list[Verdict]:
     is_known = np.isfinite(true)
     inside = abs(mode.damping - true)[is_known] <= 1.96 * mode.damping_error[is_known]
     worst = float(np.max(abs(mode.damping / true - 1.0)[is_known], initial=0.0))
-    outcome = "right" if inside.sum() >= MIN_COVERAGE * inside.size else "warned" if decay.warnings else "wrong"
+    outcome: Outcome = "warned" if decay.warnings else "wrong"
+    if inside.sum() >= MIN_COVERAGE * inside.size:
+        outcome = "right"
     bound = float(np.median((1.96 * mode.damping_error / mode.damping)[is_known])) if is_known.any() else np.nan
     note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(f" [{text}]" for text in decay.warnings)
-    return [Verdict("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
+    return [CheckResult("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
 
 
 def _cycle_amplitudes(scene: rig.Scene) -> tuple[Array, Array, Array]:
@@ -60,11 +62,12 @@ def _cycle_amplitudes(scene: rig.Scene) -> tuple[Array, Array, Array]:
 
 def _damping_ratio(level: float, time: Array, amplitude: Array, period: Array, scene: rig.Scene) -> float:
     """Return the damping ratio at an acceleration amplitude [m/s^2]; NaN with fewer than four cycles around it."""
-    [damper], ratio = scene.dampers, scene.structure.damping.modal
-    if level * np.exp(_HALF_RANGE_NP) < GRAVITY:
-        return float(ratio / np.sqrt(1.0 + damper.mass_ratio))
+    [damper], undamped_ratio = scene.dampers, scene.structure.damping.modal
+    if level * np.exp(_HALF_RANGE_NEPER) < GRAVITY:
+        # The damper adds its mass; damping and stiffness stay the same.
+        return float(undamped_ratio / np.sqrt(1.0 + damper.mass_ratio))
     omega = 2.0 * np.pi / period
-    is_in_range = abs(np.log(np.maximum(amplitude * omega**2, 1e-300) / level)) < _HALF_RANGE_NP
+    is_in_range = abs(np.log(np.maximum(amplitude * omega**2, 1e-300) / level)) < _HALF_RANGE_NEPER
     if is_in_range.sum() < 4:
         return float("nan")
     decay_rate = -float(np.polyfit(time[is_in_range], np.log(amplitude[is_in_range]), 1)[0])

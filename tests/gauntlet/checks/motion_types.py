@@ -1,4 +1,4 @@
-"""Judge of motion types: types of damper motion estimated from the channels, compared with the recorded truth.
+"""Check of motion types: types of damper motion estimated from the channels, compared with the recorded truth.
 
 Type I: one impact on the floor in each period. Type II: also one impact on the ceiling. Type III: like II, but the
 damper stays at the ceiling for a time. Riding: the damper stays at rest on the floor.
@@ -15,17 +15,17 @@ from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
 from rig.steady_response.motion_type import MIN_STAY_RATIO
 from rig.system.assembly import assemble
+from tests.gauntlet.checks.impacts import MAX_DISTANCE_SAMPLES, detectable, score, true_impacts
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT
 from tests.gauntlet.instant_contact import STEPS
-from tests.gauntlet.judges.impacts import MAX_DISTANCE_SAMPLES, detectable, score, true_impacts
-from tests.gauntlet.verdict import Case, Verdict
+from tests.gauntlet.result import Case, CheckResult
 
 TYPE_NAMES = ("riding", "I", "II", "III")
 # Impacts occur once a period if no interval between them deviates from the period by more than this fraction.
 _MAX_PERIOD_DEVIATION = 0.1
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
+def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare the types of all dampers; points are the frequencies at which the analysis names a type."""
     if kind not in (STEPS, STEPS_FINITE_CONTACT):
         return []
@@ -43,7 +43,7 @@ def judge(case: Case, kind: str) -> list[Verdict]:
                         notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, true {true}")
     outcome = "right" if right == points else "wrong"
     notes.append(f"{points} of {n_with_type} named")
-    return [Verdict("motion_types", kind, outcome, right, points, note="; ".join(notes))]
+    return [CheckResult("motion_types", kind, outcome, right, points, note="; ".join(notes))]
 
 
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:

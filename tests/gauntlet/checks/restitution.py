@@ -1,10 +1,10 @@
-"""Judge of restitution: the coefficient of restitution estimated from velocity jumps, compared with the scene."""
+"""Check of restitution: the coefficient of restitution estimated from velocity jumps, compared with the scene."""
 
 from __future__ import annotations
 
 from analysis.damper_motion.free_flight import BodyMotion, restitution
 from tests.gauntlet.instant_contact import TONE
-from tests.gauntlet.verdict import Case, Verdict
+from tests.gauntlet.result import Case, CheckResult
 
 # Coverage factor of the 95 % interval.
 COVERAGE_FACTOR = 2.0
@@ -12,25 +12,25 @@ COVERAGE_FACTOR = 2.0
 MAX_ERROR_SIGMAS = 4.0
 
 
-def judge(case: Case, kind: str) -> list[Verdict]:
+def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare the estimate for each damper with the scene."""
     if kind != TONE:
         return []
-    recording, verdicts = case.recording, []
+    recording, results = case.recording, []
     [window] = [marker for marker in recording.markers if marker.kind == "measure"]
     for damper in case.scene.dampers:
         motion = BodyMotion(recording, f"a{damper.body}", window.first_sample, window.stop)
         estimate = restitution(motion, damper)
         if estimate is None:
-            verdicts.append(Verdict("restitution", kind, "refused", note="not determined"))
+            results.append(CheckResult("restitution", kind, "refused", note="not determined"))
             continue
         error = abs(estimate.value - damper.restitution) / estimate.error
         note = (
             f"a{damper.body}: {estimate.value:.3f}, standard uncertainty {estimate.error:.3f}, "
             f"true {damper.restitution:.3f}"
         )
-        verdicts.append(
-            Verdict(
+        results.append(
+            CheckResult(
                 "restitution",
                 kind,
                 "right" if error < MAX_ERROR_SIGMAS else "wrong",
@@ -39,4 +39,4 @@ def judge(case: Case, kind: str) -> list[Verdict]:
                 note=note,
             )
         )
-    return verdicts
+    return results

@@ -1,0 +1,20 @@
+"""Checks: functions that compare one kind of result of the analysis with the truth, and return their results."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from tests.gauntlet.checks import decays, impacts, modes, motion_types, responses, restitution
+from tests.gauntlet.result import Case, CheckResult
+
+# A check takes a case and its kind of test; it returns no result for other kinds of tests than its own.
+Check = Callable[[Case, str], list[CheckResult]]
+# A `ShotrigError` that a check raises counts as refused.
+CHECKS: dict[str, Check] = {
+    "responses": responses.check,
+    "modes": modes.check,
+    "impacts": impacts.check,
+    "restitution": restitution.check,
+    "motion_types": motion_types.check,
+    "decays": decays.check,
+}

@@ -33,7 +33,7 @@ Unit = Annotated[
     typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE that states none: g/N, m/N."),
 ]
 Count = Annotated[
-    int | None, typer.Option("--modes", metavar="N", help="Number of modes to keep. Default: all stable ones.")
+    int | None, typer.Option("--modes", metavar="N", help="Largest number of modes. Default: all significant modes.")
 ]
 Table = Annotated[
     Path,
@@ -154,7 +154,7 @@ def fit(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RECORDING...", help="Recordings of one structure, without and with dampers, at any levels."
+            metavar="RECORDING...", help="Recordings of one structure, with or without dampers, at any level."
         ),
     ],
     scene: SceneName,

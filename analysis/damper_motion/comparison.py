@@ -262,13 +262,13 @@ def uncompared_highest_peaks(modes: Modes, bare: Sequence[Response]) -> list[str
         if in_compared_band[highest] or not magnitude[highest] or highest in (0, f.size - 1):
             continue
         ratio = (
-            f", {magnitude[highest] / magnitude[in_compared_band].max():.2g} times as high as the compared peaks"
+            f" ({magnitude[highest] / magnitude[in_compared_band].max():.2g} times as high as the compared peaks)"
             if magnitude[in_compared_band].any()
             else ""
         )
         messages.append(
-            f"{curve.response}: the curve is highest at {f[highest]:.2f} Hz{ratio}, where no mode was identified, so "
-            "that this peak is not compared. See `analysis frf` for its height and uncertainty."
+            f"{curve.response}: the highest peak, at {f[highest]:.2f} Hz{ratio}, is not compared, because no mode was "
+            "identified there. `analysis frf` shows its height and uncertainty."
         )
     return messages
 

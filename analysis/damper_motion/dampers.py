@@ -126,7 +126,9 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
             info = motion_channel_at(rec, f"body {number}")
             if info is None:
                 name = rec.scene.structure.label(number)
-                missing.append(f"{name}: no channel, so that its impacts are not detected")
+                missing.append(
+                    f"{name}: no channel, so that its impacts are not detected. Mount a motion sensor there."
+                )
                 continue
             try:
                 bodies.append(damper_motion(rec, sweep, info.name, progress))

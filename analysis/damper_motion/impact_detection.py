@@ -237,7 +237,7 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
     between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
-            f"{info.name}: acceleration sampled at instants (sampling: point), so that impacts between two samples "
+            f"{info.name}: the acceleration is sampled at instants (sampling: point), so that impacts between samples "
             "leave no trace. Record with sampling: average, a filter, an integrator or a sensor resonance."
         )
     return info, pulse, decimation

@@ -77,13 +77,14 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     linear_curves = [group.curves for group in problem.groups if group.orbits is None]
     if not linear_curves:
         return False, (
-            "All recordings have moving dampers. Add one without, so that the structure can be fitted alone."
+            "All recordings have moving dampers. Add a recording without dampers, so that the structure can be fitted "
+            "alone."
         )
     uncorrected = _fit_structure(problem, linear_curves)
     if uncorrected.variance < _MAX_NOISE_VARIANCE:
         return False, (
             "The recordings without moving dampers fit, so the dampers of the scene differ from those of the rig. "
-            "Correct their bodies and initial values."
+            "Correct the bodies and initial values of the dampers in the scene."
         )
     limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected.variance)
     explanations: list[_Explanation] = []

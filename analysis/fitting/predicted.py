@@ -25,7 +25,7 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
         n_bodies = max(recorded.structure.bodies, max(curves.bodies) + 1)
         raise SceneError(
             f"{curves.label}: recorded on {n_bodies} bodies; the scene to fit has {bodies}. "
-            "Fit a scene with these bodies."
+            f"Fit a scene with {n_bodies} bodies."
         )
     remaining = list(enumerate(model.dampers))
     dampers = []

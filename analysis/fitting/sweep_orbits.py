@@ -81,7 +81,8 @@ class SweepOrbits:
     def __init__(self, curves: Curves) -> None:
         if isinstance(curves.scene.shaker, tuple):
             raise SceneError(
-                f"{curves.label}: several shakers drive a scene with dampers. Fit recordings of a single shaker."
+                f"{curves.label}: recorded with several shakers and moving dampers, which a fit cannot compute. Fit "
+                "recordings with a single shaker."
             )
         self.curves = curves
         self.current: list[StoredOrbit | None] = [None] * curves.frequency.size

@@ -188,4 +188,6 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     assert uncompared_highest_peaks(modes, [curve]) == []
     second_mode = replace(modes, frequency=modes.frequency[1:])
     [message] = uncompared_highest_peaks(second_mode, [curve])
-    assert message.startswith("body1: the curve is highest at 10.00 Hz, 1 times as high as the compared peaks")
+    assert message.startswith(
+        "body1: the highest peak, at 10.00 Hz (1 times as high as the compared peaks), is not compared"
+    )

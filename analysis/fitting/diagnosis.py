@@ -297,13 +297,13 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
     return without_sensor
 
 
-def list_omitted_points(curves: Curves, used: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
+def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
     """List the points that a fit omits, with the reasons.
 
-    `used` has the shape (n,); `uncovered`: reason why no orbit can be computed for the motion at a point.
+    `is_fitted` has the shape (n,); `uncovered`: reason why no orbit can be computed for the motion at a point.
     """
     reasons: dict[str, list[str]] = {}
-    for k in np.flatnonzero(~used).tolist():
+    for k in np.flatnonzero(~is_fitted).tolist():
         if k in uncovered:
             reason = (
                 f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"

@@ -140,7 +140,7 @@ def _estimate_dampers(
             x = solve(problem, x, problem.groups, 0.0, active, 12)
         cost = _robust_cost(problem, x, damper_groups)
         # A single outlier does not prove ceiling impacts, because its motion may be of another type.
-        cost_of_one_outlier = _MAX_SQUARE / min(group.used.size for group in damper_groups)
+        cost_of_one_outlier = _MAX_SQUARE / min(group.is_fitted.size for group in damper_groups)
         if cost < lowest_cost + cost_of_one_outlier * is_unreached:
             best, lowest_cost, orbit_states = x, cost, [group.orbit_state() for group in damper_groups]
     for group, state in zip(damper_groups, orbit_states, strict=True):
@@ -245,18 +245,18 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
     for group in problem.groups:
         jacobian = problem.jacobian(x, [group])[: -problem.size]
         residuals = problem.residual(x, [group])[: -problem.size]
-        used = int(group.used.sum())
+        n_fitted = int(group.is_fitted.sum())
         triangular = np.asarray(np.linalg.qr(np.concatenate([triangular, jacobian]), mode="r"))
         score_covariance += _score_covariance(group, jacobian)
         systematic_scores += [jacobian.T @ error for error in _systematic_errors(group)]
         square += float(residuals @ residuals)
         count += residuals.size
-        order = np.argsort(group.curves.frequency[group.used], kind="stable")
-        rank = np.empty(used, dtype=int)
-        rank[order] = np.arange(used)
+        order = np.argsort(group.curves.frequency[group.is_fitted], kind="stable")
+        rank = np.empty(n_fitted, dtype=int)
+        rank[order] = np.arange(n_fitted)
         # Steady tones are separate measurements; the lines of other tests are not.
-        cluster_size = 1 if group.curves.level is not None else max(1, used // _CLUSTERS)
-        cluster = np.tile(np.repeat(rank // cluster_size, residuals.size // (2 * used)), 2)
+        cluster_size = 1 if group.curves.level is not None else max(1, n_fitted // _CLUSTERS)
+        cluster = np.tile(np.repeat(rank // cluster_size, residuals.size // (2 * n_fitted)), 2)
         clusters = range(cluster.max() + 1)
         columns = [jacobian[cluster == number].T @ residuals[cluster == number] for number in clusters]
         cluster_scores.append(np.stack(columns, axis=1))
@@ -283,10 +283,10 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
 
     Each error is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
     """
-    curves, used = group.curves, group.used
+    curves, is_fitted = group.curves, group.is_fitted
 
     def whiten(errors: ComplexArray) -> ComplexArray:
-        return np.asarray(np.einsum("nij,jn->ni", curves.whitening[used], errors[:, used]).ravel())
+        return np.asarray(np.einsum("nij,jn->ni", curves.whitening[is_fitted], errors[:, is_fitted]).ravel())
 
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
@@ -302,14 +302,14 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
 
 def _score_covariance(group: Group, jacobian: Array) -> Array:
     """Compute the covariance of the scores ``J^T r`` of a group from its random errors, shape (unknowns, unknowns)."""
-    curves, used = group.curves, group.used
+    curves, is_fitted = group.curves, group.is_fitted
     if curves.errors.reference is None:
         # Whitened errors have unit variance.
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
-    real, imaginary = jacobian.reshape(2, int(used.sum()), len(curves.sensors), -1)
-    weights = np.einsum("nij,nip->njp", curves.whitening[used].conj(), real + 1j * imaginary)
-    deviation = curves.line_limit[:, used].T[..., None] / np.sqrt(3.0)
+    real, imaginary = jacobian.reshape(2, int(is_fitted.sum()), len(curves.sensors), -1)
+    weights = np.einsum("nij,nip->njp", curves.whitening[is_fitted].conj(), real + 1j * imaginary)
+    deviation = curves.line_limit[:, is_fitted].T[..., None] / np.sqrt(3.0)
     line_errors = (deviation * weights).reshape(-1, weights.shape[2])
-    errors = curves.errors.at(used)
+    errors = curves.errors.at(is_fitted)
     n_shared = max(frf.uncertainty.shared for frf in curves.frfs)
     return errors.of_sums(weights) + n_shared * (line_errors.conj().T @ line_errors).real

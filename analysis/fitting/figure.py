@@ -27,7 +27,7 @@ def fit_figure(result: Fit) -> Figure:
     """Draw one row for each sweep or test: measured and fitted curves on the left, residuals on the right."""
     rows = result.compared[:MAX_ROWS]
     bands = [(float(compared.curves.frequency.min()), float(compared.curves.frequency.max())) for compared in rows]
-    crosses = "" if all(compared.used.all() for compared in rows) else " Crosses: points left out of the fit."
+    crosses = "" if all(compared.is_fitted.all() for compared in rows) else " Crosses: points left out of the fit."
     with new_figure(_ROW_HEIGHT_IN * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
@@ -45,7 +45,7 @@ def fit_figure(result: Fit) -> Figure:
 
 def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     curves, order = compared.curves, np.argsort(compared.curves.frequency, kind="stable")
-    frequency, used = curves.frequency[order], compared.used[order]
+    frequency, is_fitted = curves.frequency[order], compared.is_fitted[order]
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
     steps = np.diff(frequency)
     neighboring_steps = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
@@ -55,8 +55,8 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     for k, sensor in enumerate(curves.sensors):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
         for ax, y in ((curve_axes, magnitude), (residual_axes, residual)):
-            ax.plot(frequency, np.where(used, y, np.nan), ".", color=color_of(k), label=sensor.name)
-            ax.plot(frequency, np.where(used, np.nan, y), "x", color=color_of(k))
+            ax.plot(frequency, np.where(is_fitted, y, np.nan), ".", color=color_of(k), label=sensor.name)
+            ax.plot(frequency, np.where(is_fitted, np.nan, y), "x", color=color_of(k))
         line = np.insert(factor * abs(compared.predicted[k, order]), breaks, np.nan)
         curve_axes.plot(np.insert(frequency, breaks, np.nan), line, "-", lw=0.8, color=color_of(k))
     log_axis(curve_axes, [factor * abs(curves.value)])
@@ -65,6 +65,6 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     log_axis(residual_axes, [compared.normalized_residuals], max_decades=5.0)
     residual_axes.axhline(2.0, color="#555555", lw=0.6)
     residual_axes.set_ylabel("residual / std. deviation")
-    omitted = int((~used).sum())
+    omitted = int((~is_fitted).sum())
     omission = f", {omitted} point{'s' if omitted > 1 else ''} left out" if omitted else ""
     add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{omission}")

@@ -86,7 +86,7 @@ class Comparison:
 
     curves: Curves  # measured
     predicted: ComplexArray  # as the sensors read it; NaN where the model has no steady motion, shape (responses, n)
-    used: NDArray[np.bool_]  # fitted points, shape (n,)
+    is_fitted: NDArray[np.bool_]  # fitted points, shape (n,)
     normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
     # rms residual / rms of the curve, both weighted by their errors; the largest over the responses
     relative: float
@@ -160,7 +160,7 @@ class Fit(Result):
         """Draw the largest residual over frequency, in standard deviations."""
         for compared in self.compared:
             order = np.argsort(compared.curves.frequency, kind="stable")
-            largest = np.where(compared.used, compared.normalized_residuals.max(axis=0), np.nan)[order]
+            largest = np.where(compared.is_fitted, compared.normalized_residuals.max(axis=0), np.nan)[order]
             line_style = complete_style(style, label=compared.curves.label)
             ax.semilogy(compared.curves.frequency[order], largest, ".-", **line_style)
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
@@ -264,7 +264,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.orbits is None else group.orbits.uncovered
-        warnings += list_omitted_points(comparison.curves, comparison.used, uncovered)
+        warnings += list_omitted_points(comparison.curves, comparison.is_fitted, uncovered)
     count, deviation = len(problem.parameters), estimated.deviation
     is_unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
     fitted = tuple(
@@ -315,24 +315,24 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Comparis
     predicted = problem.predicted(x, group, scene)
     residual = predicted - curves.value
     normalized = abs(np.einsum("nij,jn->in", curves.whitening, residual))
-    used = group.used & np.isfinite(normalized).all(axis=0)
+    is_fitted = group.is_fitted & np.isfinite(normalized).all(axis=0)
     # Weights of 1 / standard deviation, so that lines with much noise have little influence.
-    weight = abs(np.einsum("nii->in", curves.whitening))[:, used]
-    relative_square = np.sum(abs(weight * residual[:, used]) ** 2, axis=1)
-    relative_square /= np.sum(abs(weight * curves.value[:, used]) ** 2, axis=1)
-    relative = float(np.sqrt(relative_square.max())) if used.any() else np.inf
-    return Comparison(curves, predicted, used, normalized, relative)
+    weight = abs(np.einsum("nii->in", curves.whitening))[:, is_fitted]
+    relative_square = np.sum(abs(weight * residual[:, is_fitted]) ** 2, axis=1)
+    relative_square /= np.sum(abs(weight * curves.value[:, is_fitted]) ** 2, axis=1)
+    relative = float(np.sqrt(relative_square.max())) if is_fitted.any() else np.inf
+    return Comparison(curves, predicted, is_fitted, normalized, relative)
 
 
 def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
     """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
     for comparison in compared:
         is_regular = np.isfinite(comparison.predicted).all(axis=0)
-        omitted = int((is_regular & ~comparison.used).sum())
+        omitted = int((is_regular & ~comparison.is_fitted).sum())
         if omitted > _MAX_OMITTED_SHARE * is_regular.sum() or is_regular.mean() < 1.0 - _MAX_IRREGULAR_SHARE:
             return (
                 f"{comparison.curves.label}: the scene does not reproduce the measured motion at "
-                f"{int((~comparison.used).sum())} of {comparison.used.size} points."
+                f"{int((~comparison.is_fitted).sum())} of {comparison.is_fitted.size} points."
             )
     worst = max(compared, key=lambda comparison: comparison.relative)
     if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:

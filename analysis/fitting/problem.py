@@ -59,7 +59,7 @@ class Group:
     curves: Curves
     orbits: SweepOrbits | None
     """Orbits where dampers move; None if the rig is linear."""
-    used: NDArray[np.bool_]
+    is_fitted: NDArray[np.bool_]
     """Points that are fitted, shape (n,)."""
     local_peak: Array
     """Largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
@@ -69,13 +69,13 @@ class Group:
     def orbit_state(self) -> OrbitState:
         """Return the orbits and the fitted points, for `restore`."""
         assert self.orbits is not None
-        return self.used.copy(), list(self.orbits.current), list(self.orbits.earlier)
+        return self.is_fitted.copy(), list(self.orbits.current), list(self.orbits.earlier)
 
     def restore(self, state: OrbitState) -> None:
         """Restore orbits and fitted points from `orbit_state`."""
         assert self.orbits is not None
-        used, current, earlier = state
-        self.used, self.cached = used.copy(), None
+        is_fitted, current, earlier = state
+        self.is_fitted, self.cached = is_fitted.copy(), None
         self.orbits.current, self.orbits.earlier = list(current), list(earlier)
         self.orbits.failed.clear()
 
@@ -86,7 +86,7 @@ class Group:
         """
         assert self.orbits is not None
         self.orbits.failed.clear()
-        curves, previously_used = self.curves, self.used.copy()
+        curves, previously_fitted = self.curves, self.is_fitted.copy()
         predicted = problem.predicted(x, self, scene)
         test_scene = scene_of_test(scene, curves)
         level, frequency = problem.operating_points(x, curves)
@@ -106,8 +106,8 @@ class Group:
                     self.orbits.current[k], residuals[k], changed = orbit, residual, True
                 if residuals[k] <= limit:
                     break
-        self.used, self.cached = residuals <= limit, None
-        return changed or bool(np.any(self.used != previously_used))
+        self.is_fitted, self.cached = residuals <= limit, None
+        return changed or bool(np.any(self.is_fitted != previously_fitted))
 
 
 class Problem:
@@ -228,14 +228,14 @@ class Problem:
     def normalized_residuals(
         self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
     ) -> ComplexArray:
-        """Return the residuals of a group's used points in standard deviations; shape (used, responses).
+        """Return the residuals of a group's fitted points in standard deviations; shape (fitted, responses).
 
         `model_error`, relative to the local peak, is added to the standard deviations.
         """
-        curves, used = group.curves, group.used
-        residual = self.predicted(x, group, scene, search)[:, used] - curves.value[:, used]
-        whitened = np.einsum("nij,jn->ni", curves.whitening[used], residual)
-        whitened = whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)
+        curves, is_fitted = group.curves, group.is_fitted
+        residual = self.predicted(x, group, scene, search)[:, is_fitted] - curves.value[:, is_fitted]
+        whitened = np.einsum("nij,jn->ni", curves.whitening[is_fitted], residual)
+        whitened = whitened / np.sqrt(1.0 + (model_error * group.local_peak[is_fitted]) ** 2)
         return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
@@ -271,7 +271,7 @@ class Problem:
     def _finite_differences(
         self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, indices: Sequence[int]
     ) -> list[ComplexArray]:
-        """Differentiate the residuals of each group by finite differences; shape (used, responses, indices)."""
+        """Differentiate the residuals of each group by finite differences; shape (fitted, responses, indices)."""
         if not groups:
             return []
         initial = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
@@ -288,8 +288,8 @@ class Problem:
     def _linear_derivatives(
         self, x: Array, group: Group, scene: Scene, model_error: float, indices: Sequence[int]
     ) -> ComplexArray:
-        """Differentiate the residuals of a group in which no damper moves; shape (used, responses, indices)."""
-        curves, used, count = group.curves, group.used, len(self.parameters)
+        """Differentiate the residuals of a group in which no damper moves; shape (fitted, responses, indices)."""
+        curves, is_fitted, count = group.curves, group.is_fitted, len(self.parameters)
         # Of dampers at rest on their floors, only the masses have an effect.
         effective = [
             k
@@ -317,8 +317,8 @@ class Problem:
                 derivatives[column] = by_sensor * ratio
             elif k >= count:
                 derivatives[column] = channel_gains / reference_gain * by_frequency[bodies] * curves.frequency
-        whitened = np.einsum("nij,cjn->nic", curves.whitening[used], derivatives[:, :, used])
-        return whitened / np.sqrt(1.0 + (model_error * group.local_peak[used]) ** 2)[..., None]
+        whitened = np.einsum("nij,cjn->nic", curves.whitening[is_fitted], derivatives[:, :, is_fitted])
+        return whitened / np.sqrt(1.0 + (model_error * group.local_peak[is_fitted]) ** 2)[..., None]
 
     def _changed_scene(self, k: int, value: float, scene: Scene, curves: Curves) -> tuple[Scene, float]:
         """Return the scene of a test with a slightly larger value of parameter k, and the change of the value.

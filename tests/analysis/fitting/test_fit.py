@@ -200,9 +200,9 @@ def test_inserted_values_leave_other_values_unchanged():
 def test_omitted_irregular_points_are_not_a_misfit(irregular, regular, is_misfit):
     with daq.open(DEMO) as recording:
         [curves] = measured_curves(recording, "demo")
-    predicted, used = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
-    predicted[:, :irregular], used[: irregular + regular] = np.nan, False
-    compared = Comparison(curves, predicted, used, np.zeros((3, 20)), 0.0)
+    predicted, is_fitted = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
+    predicted[:, :irregular], is_fitted[: irregular + regular] = np.nan, False
+    compared = Comparison(curves, predicted, is_fitted, np.zeros((3, 20)), 0.0)
     misfit = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
     assert misfit == (
         f"demo: the scene does not reproduce the measured motion at {irregular + regular} of 20 points."
@@ -212,17 +212,17 @@ def test_omitted_irregular_points_are_not_a_misfit(irregular, regular, is_misfit
 
 
 def test_omitted_points_are_drawn_as_crosses():
-    used = np.array([True, True, False, True])
+    is_fitted = np.array([True, True, False, True])
     value = np.full((1, 4), 1e-5 + 0j)
     with daq.open(DEMO) as recording:
         [demo] = measured_curves(recording, "demo")
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
-    result = SimpleNamespace(compared=[Comparison(curves, value, used, np.ones((1, 4)), 1.0)])
+    result = SimpleNamespace(compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)])
     axes = fit_figure(result).axes  # type: ignore[arg-type]
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point left out"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
-        assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~used).tolist()]
+        assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~is_fitted).tolist()]
 
 
 def test_undetermined_damping_is_described():

@@ -55,7 +55,7 @@ def scenes(
         text = scene_text(copy[0])
         with atomic_write(copy[1], overwrite=overwrite) as part:
             part.write_text(text, encoding="utf-8")
-        print(f"{copy[1]}: change it, then: daq record {quote(str(copy[1]))}")
+        print(f"wrote {copy[1]}. Change it, then run: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
         _print_descriptions([(name, summary(name)) for name in bundled_scenes()])
 

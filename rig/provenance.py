@@ -113,11 +113,11 @@ def reject_foreign_files(*paths: Path) -> None:
 
 def overwrite_error(path: Path) -> SceneError:
     """Return the error for a file that belongs to the user, or was written from another source."""
-    reason = "was changed since shotrig wrote it, or another program wrote it"
+    reason = "was changed since shotrig wrote it, or was written by another program"
     if _mark_of(path):
         reason = "was made from another source"
     return SceneError(
-        f"{path} exists and {reason}: it is left as it is. Choose another name or folder with -o, or pass --overwrite."
+        f"{path} exists and {reason}. It is not replaced. Choose another name or folder with -o, or pass --overwrite."
     )
 
 

@@ -107,7 +107,7 @@ class Workers:
                 for job in jobs:
                     job.cancel()
         raise RunError(
-            f"a process that computed one of {len(pieces) - len(done)} pieces ended unexpectedly {MAX_RESTARTS + 1} "
+            f"a process that computed part of the study ended unexpectedly {MAX_RESTARTS + 1} "
             "times, possibly because memory ran out. Close other programs, or make the study smaller."
         )
 
@@ -121,8 +121,8 @@ class Workers:
             return job.result()
         except KilledWorker as error:
             raise RunError(
-                f"--cluster {self._cluster}: a piece ended its workers several times, possibly because memory ran out "
-                f"({error}). Give the workers more memory, or make the study smaller."
+                f"--cluster {self._cluster}: part of the study ended its workers several times, possibly because "
+                f"memory ran out ({error}). Give the workers more memory, or make the study smaller."
             ) from None
 
     def _wait_for_next(self, finished: SimpleQueue[Future[Result]]) -> Future[Result]:

@@ -17,9 +17,12 @@ import yaml
 
 import rig
 from daq.virtual_bench.bench import Bench
+from rig.engine.state import FLOOR
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"
+# Samples of a block that the bench acquires at once.
+BLOCK_SAMPLES = 65_536
 
 
 @dataclass(frozen=True)
@@ -46,17 +49,17 @@ class Case:
     def scenes(self) -> Iterator[rig.Scene]:
         """Yield the scene, or its variants if the header varies a setting."""
         scene = rig.load(self.path)
-        vary = self.header.get("Vary")
-        if vary is None:
+        variation = self.header.get("Vary")
+        if variation is None:
             yield scene
             return
-        ((name, ends),) = vary.items()
+        ((name, interval),) = variation.items()
         kind = {"clearance": LENGTH, "force": FORCE}[name]
-        for value in np.geomspace(parse(ends["from"], kind), parse(ends["to"], kind), ends["points"]):
+        for value in np.geomspace(parse(interval["from"], kind), parse(interval["to"], kind), interval["points"]):
             if name == "force":
                 yield scene.replace(test=scene.test.replace(force=float(value)))
             else:
-                yield scene.replace(dampers=[d.replace(clearance=float(value)) for d in scene.dampers])
+                yield scene.replace(dampers=[damper.replace(clearance=float(value)) for damper in scene.dampers])
 
 
 CASES = [Case.read(path) for path in sorted(FOLDER.glob("*.yaml"))]
@@ -73,7 +76,7 @@ def test_hard_case_meets_its_requirements(case: Case) -> None:
 
 
 def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
-    """Simulate a scene and check its events and motion; `settings`, `requirements`: the parts of the header."""
+    """Simulate a scene as `Run` in the header says, and check its events and motion."""
     frequency = parse(settings["frequency"], FREQUENCY) if "frequency" in settings else None
     rate = parse(settings.get("rate", "2 kHz"), FREQUENCY)
     run = rig.simulate(scene, parse(settings["duration"], TIME), rate, frequency=frequency)
@@ -88,14 +91,15 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
     if "first_time" in requirements:
         assert run.events["time"][0] == parse(requirements["first_time"], TIME)
     if "simultaneous" in requirements:
-        # Three equal dampers have equal events at equal times, to the last bit.
+        # Three equal dampers have the same events at the same times, except for rounding.
         simultaneous = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
         assert np.ptp(simultaneous["time"], axis=1).max() < 1e-14
         assert len(run.events) % 3 == 0 and len(run.events) > 0
     if "drift" in requirements:
-        assert np.ptp(run.displacement[0, len(run.time) // 10 :]) < parse(requirements["drift"], LENGTH)
+        after_transient = len(run.time) // 10
+        assert np.ptp(run.displacement[0, after_transient:]) < parse(requirements["drift"], LENGTH)
     if "at_rest" in requirements:
-        assert (run.contact[:, -1] == 1).all()
+        assert (run.contact[:, -1] == FLOOR).all()
         assert np.abs(run.velocity[:, -1]).max() < 1e-12
 
 
@@ -103,7 +107,7 @@ def check_invariants(run: rig.Run) -> None:
     """Check what is true of any simulation: finite motion, gaps within clearances, ordered events, energy balance."""
     for motion in (run.displacement, run.velocity, run.acceleration, run.gap):
         assert np.isfinite(motion).all()
-    clearance = np.array([d.clearance for d in run.scene.dampers if not d.locked and d.clearance > 0.0])
+    clearance = np.array([damper.clearance for damper in run.scene.dampers if damper.moves])
     assert (run.gap >= 0.0).all()
     assert (run.gap <= clearance[:, None] + 1e-12).all()
     assert (np.diff(run.events["time"]) >= 0.0).all()
@@ -115,27 +119,28 @@ def check_invariants(run: rig.Run) -> None:
 
 
 def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: dict[str, Any]) -> None:
-    """Measure a scene with sensors and converter, and check the readings."""
+    """Measure a scene with sensors and converter as `Bench` in the header says, and check the readings."""
     bench = Bench(scene)
     samples = int(parse(settings["duration"], TIME) * bench.rate)
     drive = sampled_drive(bench, settings.get("drive"), samples)
-    readings, overloads, truths = [], [], []
+    readings, overloads, true_motions = [], [], []
     comparison = requirements.get("follows")
-    for start in range(0, samples, 65_536):
-        block = bench.acquire(drive[:, start : start + 65_536])
+    for start in range(0, samples, BLOCK_SAMPLES):
+        block = bench.acquire(drive[:, start : start + BLOCK_SAMPLES])
         readings.append(bench.physical(block.samples))
         overloads.append(block.overload)
         assert np.isfinite(readings[-1]).all()
         if comparison is not None:
             channel = next(c for c in bench.channels if c.name == comparison["channel"])
             row = int(channel.at.removeprefix("body ")) - 1
-            truths.append(getattr(block.motion, channel.quantity)[row])
+            true_motions.append(getattr(block.motion, channel.quantity)[row])
     reading = np.concatenate(readings, axis=1)
     if "overloads" in requirements:
         overload = np.concatenate(overloads, axis=1)
         assert overload.any() == requirements["overloads"]
         assert not overload[:, -samples // 10 :].any()
     if "growth" in requirements:
+        # The first sixth of the readings contains the transient.
         sixths = np.array_split(reading, 6, axis=1)
         assert np.std(sixths[5]) < requirements["growth"] * np.std(sixths[1])
     if "peak_below" in requirements:
@@ -145,11 +150,11 @@ def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: 
         begin = int(parse(comparison["from"], TIME) * bench.rate)
         measured = reading[names.index(comparison["channel"]), begin:]
         # An integrated acceleration lacks the displacement at power-on.
-        true = np.concatenate(truths)
-        true = (true - true[0])[begin:]
-        assert np.std(measured - true) < parse(comparison["within"], RATIO) * np.std(true)
-        tolerance = parse(comparison.get("on_average_within", comparison["within"]), RATIO)
-        assert abs(np.mean(measured - true)) < tolerance * np.std(true)
+        true_motion = np.concatenate(true_motions)
+        expected = (true_motion - true_motion[0])[begin:]
+        assert np.std(measured - expected) < parse(comparison["within"], RATIO) * np.std(expected)
+        mean_tolerance = parse(comparison.get("on_average_within", comparison["within"]), RATIO)
+        assert abs(np.mean(measured - expected)) < mean_tolerance * np.std(expected)
 
 
 def sampled_drive(bench: Bench, settings: dict[str, Any] | None, samples: int) -> np.ndarray:

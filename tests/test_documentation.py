@@ -87,10 +87,10 @@ def test_readme_quotes_printed_comparison(folder) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize("page", [page for page in PAGES if "python" in dict(blocks(page))], ids=lambda page: page.stem)
 def test_python_of_pages_runs(page, folder) -> None:
-    names: dict[str, object] = {}
+    namespace: dict[str, object] = {}  # shared by the blocks of a page
     for kind, block in blocks(page):
         if kind == "python":
-            exec(compile(block, str(page), "exec"), names)
+            exec(compile(block, str(page), "exec"), namespace)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
@@ -103,7 +103,7 @@ def test_commands_of_pages_have_existing_options(page, folder) -> None:
             assert word not in (*scenes(), *bundled_scenes()) or rig.load(word)
 
 
-def test_tests_of_the_guide_replace_the_scene_test(folder) -> None:
+def test_each_test_line_of_the_guide_is_a_valid_test(folder) -> None:
     lines = [
         line
         for kind, block in blocks(ROOT / "daq" / "guide" / "choose-a-test.md")
@@ -124,5 +124,5 @@ def test_links_of_pages_lead_somewhere(page) -> None:
     assert all((page.parent / link).exists() for link in links), links
 
 
-def test_readme_fits_ten_minutes() -> None:
+def test_readme_has_at_most_150_lines() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150

@@ -13,6 +13,7 @@ from daq.virtual_bench.bench import Bench
 
 
 def full_scene() -> rig.Scene:
+    """Return a scene with three dampers and four measured channels: three bodies and the table."""
     return rig.load("fig8-three-dampers")
 
 
@@ -46,24 +47,26 @@ def test_effect_of_one_channel_changes_no_other(key: str) -> None:
 
 def test_removed_channel_changes_no_other() -> None:
     scene = full_scene()
-    fewer = scene.replace(channels=(scene.channels[0], *scene.channels[2:]))
-    np.testing.assert_array_equal(acquire_samples(fewer), acquire_samples(scene)[[0, 2, 3]])
+    without_second = scene.replace(channels=(scene.channels[0], *scene.channels[2:]))
+    np.testing.assert_array_equal(acquire_samples(without_second), acquire_samples(scene)[[0, 2, 3]])
 
 
-@pytest.mark.parametrize("part", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}])
-def test_measurement_settings_do_not_change_motion(part: dict[str, object]) -> None:
-    scenes = full_scene(), full_scene().replace(**part)
+@pytest.mark.parametrize(
+    "changes", [{"channels": None}, {"converter": {"rate": 5120.0}}, {"recording": {"truth": True}}]
+)
+def test_measurement_settings_do_not_change_motion(changes: dict[str, object]) -> None:
+    scenes = full_scene(), full_scene().replace(**changes)
     original, changed = (Bench(scene).acquire(tone(800, 5120.0)).motion for scene in scenes)
     for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
         np.testing.assert_array_equal(getattr(changed, field), getattr(original, field))
 
 
-@pytest.mark.parametrize("part", ["display", "truth"])
-def test_display_and_truth_do_not_change_channels(part: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("key", ["display", "truth"])
+def test_display_and_truth_do_not_change_channels(key: str, tmp_path: Path) -> None:
     scene = full_scene().replace(test={"kind": "sine", "frequency": 34.8, "drive": 8.0, "duration": 0.3})
     recordings = []
     for enabled in (True, False):
-        settings = {"display": True, "truth": True} | {part: enabled}
+        settings = {"display": True, "truth": True} | {key: enabled}
         with daq.open(daq.record(scene.replace(recording=settings), tmp_path / f"{enabled}.mcap")) as recording:
             recordings.append(np.array([recording.read(name) for name in recording.channels]))
     np.testing.assert_array_equal(*recordings)

@@ -78,7 +78,7 @@ def test_files_are_written_under_windows_rules(windows_files: None, tmp_path: Pa
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp437", "ascii"])
 @pytest.mark.parametrize(
-    "words",
+    "command",
     [
         "rig presets",
         "rig explain fig9",
@@ -89,10 +89,10 @@ def test_files_are_written_under_windows_rules(windows_files: None, tmp_path: Pa
     ],
 )
 def test_commands_print_on_consoles_with_few_characters(
-    words: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     console = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")
-    monkeypatch.setattr(sys, "argv", words.format(folder=tmp_path).split())
+    monkeypatch.setattr(sys, "argv", command.format(folder=tmp_path).split())
     monkeypatch.setattr(sys, "stdout", console)
     with pytest.raises(SystemExit) as end:
         command_line.run_command(f"{sys.argv[0]}.cli")

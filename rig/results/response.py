@@ -569,8 +569,8 @@ class Response(Result, Sequence["Response"]):
             return NotImplemented
         if self.value.shape[1:] != other.value.shape[1:]:
             raise SceneError(
-                f"a response of {self.value.shape[1:]} elements divided by {other.value.shape[1:]}. "
-                "Select the same outputs and inputs of both."
+                f"a response of {len(self.outputs)} outputs to {len(self.inputs)} inputs is divided by one of "
+                f"{len(other.outputs)} to {len(other.inputs)}. Select the same outputs and inputs of both."
             )
         other = other.interpolated(self.frequency)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -43,7 +43,7 @@ def body_number(body: int | str, names: Sequence[str] | None, n_bodies: int) -> 
     text = str(body).strip().removeprefix("body ")
     if text.isdecimal() or isinstance(body, int):
         if not 1 <= int(text) <= n_bodies:
-            raise SceneError(f"body {text} of {n_bodies}; expected 1 to {n_bodies}")
+            raise SceneError(f"body {text} does not exist; expected 1 to {n_bodies}")
         return int(text)
     if names is not None and text in names:
         return names.index(text) + 1
@@ -110,7 +110,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistak
 
 def missing_body_message(number: int, n_bodies: int) -> str:
     """Return the message that a body number does not exist."""
-    return f"body {number} of {n_bodies}; expected a body of the structure, 1 to {n_bodies}"
+    return f"body {number} does not exist; expected a body of the structure, 1 to {n_bodies}"
 
 
 def _names(structure: Any) -> tuple[list[str] | None, int]:

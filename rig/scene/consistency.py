@@ -52,7 +52,7 @@ def _check_initial_state(test: Free, valid: ValidSections) -> Iterable[Mistake]:
         if values is not None and len(values) != n_bodies:
             yield Mistake((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
     if test.mode is not None and test.mode > n_bodies:
-        yield Mistake(("mode",), f"mode {test.mode} of {n_bodies}; expected 1 to {n_bodies}")
+        yield Mistake(("mode",), f"mode {test.mode} does not exist; expected 1 to {n_bodies}")
 
 
 def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
@@ -63,7 +63,7 @@ def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mis
     elif n_shakers > 1 and test.shaker is None:
         yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {n_shakers}")
     elif number > n_shakers:
-        yield Mistake(("shaker",), f"shaker {number} of {n_shakers}; expected 1 to {n_shakers}")
+        yield Mistake(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
     elif any(other > n_shakers for other in other_numbers):
         yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {n_shakers}")
     elif len({test.shaker, *other_numbers}) <= len(other_numbers):

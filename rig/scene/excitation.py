@@ -294,7 +294,9 @@ class Impulse(Settings):
             )
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
-                yield Mistake(("double_hit", "hits", k), f"hit {hit} of {self.repeats}; expected one of the repeats")
+                yield Mistake(
+                    ("double_hit", "hits", k), f"hit {hit} does not exist; expected 1 to {self.repeats}, the repeats"
+                )
 
 
 class Free(Settings):

@@ -95,7 +95,9 @@ def format_response(response: SteadyResponse, every_frequency: bool = False) -> 
             lines.append(f"  motion {kind}: {ranges}")
     if not response.converged.all():
         ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
-        lines.append(f"  not steady: {ranges}. A longer wait may help. Irregular motion has no steady state.")
+        lines.append(
+            f"  not steady: {ranges}. Irregular motion has no steady state; for other motion, raise `longest` (Python)."
+        )
     motion = _motion_labels(response)
     lines += ["", *_peak_table(response, motion)]
     if every_frequency:

@@ -47,7 +47,7 @@ def main() -> int:
     for number, mistake in enumerate(MISTAKES, 1):
         with tempfile.TemporaryDirectory() as folder:
             code, text = message_of(mistake, Path(folder))
-        missing = [name for name in mistake.facts if name not in " ".join(text.split())]
+        missing = [fact for fact in mistake.facts if fact not in " ".join(text.split())]
         failed += bool(missing or not code)
         print(f"{number:2d}. {mistake.description}\n    $ {mistake.command}\n      {text.strip()}")
         if missing or not code:

@@ -18,22 +18,16 @@ test: {kind: stepped_sine, force: 2 N, from: 40 Hz, to: 220 Hz, points: 12}
 
 @dataclass(frozen=True)
 class Mistake:
-    """A mistake of a user.
+    """A mistake of a user."""
 
-    description : what the user did wrong
-    command : the command line, typed in a folder with the recordings `sweep.mcap` and `hit.mcap`
-    facts : texts that the message must contain
-    files : contents of other files in the folder, by name
-    """
-
-    description: str
-    command: str
-    facts: tuple[str, ...]
-    files: dict[str, str] = field(default_factory=dict)
+    description: str  # what the user did wrong
+    command: str  # command line, typed in a folder with the recordings `sweep.mcap` and `hit.mcap`
+    facts: tuple[str, ...]  # texts that the message must contain
+    files: dict[str, str] = field(default_factory=dict)  # contents of other files in the folder, by name
 
 
 def edited(old: str, new: str) -> dict[str, str]:
-    """Return the valid scene with one text replaced, as the file mine.yaml."""
+    """Return the file mine.yaml: the valid scene with one text replaced."""
     assert old in SCENE
     return {"mine.yaml": SCENE.replace(old, new)}
 
@@ -78,13 +72,13 @@ MISTAKES = (
     Mistake("a misspelt bundled scene", "rig explain fig8-tree-dampers", ("fig8-three-dampers",)),
     # Options
     Mistake("an unknown key in --set", "rig explain fig9 --set test.forc=3N", ("--set", "test.forc", "force")),
-    Mistake("no value in --set", "rig explain fig9 --set test.force", ("--set", "test.force", "=")),
+    Mistake("a --set without a value", "rig explain fig9 --set test.force", ("--set", "test.force", "=")),
     Mistake("a wrong unit in --set", "rig explain fig9 --set test.force=3Hz", ("--set", "3Hz", "N")),
     Mistake("a misspelt option", "analysis frf sweep.mcap --moton velocity", ("--moton", "--motion")),
     Mistake("a misspelt command", "analysis mode sweep.mcap", ("mode", "modes")),
     Mistake("an unknown motion", "analysis frf sweep.mcap --motion speed", ("speed", "velocity")),
     Mistake("an option without effect", "daq replay sweep.mcap --at 1", ("--at", "--screenshot")),
-    Mistake("two outputs at once", "daq replay sweep.mcap --web --save x.rrd", ("--save", "--web")),
+    Mistake("two exclusive options", "daq replay sweep.mcap --web --save x.rrd", ("--save", "--web")),
     # Files
     Mistake("a recording that does not exist", "analysis frf swep.mcap", ("swep.mcap", "no such file")),
     Mistake("a text file as a recording", "analysis frf notes.mcap", ("notes.mcap",), {"notes.mcap": "hello\n"}),
@@ -99,14 +93,16 @@ MISTAKES = (
     Mistake("an interval without samples", "analysis export hit.mcap -o x.csv --from 900", ("hit.mcap", "6.25 s")),
     Mistake("one recording to compare", "analysis compare sweep.mcap", ("two",)),
     # Recordings of the wrong kind
-    Mistake("a decay of a sweep", "analysis decay sweep.mcap", ("sweep.mcap", "analysis frf sweep.mcap")),
+    Mistake(
+        "a free decay from a sweep recording", "analysis decay sweep.mcap", ("sweep.mcap", "analysis frf sweep.mcap")
+    ),
     Mistake("dampers of a scene without any", "analysis dampers sweep.mcap", ("sweep.mcap", "dampers", "analysis frf")),
     Mistake("an unknown channel", "analysis frf sweep.mcap --response body9", ("body9", "body3")),
     Mistake(
-        "an import without its table",
+        "an import of a table without samples",
         "daq import run.csv --scene mine.yaml",
         ("run.csv",),
         {"run.csv": "a,b\n1,2\n", **edited("name: bracket", "name: b")},
     ),
-    Mistake("a simulation without end", "rig simulate fig9 --duration -1s", ("duration", "-1")),
+    Mistake("a negative duration", "rig simulate fig9 --duration -1s", ("duration", "-1")),
 )

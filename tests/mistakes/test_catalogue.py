@@ -11,11 +11,11 @@ from tests.mistakes.catalogue import MISTAKES, Mistake
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.description.replace(" ", "-"))
-def test_message_names_place_and_remedy(mistake: Mistake, tmp_path: Path) -> None:
+def test_message_contains_every_fact(mistake: Mistake, tmp_path: Path) -> None:
     code, text = message_of(mistake, tmp_path)
     printed = " ".join(text.split())
     assert code and "Traceback" not in printed
-    assert not [name for name in mistake.facts if name not in printed], printed
+    assert not [fact for fact in mistake.facts if fact not in printed], printed
 
 
 def test_catalogue_has_forty_different_mistakes() -> None:

@@ -26,7 +26,7 @@ def test_scene_built_in_python_names_all_mistakes() -> None:
     with pytest.raises(rig.SceneError) as caught:
         rig.Scene(structure=STRUCTURE, dampers=[DAMPER | {"body": 7}, DAMPER | {"clearence": 1}])
     message = str(caught.value)
-    assert "dampers[1].body: body 7 of 2" in message
+    assert "dampers[1].body: body 7 does not exist" in message
     assert "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?" in message
 
 

@@ -180,7 +180,10 @@ def test_dask_cluster_gives_the_same_results() -> None:
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_piece_that_ends_cluster_workers_is_reported() -> None:
-    with Workers("local") as workers, pytest.raises(RunError, match="--cluster local: a piece ended its workers"):
+    with (
+        Workers("local") as workers,
+        pytest.raises(RunError, match="--cluster local: part of the study ended its workers"),
+    ):
         list(workers.compute(exit_process, [1]))
 
 

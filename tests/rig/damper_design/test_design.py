@@ -175,7 +175,7 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
     [
         ({"budget": 5.0}, "less than the structure.s mass of 2.09 kg"),
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
-        ({"bodies": ["1", "7"]}, "bodies: body 7 of 3; expected 1 to 3"),
+        ({"bodies": ["1", "7"]}, "bodies: body 7 does not exist; expected 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3, one for each body that may carry one"),
         ({"band": (2.0, 3.0)}, "without a natural frequency"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),

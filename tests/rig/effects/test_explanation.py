@@ -21,13 +21,13 @@ def test_motion_states_equal_those_of_the_system(name: str) -> None:
 
 def test_removed_effects_remove_their_states_and_inputs() -> None:
     fig9 = rig.load("fig9")
-    no_coil = fig9.replace(
+    without_coil_current = fig9.replace(
         shaker={"kind": "electrodynamic", "body": 1, "spring": fig9.shaker.spring, "amplifier": {"mode": "current"}}
     )
     no_damper = fig9.replace(dampers=())
     force_driven_structure = rig.load("bare-structure").replace(shaker=None, test=None, channels=None)
     # Two states a body, two for the table, one for the coil current.
-    assert [assemble(scene).states for scene in (fig9, no_coil, force_driven_structure)] == [9, 8, 6]
+    assert [assemble(scene).states for scene in (fig9, without_coil_current, force_driven_structure)] == [9, 8, 6]
     assert assemble(no_damper).dampers == 0
     assert assemble(force_driven_structure).inputs == ()
     names = {effect.name for effect in rig.explain(no_damper).effects if effect.part == "motion"}
@@ -39,6 +39,7 @@ def test_each_channel_is_listed_with_its_stages() -> None:
     ideal = rig.explain(rig.load("fig9").replace(channels=None, converter={}))
     measured = rig.explain("fig9")
     part = "channel body1 (displacement at body 1)"
+    # Sensor: 2 states of the resonance, 1 of the low cut-off; integrator: 1 of each of two stages.
     assert measured.states[part] == 5
     assert [effect.name for effect in measured.effects if effect.part == part][:2] == ["resonance", "low cut-off"]
     assert "quantisation" not in {effect.name for effect in ideal.effects}

@@ -12,15 +12,21 @@ from rig.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
 
 # Frequency lines, Hz.
 LINES = np.linspace(10.0, 30.0, 41)
+# Half-widths of the uniform distributions of systematic deviations of `curve`, relative to its magnitude.
+ALIASING_LIMIT, SENSITIVITY_LIMIT, CLOCK_LIMIT = 0.002, 0.01, 0.005
 
 
 def curve(name: str = "body1", scale: float = 1.0, **fields) -> Response:
-    """Return the response of a mode at 20 Hz with scatter, aliasing and tolerances."""
+    """Return the response of a mode at 20 Hz with scatter, aliasing and tolerances of data sheets."""
     value = scale * 1e-3 / (20.0**2 - LINES**2 + 8.0j)
-    size = abs(value)
-    limits = {"aliasing": 0.002 * size, SENSITIVITY: 0.01 * size, CLOCK: 0.005 * size}
+    magnitude = abs(value)
+    limits = {
+        "aliasing": ALIASING_LIMIT * magnitude,
+        SENSITIVITY: SENSITIVITY_LIMIT * magnitude,
+        CLOCK: CLOCK_LIMIT * magnitude,
+    }
     return Response.curve(
-        LINES, value, name, error=0.001 * size, degrees=np.full(41, 38.0), limits=limits, label="a", **fields
+        LINES, value, name, error=0.001 * magnitude, degrees=np.full(41, 38.0), limits=limits, label="a", **fields
     )
 
 
@@ -31,18 +37,20 @@ def matrix() -> Response:
     return Response(LINES, value, outputs, (Point("f1", "force", "body 1"), Point("f3", "force", "body 3")))
 
 
-def test_bound_adds_tolerances_to_independent_parts() -> None:
+def test_bound_adds_tolerances_linearly_to_root_sum_of_squares() -> None:
     frf = curve()
     independent = np.hypot(frf.random_bound(), frf.limits["aliasing"])
-    np.testing.assert_allclose(frf.bound(), independent + 0.015 * abs(frf.value))
+    tolerances = (SENSITIVITY_LIMIT + CLOCK_LIMIT) * abs(frf.value)
+    np.testing.assert_allclose(frf.bound(), independent + tolerances)
     np.testing.assert_allclose(frf.without(SENSITIVITY, CLOCK).bound(), independent)
     np.testing.assert_allclose(frf.to("acceleration").bound(), frf.bound() * (2 * np.pi * LINES) ** 2)
 
 
-def test_unknown_degrees_give_normal_coverage() -> None:
+def test_unknown_degrees_of_freedom_give_normal_coverage() -> None:
     frf = Response.curve(LINES, np.ones(LINES.size) + 0j, "a", error=np.full(LINES.size, 0.01))
+    # 95 % quantiles of the magnitude of a complex normal deviation (Rayleigh), and of one component.
     np.testing.assert_allclose(frf.bound(), 0.01 * np.sqrt(-2.0 * np.log(0.05)), rtol=1e-5)
-    np.testing.assert_allclose(frf.magnitude_bound(), 0.0196, rtol=1e-4)
+    np.testing.assert_allclose(frf.magnitude_bound(), 0.01 * 1.96, rtol=1e-4)
 
 
 def test_budget_lists_contributions_by_variance() -> None:
@@ -50,7 +58,7 @@ def test_budget_lists_contributions_by_variance() -> None:
     names, types, uncertainties, fractions = zip(*table.rows, strict=True)
     assert names == (SENSITIVITY, CLOCK, "aliasing", "scatter") and types == ("B", "B", "B", "A")
     assert sum(fractions) == pytest.approx(1.0) and table.unit == "µm/N"
-    assert uncertainties[0] == pytest.approx(0.01 * table.value / np.sqrt(3.0))
+    assert uncertainties[0] == pytest.approx(SENSITIVITY_LIMIT * table.value / np.sqrt(3.0))
     assert table.combined == pytest.approx(np.linalg.norm(uncertainties))
     assert "standard uncertainty / (µm/N)" in str(table) and "combined" in str(table)
 
@@ -59,14 +67,15 @@ def test_ratio_combines_the_uncertainties() -> None:
     ratio = curve(scale=3.0) / curve()
     np.testing.assert_allclose(ratio.value, 3.0)
     assert ratio.unit == "1" and ratio.name == "ratio"
-    np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 0.02)
-    np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * 0.002 * np.sqrt(2.0))
+    # Tolerances of both curves add linearly, other limits as root sum of squares.
+    np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 2.0 * SENSITIVITY_LIMIT)
+    np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * np.sqrt(2.0) * ALIASING_LIMIT)
 
 
 def test_ratio_is_nan_outside_the_other_band() -> None:
     ratio = curve() / curve().band(12.2, 28.0)
     is_finite = np.isfinite(ratio.value)
-    assert LINES[is_finite].min() == 12.5 and LINES[is_finite].max() == 28.0
+    assert LINES[is_finite].min() == 12.5 and LINES[is_finite].max() == 28.0  # lines have a spacing of 0.5 Hz
     with pytest.raises(SceneError, match="Select the same outputs and inputs"):
         matrix() / curve()
 

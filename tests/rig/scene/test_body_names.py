@@ -51,7 +51,9 @@ def test_unnamed_scene_text_has_no_names() -> None:
     assert scene.structure.names is None and "names" not in scene.to_si_yaml()
 
 
-@pytest.mark.parametrize(("given", "message"), [("amr", "Did you mean 'arm'"), (3, "3 of 2"), ("body 0", "0 of 2")])
+@pytest.mark.parametrize(
+    ("given", "message"), [("amr", "Did you mean 'arm'"), (3, "body 3 does not"), ("body 0", "body 0 does not")]
+)
 def test_unknown_body_is_rejected(given: int | str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         body_number(given, ("base", "arm"), 2)

@@ -79,6 +79,6 @@ def test_sensor_preset_is_not_a_module() -> None:
 def test_shaker_preset_fills_coil_and_armature() -> None:
     shaker = "{kind: electrodynamic, body: 1, spring: 6.6 kN/m, preset: LDS V203, armature: {mass: 40 g}}"
     scene = rig.loads(f"structure: {{masses: [1 kg], springs: [10 kN/m]}}\nshaker: {shaker}")
+    # 3.744 N/A and 2897 N/m are values of the preset; the explicit key `mass` overrides it.
     assert scene.shaker.coil.force_factor == 3.744
-    # Explicit keys override the preset.
     assert scene.shaker.armature.mass == 0.04 and scene.shaker.armature.stiffness == 2897.0

@@ -115,6 +115,7 @@ def test_printed_value_is_short_and_recognizable():
         '"x"',
         "1.5",
     ]
+    # A longer text than 60 characters, with its quotation marks, is shortened.
     assert format_value("x" * 58) == f'"{"x" * 58}"'
     assert format_value("x" * 59) == f'"{"x" * 56}...'
     assert printable("a b") == "a b"

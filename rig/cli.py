@@ -53,8 +53,8 @@ def scenes(
         print(scene_text(show), end="")
     if copy is not None:
         text = scene_text(copy[0])
-        with atomic_write(copy[1], overwrite=overwrite) as part:
-            part.write_text(text, encoding="utf-8")
+        with atomic_write(copy[1], overwrite=overwrite) as temporary:
+            temporary.write_text(text, encoding="utf-8")
         print(f"wrote {copy[1]}. Change it, then run: daq record {quote(str(copy[1]))}")
     if show is None and copy is None:
         _print_descriptions([(name, summary(name)) for name in bundled_scenes()])

@@ -90,10 +90,10 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             layout_engine.execute(figure)
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
-        with atomic_write(png) as part:
-            figure.savefig(part, dpi=_DPI, metadata={"Software": None})
-        with atomic_write(svg) as part:
-            figure.savefig(part, metadata={"Date": None, "Creator": None})
+        with atomic_write(png) as temporary:
+            figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
+        with atomic_write(svg) as temporary:
+            figure.savefig(temporary, metadata={"Date": None, "Creator": None})
     return [png, svg]
 
 
@@ -235,6 +235,6 @@ def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]
     """
     table = stem.with_name(stem.name + ".csv")
     create_folder(stem.parent)
-    with atomic_write(table) as part:
-        part.write_text(csv_text(rows), encoding="utf-8", newline="")
+    with atomic_write(table) as temporary:
+        temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
     return [*save_figure(figure, stem), table]

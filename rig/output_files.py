@@ -85,82 +85,83 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
             raise overwrite_error(path)
     # An existing unmarked file is compared with the new file when that is complete.
     file = resolve_output(path, overwrite or is_unmarked)
-    part = file.with_name(f".{token_hex(6)}{file.suffix}")
+    temporary = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
-        yield part
+        yield temporary
         if is_marked:
-            add_mark(part)
+            add_mark(temporary)
         elif is_unmarked and not overwrite and file.is_file():
-            if not cmp(part, file, shallow=False):
+            if not cmp(temporary, file, shallow=False):
                 raise overwrite_error(path)
-            part.unlink()
+            temporary.unlink()
             return
-        _sync(part)
+        _sync(temporary)
     except BaseException as error:
         with suppress(OSError):
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
             reason = error.strerror or error
             raise RunError(f"cannot write {path}: {reason}. Free disk space, or choose another folder.") from error
         raise
     try:
-        _rename(part, file, overwrite)
+        _rename(temporary, file, overwrite)
     except FileExistsError:
         raise SceneError(
-            f"{path}: another program created this file in the meantime. The result is in {_save_next_to(part, file)}."
+            f"{path}: another program created this file in the meantime. "
+            f"The result is in {_save_next_to(temporary, file)}."
         ) from None
     except OSError as error:
         raise RunError(
-            f"cannot write {path}: {error.strerror or error}. The result is in {_save_next_to(part, file)}."
+            f"cannot write {path}: {error.strerror or error}. The result is in {_save_next_to(temporary, file)}."
         ) from error
 
 
-def rename_complete(part: Path, file: Path, overwrite: bool) -> None:
+def rename_complete(temporary: Path, file: Path, overwrite: bool) -> None:
     """Rename a complete file to its final name, replacing an existing file only if allowed.
 
     Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
     """
-    _sync(part)
-    _rename(part, file, overwrite)
+    _sync(temporary)
+    _rename(temporary, file, overwrite)
 
 
-def _sync(part: Path) -> None:
+def _sync(temporary: Path) -> None:
     """Flush the new file to disk before the old file is replaced; Windows requires write access for this."""
-    with part.open("r+b") as file:
+    with temporary.open("r+b") as file:
         os.fsync(file.fileno())
 
 
-def _rename(part: Path, file: Path, overwrite: bool) -> None:
+def _rename(temporary: Path, file: Path, overwrite: bool) -> None:
     if overwrite:
         with suppress(FileNotFoundError):
-            part.chmod(stat.S_IMODE(file.stat().st_mode))
-        part.replace(file)
+            temporary.chmod(stat.S_IMODE(file.stat().st_mode))
+        temporary.replace(file)
         return
     try:
-        os.link(part, file)
+        os.link(temporary, file)
     except FileExistsError:
         raise
     except OSError:
         # Some file systems do not support hard links.
         if os.path.lexists(file):
             raise FileExistsError(str(file)) from None
-        part.rename(file)
+        temporary.rename(file)
         return
-    part.unlink()
+    temporary.unlink()
 
 
-def _save_next_to(part: Path, file: Path) -> Path:
+def _save_next_to(temporary: Path, file: Path) -> Path:
     """Rename a finished file to the first free name next to the intended name, if possible."""
     for number in range(2, 100):
         free = file.with_name(f"{file.stem}-{number}{file.suffix}")
         try:
-            _rename(part, free, overwrite=False)
+            _rename(temporary, free, overwrite=False)
         except FileExistsError:
             continue
         except OSError:
-            return part
+            return temporary
         return free
-    return part
+    return temporary
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:

@@ -125,51 +125,51 @@ def add_mark(path: Path) -> None:
     """Add the mark to a complete file."""
     content = path.read_bytes()
     mark = f"shotrig {_source.get()} {_digest(content)}".encode()
-    ending = path.suffix.lower()
-    position = _mark_position(ending, content)
-    path.write_bytes(content[: position - _replaced_bytes(ending)] + _delimited(ending, mark) + content[position:])
+    suffix = path.suffix.lower()
+    position = _mark_position(suffix, content)
+    path.write_bytes(content[: position - _replaced_bytes(suffix)] + _delimited(suffix, mark) + content[position:])
 
 
 def _mark_of(path: Path) -> str:
     """Return the digest of the source in the mark of a file; empty if it has no mark, or was changed since."""
-    ending = path.suffix.lower()
+    suffix = path.suffix.lower()
     try:
-        if ending not in (*_DELIMITERS, ".png", ".npz") or not path.is_file():
+        if suffix not in (*_DELIMITERS, ".png", ".npz") or not path.is_file():
             return ""
         content = path.read_bytes()
     except OSError:
         return ""
-    stop = _mark_position(ending, content)
-    start = stop - len(_delimited(ending, bytes(_MARK_BYTES)))
+    stop = _mark_position(suffix, content)
+    start = stop - len(_delimited(suffix, bytes(_MARK_BYTES)))
     match = _MARK.search(content, max(start, 0), stop)
-    if start < 0 or match is None or content[start:stop] != _delimited(ending, match[0]):
+    if start < 0 or match is None or content[start:stop] != _delimited(suffix, match[0]):
         return ""
-    unmarked = content[:start] + _ZIP_NO_COMMENT[: _replaced_bytes(ending)] + content[stop:]
+    unmarked = content[:start] + _ZIP_NO_COMMENT[: _replaced_bytes(suffix)] + content[stop:]
     return match[1].decode() if _digest(unmarked) == match[2].decode() else ""
 
 
-def _mark_position(ending: str, content: bytes) -> int:
+def _mark_position(suffix: str, content: bytes) -> int:
     """Return the position at which the mark of a file ends or is inserted."""
-    if ending == ".csv":
+    if suffix == ".csv":
         line = content.partition(b"\n")[0]
         return len(line) - line.endswith(b"\r")
-    return len(content) - (_PNG_CHUNK if ending == ".png" else 0)
+    return len(content) - (_PNG_CHUNK if suffix == ".png" else 0)
 
 
-def _delimited(ending: str, mark: bytes) -> bytes:
+def _delimited(suffix: str, mark: bytes) -> bytes:
     """Return a mark with the bytes that the format needs around it."""
-    if ending == ".png":
+    if suffix == ".png":
         data = b"tEXt" + _PNG_KEYWORD + mark
         return struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
-    if ending == ".npz":
+    if suffix == ".npz":
         return struct.pack("<H", len(mark)) + mark
-    before, after = _DELIMITERS[ending]
+    before, after = _DELIMITERS[suffix]
     return before + mark + after
 
 
-def _replaced_bytes(ending: str) -> int:
+def _replaced_bytes(suffix: str) -> int:
     """Return the number of bytes of an unmarked file that the mark replaces."""
-    return len(_ZIP_NO_COMMENT) if ending == ".npz" else 0
+    return len(_ZIP_NO_COMMENT) if suffix == ".npz" else 0
 
 
 def _digest(content: bytes) -> str:

@@ -147,8 +147,8 @@ class StoredValues(Generic[Piece, Value]):
         if self._path is None:
             return
         rows = [self.study.encode(key, self.values[key]) for key in sorted(self.values, key=order)]
-        with atomic_write(self._path, overwrite=True) as part:
-            part.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
+        with atomic_write(self._path, overwrite=True) as temporary:
+            temporary.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
 
     def _append(self, row: Sequence[object]) -> None:
         # A single write: after an interruption the line is complete or missing, unless the disk is full.

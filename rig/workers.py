@@ -82,22 +82,22 @@ class Workers:
             # This includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return
-        done: set[int] = set()
+        completed: set[int] = set()
         for _ in range(MAX_RESTARTS + 1):
             jobs: dict[Future[Result], int] = {}
             finished: SimpleQueue[Future[Result]] = SimpleQueue()
             submitted = 0
             try:
-                while len(done) < len(pieces):
+                while len(completed) < len(pieces):
                     with _without_main_module(), _blocked_sigint():
-                        for number in (n for n in range(submitted, len(pieces)) if n not in done):
+                        for number in (n for n in range(submitted, len(pieces)) if n not in completed):
                             job = self._pool.submit(function, pieces[number])
                             jobs[job] = number
                             job.add_done_callback(finished.put)
                     submitted = len(pieces)
                     job = self._wait_for_next(finished)
                     result = self._result(job)
-                    done.add(jobs[job])
+                    completed.add(jobs[job])
                     yield jobs.pop(job), result
                 return
             except BrokenProcessPool:
@@ -142,8 +142,8 @@ class Workers:
     def _start(self) -> Executor:
         """Start the workers; `_cleanup` ends them."""
         if self._cluster is None:
-            return _processes(self._cleanup)
-        self._client = _dask(self._cluster, self._cleanup)
+            return _start_processes(self._cleanup)
+        self._client = _connect_to_dask(self._cluster, self._cleanup)
         pool: Executor = self._client.get_executor()
         return pool
 
@@ -161,7 +161,7 @@ class _OwnProcesses(SpawnContext):
         return process
 
 
-def _processes(cleanup: ExitStack) -> Executor:
+def _start_processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine."""
     context = _OwnProcesses()
     pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_initialize_worker)
@@ -244,7 +244,7 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
-def _dask(address: str, cleanup: ExitStack) -> Any:
+def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
     """Connect to a Dask cluster and return its client."""
     try:
         from distributed import Client, LocalCluster

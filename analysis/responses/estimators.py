@@ -151,7 +151,7 @@ def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: R
     """
     difference = value - np.interp(frequency, leakage_free.frequency, leakage_free.value)
     scatter = leakage_free.uncertainty.scatter
-    leakage_free_error = 0.0 if scatter is None else np.interp(frequency, leakage_free.frequency, scatter.size)
+    leakage_free_error = 0.0 if scatter is None else np.interp(frequency, leakage_free.frequency, scatter.deviation)
     excess = np.square(np.abs(difference)) - 2.0 * np.nan_to_num(np.square(error) + np.square(leakage_free_error))
     return np.sqrt(np.maximum(np.convolve(np.pad(excess, 1, "edge"), np.full(3, 1.0 / 3.0), "valid"), 0.0))
 

@@ -239,7 +239,7 @@ class Response(Result, Sequence["Response"]):
     def error(self) -> Array:
         """Standard uncertainty of either quadrature component from the scatter; of the shape of `value`."""
         scatter = self.uncertainty.scatter
-        return np.zeros(self.value.shape) if scatter is None else scatter.size
+        return np.zeros(self.value.shape) if scatter is None else scatter.deviation
 
     @property
     def degrees(self) -> Array:
@@ -359,7 +359,9 @@ class Response(Result, Sequence["Response"]):
         budget, errors = self.uncertainty, self.uncertainty.errors
         contributions = tuple(
             replace(
-                cause, size=cause.size[selection], degrees=None if cause.degrees is None else cause.degrees[selection]
+                cause,
+                deviation=cause.deviation[selection],
+                degrees=None if cause.degrees is None else cause.degrees[selection],
             )
             for cause in budget.contributions
         )
@@ -577,13 +579,20 @@ class Response(Result, Sequence["Response"]):
             value = np.asarray(self.value / other.value)
             magnitude, contributions = abs(value), []
             relative_contributions = [
-                {cause.name: (cause, cause.size / abs(response.value)) for cause in response.uncertainty.contributions}
+                {
+                    cause.name: (cause, cause.deviation / abs(response.value))
+                    for cause in response.uncertainty.contributions
+                }
                 for response in (self, other)
             ]
         for name in dict.fromkeys([*relative_contributions[0], *relative_contributions[1]]):
             same_cause = [by_name[name] for by_name in relative_contributions if name in by_name]
-            sizes = [size for _, size in same_cause]
-            total = np.sum(sizes, axis=0) if name in TOLERANCES else np.linalg.norm(sizes, axis=0)
+            relative_deviations = [deviation for _, deviation in same_cause]
+            total = (
+                np.sum(relative_deviations, axis=0)
+                if name in TOLERANCES
+                else np.linalg.norm(relative_deviations, axis=0)
+            )
             degrees = [cause.degrees for cause, _ in same_cause if cause.degrees is not None]
             min_degrees = np.min(degrees, axis=0) if degrees else None
             contributions.append(Contribution(name, same_cause[0][0].evaluation, magnitude * total, min_degrees))
@@ -654,7 +663,7 @@ class Response(Result, Sequence["Response"]):
     between = band
 
     def at(self, lines: NDArray[np.bool_] | NDArray[np.intp]) -> Response:
-        """Select some lines."""
+        """Return the response at some lines, given by indices or flags."""
         return replace(
             self,
             frequency=self.frequency[lines],

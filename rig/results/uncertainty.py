@@ -80,24 +80,24 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    `size`, of the shape of the values: for type A the standard uncertainty of either quadrature component, NaN where
-    a single average has no scatter; for type B the largest deviation, infinite where it is unbounded.
+    `deviation`, of the shape of the values. Type A: standard uncertainty of either quadrature component, NaN where a
+    single average has no scatter. Type B: largest deviation, infinite where it is unbounded.
     """
 
     name: str
     evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
-    size: Array
+    deviation: Array
     degrees: Array | None = None  # degrees of freedom of type A
 
     def standard(self) -> Array:
         """Return the standard uncertainty; type B is assumed to have a uniform distribution (GUM 4.3.7)."""
-        return self.size if self.evaluation == "A" else self.size / np.sqrt(3.0)
+        return self.deviation if self.evaluation == "A" else self.deviation / np.sqrt(3.0)
 
     def bound(self, confidence: float = 0.95) -> Array:
         """Return the expanded uncertainty of this contribution alone: the radius of a circle in the complex plane."""
         if self.evaluation == "B" or self.degrees is None:
-            return self.size
-        return self.size * coverage_factor(confidence, self.degrees)
+            return self.deviation
+        return self.deviation * coverage_factor(confidence, self.degrees)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class UncertaintyBudget:
     @property
     def limits(self) -> dict[str, Array]:
         """Largest deviations of type B by name."""
-        return {cause.name: cause.size for cause in self.contributions if cause.evaluation == "B"}
+        return {cause.name: cause.deviation for cause in self.contributions if cause.evaluation == "B"}
 
     @property
     def scatter(self) -> Contribution | None:
@@ -171,7 +171,7 @@ class UncertaintyBudget:
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
         """Return the covariance of the random errors over the elements of a response of a given shape."""
-        error = np.zeros(shape) if self.scatter is None else self.scatter.size
+        error = np.zeros(shape) if self.scatter is None else self.scatter.deviation
         error = np.reshape(error, (shape[0], -1))
         if self.errors is not None:
             return self.errors.covariance(error, self.shared)
@@ -186,17 +186,17 @@ class UncertaintyBudget:
         """Return the budget of the values times a factor at each line."""
         errors = None if self.errors is None else self.errors.scaled(factor)
 
-        def multiply(size: Array) -> Array:
-            return np.asarray(size * np.reshape(abs(factor), (-1, *[1] * (size.ndim - 1))))
+        def multiply(deviation: Array) -> Array:
+            return np.asarray(deviation * np.reshape(abs(factor), (-1, *[1] * (deviation.ndim - 1))))
 
-        contributions = tuple(replace(cause, size=multiply(cause.size)) for cause in self.contributions)
+        contributions = tuple(replace(cause, deviation=multiply(cause.deviation)) for cause in self.contributions)
         return replace(self, contributions=contributions, errors=errors)
 
     def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
         """Add limits by name, or replace those of the same name."""
         unchanged = tuple(cause for cause in self.contributions if cause.name not in limits)
         return replace(
-            self, contributions=(*unchanged, *(Contribution(name, "B", size) for name, size in limits.items()))
+            self, contributions=(*unchanged, *(Contribution(name, "B", limit) for name, limit in limits.items()))
         )
 
     def without(self, *names: str) -> UncertaintyBudget:
@@ -210,7 +210,11 @@ class UncertaintyBudget:
     def with_arrays(self, change: Callable[[Array], Array], errors: RandomErrors | None) -> UncertaintyBudget:
         """Return the budget with a function applied to the arrays of all contributions, and with other `errors`."""
         contributions = tuple(
-            replace(cause, size=change(cause.size), degrees=None if cause.degrees is None else change(cause.degrees))
+            replace(
+                cause,
+                deviation=change(cause.deviation),
+                degrees=None if cause.degrees is None else change(cause.degrees),
+            )
             for cause in self.contributions
         )
         return replace(self, contributions=contributions, errors=errors)
@@ -232,7 +236,7 @@ def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) 
             Contribution(
                 name,
                 evaluation,
-                join([None if cause is None else cause.size for cause in by_curve]),
+                join([None if cause is None else cause.deviation for cause in by_curve]),
                 join([None if cause is None else cause.degrees for cause in by_curve]) if evaluation == "A" else None,
             )
         )

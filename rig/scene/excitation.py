@@ -46,8 +46,7 @@ class Sine(Settings):
     frequency: Frequency
     """Frequency [Hz]."""
     force: Force | None = None
-    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
-    [N]."""
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
@@ -91,8 +90,8 @@ class SteppedSine(Settings):
     direction: Literal["up", "down", "both"] = "up"
     """Order of the frequencies; both: up, then down."""
     force: Forces | None = None
-    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
-    [N]. Several levels are run one after another."""
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
+    levels are run one after another."""
     drive: Drives | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]. Several levels are run one
     after another."""
@@ -162,8 +161,7 @@ class SweptSine(Settings):
     spacing: Spacing = "log"
     """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
     force: Force | None = None
-    """Amplitude of the spring force, held by the controller; with a shaker of kind force, of the force itself
-    [N]."""
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
@@ -190,7 +188,7 @@ class Random(Settings):
     burst: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
     """Fraction of each block during which the noise is on, above 0 and below 1; None: always on."""
     force: Force | None = None
-    """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
+    """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None
@@ -222,7 +220,7 @@ class Multisine(Settings):
     realisations: Count = 4
     """Number of realisations: sets of random phases."""
     force: Force | None = None
-    """Root mean square of the spring force; with a shaker of kind force, of the force itself [N]."""
+    """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V, or m for a table shaker]."""
     shaker: ShakerNumber | None = None

@@ -60,7 +60,7 @@ class Accelerometer(Settings):
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
     """Quality factor of the resonance; None: 30."""
     low_cutoff: Corner | None = None
-    """Corner of the first-order high pass [Hz]."""
+    """Corner frequency of the first-order high pass [Hz]."""
     noise: Annotated[float, Quantity(ACCELERATION_NOISE, at_least=0.0)] | None = None
     """White noise density [m/s^2/sqrt(Hz)]."""
     noise_corner: Corner | None = None
@@ -113,7 +113,7 @@ class Integrator(Settings):
     """Frequency below which the amplifier does not integrate [Hz], a first-order high pass per order; 0: it integrates
     at all frequencies."""
     low_cutoff: Corner | None = None
-    """Corner of the first-order high pass at its input [Hz], which removes the sensor's bias."""
+    """Corner frequency of the first-order high pass at its input [Hz], which removes the sensor's bias."""
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
     """Output per integral of the input [1/s for order 1, 1/s^2 for order 2]."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
@@ -135,7 +135,7 @@ class Hammer(Settings):
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
-    """Corner of the first-order high pass [Hz]."""
+    """Corner frequency of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
     """Largest force that the output follows [N]; samples beyond are marked as overloaded."""
     iepe: bool | None = None
@@ -254,7 +254,7 @@ class Converter(Settings):
     coupling: Literal["AC", "DC"] | None = None
     """Coupling of the inputs; AC: a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
-    """Corner of that high pass [Hz]; None: 0.5."""
+    """Corner frequency of that high pass [Hz]; None: 0.5."""
     excitation: Supply | None = None
     """Constant supply current of IEPE sensors [A]; 0: none, None: an external supply."""
     filter: Literal["delta_sigma"] | None = None

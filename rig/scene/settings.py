@@ -151,7 +151,7 @@ class Settings(_Model):
     def forget_spelling(self) -> None:
         """Discard the user's spelling, and treat values equal to their defaults as not given.
 
-        Settings from a recording then equal those of a scene file: a recording stores neither.
+        This is for scenes from recordings, which contain every value in SI.
         """
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():

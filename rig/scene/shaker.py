@@ -113,8 +113,8 @@ class TableShaker(Settings):
     spring: CoilSpring
     """Stiffness of the coil spring [N/m]."""
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
-    """Corner of the position servo [Hz], a critically damped second-order system: the table velocity is continuous,
-    as required to measure its acceleration."""
+    """Corner frequency of the position servo [Hz], a critically damped second-order system. The table velocity is
+    continuous, as required to measure its acceleration."""
     output: Output = Output()
     """The output of a module whose voltage is the drive."""
 

@@ -81,8 +81,8 @@ def write_csv(response: SteadyResponse, path: Path) -> None:
     Raises `SceneError` if the file cannot be written.
     """
     header, table = csv_rows(response)
-    with atomic_write(path) as part:
-        part.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
+    with atomic_write(path) as temporary:
+        temporary.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
 
 
 def format_response(response: SteadyResponse, every_frequency: bool = False) -> str:

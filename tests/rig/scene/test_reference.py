@@ -26,18 +26,18 @@ def test_every_key_is_explained_with_its_values() -> None:
 
 
 def test_keys_of_bundled_scenes_are_explained() -> None:
-    key_names = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
+    explained_keys = {key.name.replace("[]", "") for key in keys()} | {"shaker.kind", "test.kind"}
 
-    def names(node: object, path: str) -> set[str]:
+    def full_names(node: object, path: str) -> set[str]:
         """Return the full names of all keys below a node of a scene, such as test.force."""
         if isinstance(node, list):
-            return set().union(*(names(item, path) for item in node))
+            return set().union(*(full_names(item, path) for item in node))
         if not isinstance(node, dict):
             return set()
-        return set().union(*({f"{path}{key}"} | names(inner, f"{path}{key}.") for key, inner in node.items()))
+        return set().union(*({f"{path}{key}"} | full_names(inner, f"{path}{key}.") for key, inner in node.items()))
 
     for name in bundled_scenes():
-        assert names(read_yaml(scene_text(name)).content, "") <= key_names
+        assert full_names(read_yaml(scene_text(name)).content, "") <= explained_keys
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,8 @@ def test_misspelt_key_names_the_nearest() -> None:
 def test_kind_is_explained_with_its_keys(key: str) -> None:
     lines = [line.split() for line in help_on(key).splitlines()]
     listed = {words[0] for words in lines if words}
-    assert {"from", "points", "force", "settle"} <= listed and not {"burst", "peak"} & listed
+    keys_of_other_kinds = {"burst", "peak"}
+    assert {"from", "points", "force", "settle"} <= listed and not keys_of_other_kinds & listed
 
 
 def test_help_on_shaker_lists_its_kinds() -> None:

@@ -144,6 +144,7 @@ def test_si_text_has_si_units() -> None:
     assert "clearance: 0.00098 m" in text
 
 
+# A scene file as the program writes it, in several units.
 BRACKET = """name: bracket
 structure:
   masses: {base: 4.20 kg, arm: 1100 g}

@@ -23,7 +23,7 @@ def beam() -> tuple[Array, Array]:
     Euler-Bernoulli beam elements with consistent masses (e.g. M. Geradin, D. J. Rixen, Mechanical Vibrations, 3rd ed.,
     Wiley 2015, section 5.4).
     """
-    h, size = LENGTH / ELEMENTS, 2 * (ELEMENTS + 1)
+    h, n_coordinates = LENGTH / ELEMENTS, 2 * (ELEMENTS + 1)
     bending_stiffness = YOUNG * WIDTH * THICKNESS**3 / 12.0  # N m^2
     mass_per_length = DENSITY * WIDTH * THICKNESS  # kg/m
     element_stiffness = (bending_stiffness / h**3) * np.array(
@@ -34,11 +34,11 @@ def beam() -> tuple[Array, Array]:
         [[156, 22 * h, 54, -13 * h], [22 * h, 4 * h**2, 13 * h, -3 * h**2],
          [54, 13 * h, 156, -22 * h], [-13 * h, -3 * h**2, -22 * h, 4 * h**2]]
     )  # fmt: skip
-    mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
+    mass, stiffness = np.zeros((n_coordinates, n_coordinates)), np.zeros((n_coordinates, n_coordinates))
     for element in range(ELEMENTS):
-        nodes = slice(2 * element, 2 * element + 4)
-        mass[nodes, nodes] += element_mass
-        stiffness[nodes, nodes] += element_stiffness
+        coordinates = slice(2 * element, 2 * element + 4)
+        mass[coordinates, coordinates] += element_mass
+        stiffness[coordinates, coordinates] += element_stiffness
     # Node 0 is clamped.
     return mass[2:, 2:], stiffness[2:, 2:]
 

@@ -171,10 +171,7 @@ def _describe(error: BaseException) -> tuple[int, str]:
         case console.Unwritable():
             return 1, f"error: standard output cannot be written: {error.strerror}. Redirect it to another disk."
         case MemoryError():
-            return (
-                1,
-                f"error: not enough memory: {error or 'none is left'}. Close other programs, or use a smaller test.",
-            )
+            return 1, f"error: not enough memory: {error or 'none is left'}. Close other programs."
         case OSError(filename=str() | bytes()):
             return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
         case OSError(strerror=str()):

@@ -152,8 +152,8 @@ class Response(Result, Sequence["Response"]):
         output_at, input_at : str
             Places of output and input.
         error, degrees : ndarray, shape (n,), optional
-            Standard uncertainty of either quadrature component from the scatter, and its degrees of freedom; omitted:
-            0, for degrees of freedom that are unknown.
+            Standard uncertainty of either quadrature component from the scatter (omitted: 0), and its degrees of
+            freedom (omitted: unknown).
         limits : mapping of str to ndarray, optional
             Largest deviations by name.
         uncertainty : UncertaintyBudget, optional
@@ -356,22 +356,14 @@ class Response(Result, Sequence["Response"]):
             (slice(None), outputs[0], inputs[0]) if is_single else np.ix_(range(self.frequency.size), outputs, inputs)
         )
         elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
-        budget, errors = self.uncertainty, self.uncertainty.errors
-        contributions = tuple(
-            replace(
-                cause,
-                deviation=cause.deviation[selection],
-                degrees=None if cause.degrees is None else cause.degrees[selection],
-            )
-            for cause in budget.contributions
-        )
+        errors = self.uncertainty.errors
         return replace(
             self,
             value=self.value[selection],
             outputs=tuple(self.outputs[k] for k in outputs),
             inputs=tuple(self.inputs[k] for k in inputs),
-            uncertainty=replace(
-                budget, contributions=contributions, errors=None if errors is None else errors.select(elements)
+            uncertainty=self.uncertainty.with_arrays(
+                lambda array: array[selection], None if errors is None else errors.select(elements)
             ),
             coherence=self.coherence[:, outputs[0] if is_single else list(outputs)],
         )
@@ -579,20 +571,13 @@ class Response(Result, Sequence["Response"]):
             value = np.asarray(self.value / other.value)
             magnitude, contributions = abs(value), []
             relative_contributions = [
-                {
-                    cause.name: (cause, cause.deviation / abs(response.value))
-                    for cause in response.uncertainty.contributions
-                }
-                for response in (self, other)
+                {cause.name: (cause, cause.deviation / abs(frf.value)) for cause in frf.uncertainty.contributions}
+                for frf in (self, other)
             ]
         for name in dict.fromkeys([*relative_contributions[0], *relative_contributions[1]]):
             same_cause = [by_name[name] for by_name in relative_contributions if name in by_name]
-            relative_deviations = [deviation for _, deviation in same_cause]
-            total = (
-                np.sum(relative_deviations, axis=0)
-                if name in TOLERANCES
-                else np.linalg.norm(relative_deviations, axis=0)
-            )
+            relative = [relative_deviation for _, relative_deviation in same_cause]
+            total = np.sum(relative, axis=0) if name in TOLERANCES else np.linalg.norm(relative, axis=0)
             degrees = [cause.degrees for cause, _ in same_cause if cause.degrees is not None]
             min_degrees = np.min(degrees, axis=0) if degrees else None
             contributions.append(Contribution(name, same_cause[0][0].evaluation, magnitude * total, min_degrees))

@@ -1,7 +1,4 @@
-"""Settings of a particle damper: its bed of particles in a cavity, finite-duration contact with the walls, and grains.
-
-The walls of the cavity are its floor and, at a finite clearance above the bed, its ceiling.
-"""
+"""Settings of a particle damper: its bed of particles, contact with the walls (floor, ceiling), and grains."""
 
 from __future__ import annotations
 

@@ -381,10 +381,7 @@ class SteadyContinuation:
 
 
 def _next_level(trials: list[tuple[float, float]]) -> float:
-    """Compute the logarithm of the next level by a secant step, limited to a factor of two.
-
-    `trials`: logarithms of level, and of the ratio of obtained to required force.
-    """
+    """Return ln(level) after a secant step of at most a factor of two; `trials`: ln(level), ln(force / target)."""
     log_level, log_error = trials[-1]
     slope = 1.0
     if len(trials) > 1:

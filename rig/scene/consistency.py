@@ -80,7 +80,7 @@ def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Mistake]:
             message = "there is no hammer; expected a body or the table, or a test of kind impulse"
             yield Mistake(("at",), message, absent="" if valid["test"] else "test")
     elif "shaker" in valid:
-        yield from _check_place_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
+        yield from _check_location_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
 
 
 def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Mistake]:
@@ -93,7 +93,7 @@ def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) 
         first_index.setdefault(channel.name, k)
 
 
-def _check_place_at_shaker(
+def _check_location_at_shaker(
     channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
 ) -> Iterable[Mistake]:
     """Check that the shaker at which a channel measures exists and has the measured quantity."""

@@ -39,10 +39,10 @@ Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
 Time = Annotated[float, Quantity(TIME, at_least=0.0)]
 Limit = Annotated[float, Quantity(LENGTH, VELOCITY, ACCELERATION, FORCE, VOLTAGE, above=0.0)]
-# Places where a channel measures force instead of motion.
-FORCE_PLACES = ("hammer", "shaker")
-# Place where a channel measures output voltage instead of motion.
-VOLTAGE_PLACE = "drive"
+# Locations where a channel measures force instead of motion.
+FORCE_LOCATIONS = ("hammer", "shaker")
+# Location where a channel measures output voltage instead of motion.
+VOLTAGE_LOCATION = "drive"
 Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 
 
@@ -151,7 +151,7 @@ class Channel(Settings):
 
     At `shaker` the signal is the force between a shaker of kind force and its body; for other shakers, measure the
     two ends of the coil spring, the table and the driven body. At `drive` the signal is the output voltage in front
-    of a shaker, as on a teed cable. With several shakers, the place contains the shaker's number:
+    of a shaker, as on a teed cable. With several shakers, the location contains the shaker's number:
     `table 2`, `shaker 2`, `drive 2`.
     """
 
@@ -185,12 +185,12 @@ class Channel(Settings):
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
         """Return the kind of the limits `alarm` and `abort`, which is that of the measured quantity."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(value_at(content, ("integrator", "order"))), ACCELERATION)
-        place = str(content.get("at")).partition(" ")[0]
-        kind = FORCE if place in FORCE_PLACES else VOLTAGE if place == VOLTAGE_PLACE else kind
+        location = str(content.get("at")).partition(" ")[0]
+        kind = FORCE if location in FORCE_LOCATIONS else VOLTAGE if location == VOLTAGE_LOCATION else kind
         return {("alarm",): kind, ("abort",): kind}
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that the sensor suits the place."""
+        """Check that the sensor suits the location."""
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
@@ -204,24 +204,24 @@ class Channel(Settings):
 
     @property
     def place_kind(self) -> str:
-        """Kind of the place: body, table, hammer, shaker or drive."""
+        """Kind of the location: body, table, hammer, shaker or drive."""
         return self.at.partition(" ")[0]
 
     @property
     def number(self) -> int | None:
-        """Number of its body or shaker, from 1; None if the place has no number."""
+        """Number of its body or shaker, from 1; None if the location has no number."""
         number = self.at.partition(" ")[2]
         return int(number) if number else None
 
     @property
     def measures_force(self) -> bool:
         """Return whether the channel measures force, at the hammer or a shaker."""
-        return self.place_kind in FORCE_PLACES
+        return self.place_kind in FORCE_LOCATIONS
 
     @property
     def measures_voltage(self) -> bool:
         """Return whether the channel measures the voltage of an output."""
-        return self.place_kind == VOLTAGE_PLACE
+        return self.place_kind == VOLTAGE_LOCATION
 
     @property
     def body(self) -> int | None:

@@ -202,37 +202,39 @@ def help_on(key: str | None = None) -> str:
     if not matches and (kind_help := _help_on_kind(*dotted_key.rpartition(".")[::2])):
         return kind_help
     if not matches:
-        kinds = [f"{_dotted(part)}.{kind}" for part, kind in _kinds()]
+        kinds = [f"{_dotted(section)}.{kind}" for section, kind in _kinds()]
         names = [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds]
-        hint = suggestion(dotted_key, names, "`rig help` lists the keys at the top.", n=3)
+        hint = suggestion(dotted_key, names, "`rig help` lists the top-level keys.", n=3)
         raise SceneError(f"no key {key[:60]!r} in scene files. {hint}")
     return "\n\n".join("\n".join(_describe_key(entry, name)) for name in matches for entry in by_name[name])
 
 
 @cache
 def _kinds() -> dict[tuple[str, str], str]:
-    """Return the description of each kind of a part, such as ("test", "sine")."""
+    """Return the description of each kind of a section, such as ("test", "sine")."""
     schema = json.loads(_SCHEMA.read_text(encoding="utf-8"))
-    parts = {part: _resolve(schema, field) for part, field in schema["properties"].items()}
-    choices = [(part, _resolve(schema, choice)) for part, field in parts.items() for choice in field.get("anyOf", ())]
+    sections = {section: _resolve(schema, field) for section, field in schema["properties"].items()}
+    choices = [
+        (section, _resolve(schema, choice)) for section, field in sections.items() for choice in field.get("anyOf", ())
+    ]
     return {
-        (part, choice["properties"]["kind"]["const"]): choice["description"]
-        for part, choice in choices
+        (section, choice["properties"]["kind"]["const"]): choice["description"]
+        for section, choice in choices
         if "kind" in choice.get("properties", {})
     }
 
 
-def _help_on_kind(part: str, kind: str) -> str:
-    """Explain a kind of a part (test.stepped_sine, or only stepped_sine) with its keys; empty if unknown."""
-    sections = []
-    for (full_part, entry), meaning in _kinds().items():
-        if entry == kind and part in ("", full_part):
-            inner = [key for key in keys() if re.fullmatch(rf"{full_part}\.\w+", key.name) and kind in key.kinds]
+def _help_on_kind(section: str, kind: str) -> str:
+    """Explain a kind of a section (test.stepped_sine, or only stepped_sine) with its keys; empty if unknown."""
+    paragraphs = []
+    for (full_section, entry), meaning in _kinds().items():
+        if entry == kind and section in ("", full_section):
+            inner = [key for key in keys() if re.fullmatch(rf"{full_section}\.\w+", key.name) and kind in key.kinds]
             lines = [f"  {_key_line(key, key.name.rpartition('.')[2], _default_note(key))}" for key in inner]
-            header = [f"{full_part}: {{kind: {kind}, ...}}", _wrap(meaning, "  "), "  keys:"]
-            hint = f"  more: rig help {full_part}.KEY, such as {inner[0].name}"
-            sections.append("\n".join([*header, *lines, hint]))
-    return "\n\n".join(sections)
+            header = [f"{full_section}: {{kind: {kind}, ...}}", _wrap(meaning, "  "), "  keys:"]
+            hint = f"  more: rig help {full_section}.KEY, such as {inner[0].name}"
+            paragraphs.append("\n".join([*header, *lines, hint]))
+    return "\n\n".join(paragraphs)
 
 
 def _default_note(key: Key) -> str:
@@ -249,7 +251,7 @@ def _describe_key(key: Key, dotted_name: str) -> Iterator[str]:
     yield f"  default: {key.default}"
     if key.effect:
         yield f"  effect: {key.effect}"
-    kinds = {kind: meaning for (part, kind), meaning in _kinds().items() if part == dotted_name}
+    kinds = {kind: meaning for (section, kind), meaning in _kinds().items() if section == dotted_name}
     inner = [entry for entry in keys() if re.fullmatch(rf"{re.escape(dotted_name)}\.\w+", _dotted(entry.name))]
     if kinds:
         yield "  kinds:"

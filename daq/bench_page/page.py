@@ -28,7 +28,7 @@ _HISTORY_COLUMNS = 300
 _SPECTRUM_BANDS = 600
 # Maximum number of listed hits.
 _MAX_LISTED_HITS = 8
-_TEXT = "#c8ccd2"
+_TEXT_COLOR = "#c8ccd2"
 _GRID = {"lineStyle": {"color": "#2c3037"}}
 # JavaScript function that formats the numbers at an axis.
 _NUMBER_FORMAT = (
@@ -122,9 +122,9 @@ class Chart:
         self.element = ui.echart(
             {
                 "animation": False,
-                "textStyle": {"color": _TEXT},
-                "title": {"text": title, "textStyle": {"fontSize": 13, "color": _TEXT}},
-                "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": _TEXT}},
+                "textStyle": {"color": _TEXT_COLOR},
+                "title": {"text": title, "textStyle": {"fontSize": 13, "color": _TEXT_COLOR}},
+                "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": _TEXT_COLOR}},
                 "tooltip": {"trigger": "axis"},
                 "grid": {"left": 70, "right": 70, "top": 42, "bottom": 40},
                 "toolbox": {"feature": {"dataZoom": {}}, "top": 22, "right": 10, "itemSize": 13},

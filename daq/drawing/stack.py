@@ -1,6 +1,6 @@
 """Positions and sizes of the drawn parts at rest: bodies with cavities, stacked on springs, and shaker tables.
 
-Lengths are in meters of the drawing and chosen for legibility. All bodies have the same size.
+Lengths are in meters of the drawing and chosen for legibility. All bodies have the same width and depth.
 """
 
 from __future__ import annotations
@@ -18,27 +18,20 @@ if TYPE_CHECKING:
 
     Box = tuple[Point, Point]
 
-# Width and depth of a body, thickness of its walls, height of a damper, and height of the space above the damper.
-WIDTH = 0.16
-DEPTH = 0.10
-WALL = 0.012
+WIDTH = 0.16  # of a body
+DEPTH = 0.10  # of a body
+WALL = 0.012  # thickness of the walls of a body with cavities
 DAMPER_HEIGHT = 0.030
-HEADROOM = 0.100
-# Height of a body with cavities.
-HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL
-# Distance of a damper from the sides and the back of its cavity.
-_DAMPER_MARGIN = 0.003
-# Height of a body without cavities, and lengths at rest of a spring and of a coil spring.
-SOLID_HEIGHT = 0.060
-SPRING_LENGTH = 0.080
-COIL_LENGTH = 0.110
-# Thickness of the plate of a shaker table, height of the shaker below it, and width of a lug (a bracket of a body for a
-# coil spring next to the rig).
-PLATE = 0.018
-PLINTH = 0.050
-LUG = 0.050
-# Distance between shakers next to the rig.
-SHAKER_PITCH = 0.120
+HEADROOM = 0.100  # height of the space above a damper
+HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL  # of a body with cavities
+SOLID_HEIGHT = 0.060  # of a body without cavities
+_DAMPER_MARGIN = 0.003  # distance of a damper from the sides and the back of its cavity
+SPRING_LENGTH = 0.080  # at rest
+COIL_LENGTH = 0.110  # of a coil spring at rest
+PLATE = 0.018  # thickness of the plate of a shaker table
+PLINTH = 0.050  # height of a shaker below its table
+LUG = 0.050  # width of a lug, a bracket of a body for a coil spring next to the rig
+SHAKER_PITCH = 0.120  # distance between shakers next to the rig
 
 
 @dataclass(frozen=True)

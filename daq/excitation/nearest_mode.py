@@ -11,7 +11,7 @@ from rig.arrays import Array, ComplexArray
 
 # Minimum number of observations for the estimate of a mode.
 _MIN_OBSERVATIONS = 6
-# Observations older than this multiple of the memory are discarded.
+# Observations older than this multiple of the memory (time constant of their weights) are discarded.
 _MAX_AGE_RATIO = 3.0
 # Number of observations from one search for a different mode to the next.
 _SEARCH_INTERVAL = 4
@@ -23,7 +23,7 @@ _SEARCH_DAMPING = np.array([0.005, 0.03])
 _MAX_RESIDUAL_RATIO = 0.7
 # Initial frequency step of the search around the present mode, relative to its frequency.
 _INITIAL_STEP = 0.01
-# Smallest and largest frequency step, relative.
+# Limits of the relative frequency step.
 _MIN_STEP = 1e-4
 _MAX_STEP = 0.03
 # Factor on the frequency step if the present frequency remains the best.

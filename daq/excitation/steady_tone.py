@@ -1,7 +1,7 @@
 """Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude.
 
-A glide is a smooth transition to another frequency and amplitude. The level is the required force amplitude, or without
-control of the force the amplitude of the drive.
+A glide is a smooth transition to another frequency and amplitude. The level is the required amplitude of the force; if
+the force is not controlled, the level is the amplitude of the drive.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ _MAX_GLIDE_S = 3.0
 WINDOW_S = 0.1
 # Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# Largest change of the drive, as the natural logarithm of its ratio, that needs no slow glide: its transient is
-# negligible.
+# Largest change of the drive, as the natural logarithm of its ratio, without a slow glide: its transient is negligible.
 _MAX_SUDDEN_CHANGE = 0.03
-# Largest change of the expected force over the last observations, relative to its deviation from the level, at which
+# Largest change of the predicted force over the last observations, relative to its deviation from the level, at which
 # the drive is changed.
 _MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in pieces of this size or more.

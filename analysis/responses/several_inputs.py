@@ -367,8 +367,9 @@ def _from_experiments(
     notes, values, noises, unsettled, coherences = [], [], [], [], []
     for number, group in groups.items():
         if len(group) < len(inputs):
+            was = "was" if len(group) == 1 else "were"
             notes.append(
-                f"Realisation {number} left out: only {len(group)} of its {len(inputs)} experiments were recorded."
+                f"Realisation {number} left out: only {len(group)} of its {len(inputs)} experiments {was} recorded."
             )
             continue
         experiments = [period_spectra(rec, channels, marker) for marker in group]

@@ -1,7 +1,4 @@
-"""Recordings with known content for tests: linear motion computed with scipy, written by the real recorder.
-
-The structure has three bodies and natural frequencies of 13.04, 34.78 and 49.66 Hz.
-"""
+"""Recordings with known content: linear motion of three bodies, computed with scipy, written by the recorder."""
 
 from __future__ import annotations
 
@@ -16,8 +13,10 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 
 RATE = 2560.0  # Hz
+NATURAL_FREQUENCIES = (13.0365, 34.7773, 49.6629)  # Hz
 PLACES = {"body1": "body 1", "body2": "body 2", "body3": "body 3", "table": "table"}
-SPRING = 6600.0  # N/m, between table and body 1.
+SPRING = 6600.0  # N/m, between table and body 1
+OVERSAMPLING = 4  # of the force in `band_noise` and `record_response`
 
 STRUCTURE = """
 name: {name}
@@ -92,6 +91,7 @@ def simulate(force, rate=RATE, structure_scene=None, quantity="acceleration"):
 
 def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, rebound=()):
     """Record half-sine hits on body 1 and the free decays after them; hits listed in `rebound` are double hits."""
+    # Samples from hit to hit, of a hit, and before the first hit.
     count, width, samples_before = round(interval * RATE), 16, 640
     force = np.zeros(samples_before + hits * count)
     marks = []
@@ -109,9 +109,6 @@ def impulses(path, hits=1, interval=6.0, noise=0.0, name="linear", hammer=True, 
     samples = samples + noise * np.random.default_rng(0).standard_normal(samples.shape)
     structure_scene = scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}", name=name)
     return write(path, structure_scene, infos, samples, marks)
-
-
-OVERSAMPLING = 4
 
 
 def band_noise(seconds, low, high, seed=0):

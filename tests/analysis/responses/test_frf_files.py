@@ -19,8 +19,10 @@ from tests.daq.importing.files import NAMES, RATE, make_scene, write_tdms
 # pyuff leaves a binary file open that it wrote.
 pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 FREQUENCY = np.arange(801) * 0.25  # Hz
-# Modes at 40 and 95 Hz with damping ratios of 1 % and 0.4 %.
-POLES = 2 * np.pi * np.array([[40.0], [95.0]]) * (-np.array([[0.01], [0.004]]) + 1j)
+DAMPED_FREQUENCIES = np.array([40.0, 95.0])  # Hz
+DAMPING = np.array([0.01, 0.004])  # as decay rate over damped frequency
+NATURAL_FREQUENCIES = DAMPED_FREQUENCIES * np.sqrt(1.0 + DAMPING**2)
+POLES = (2 * np.pi * DAMPED_FREQUENCIES * (-DAMPING + 1j))[:, None]
 SHAPES = np.array([[1.0, 0.7], [-0.4, 1.0]])
 
 
@@ -48,7 +50,7 @@ def write_uff(path, value, binary=0, reference=(1, 3), **labels):
 
 
 @pytest.mark.parametrize("binary", [0, 1])
-def test_universal_file_gives_lines_and_modes(binary, tmp_path):
+def test_universal_file_contains_lines_and_modes(binary, tmp_path):
     write_uff(
         tmp_path / "a.uff",
         accelerance(1e-4) / 9.80665,
@@ -62,8 +64,8 @@ def test_universal_file_gives_lines_and_modes(binary, tmp_path):
         np.testing.assert_allclose(curve.value, row[1:], rtol=1e-9)
         np.testing.assert_allclose(curve.frequency, FREQUENCY[1:], rtol=1e-5)
     modes = analysis.identify(result)
-    np.testing.assert_allclose(modes.frequency, [40.002, 95.00076], rtol=1e-4)
-    np.testing.assert_allclose(modes.damping, [0.01, 0.004], rtol=0.02)
+    np.testing.assert_allclose(modes.frequency, NATURAL_FREQUENCIES, rtol=1e-4)
+    np.testing.assert_allclose(modes.damping, DAMPING, rtol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +76,7 @@ def test_universal_file_gives_lines_and_modes(binary, tmp_path):
          lambda v: (abs(v) * 9.80665, np.angle(v, deg=True))),
     ],
 )  # fmt: skip
-def test_table_headings_give_parts_and_units(heading, columns, tmp_path):
+def test_table_headings_state_components_and_units(heading, columns, tmp_path):
     value = accelerance() / 9.80665
     rows = np.vstack([FREQUENCY, *columns(value[0]), *columns(value[1])]).T
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=heading, comments="")
@@ -83,14 +85,12 @@ def test_table_headings_give_parts_and_units(heading, columns, tmp_path):
         np.testing.assert_allclose(result[name].value, row[1:] * 9.80665, rtol=1e-9)
 
 
-def test_foreign_files_give_modes_and_curves(tmp_path, monkeypatch):
+def test_commands_accept_files_of_other_programs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
     result = CliRunner().invoke(app, ["modes", "a.uff"])
-    assert result.exit_code == 0 and "a, force at node 1 +Z: 2 modes" in result.output, (
-        result.output,
-        result.exception,
-    )
+    assert result.exit_code == 0, (result.output, result.exception)
+    assert "a, force at node 1 +Z: 2 modes" in result.output
     result = CliRunner().invoke(app, ["frf", "a.uff", "--motion", "acceleration"])
     assert result.exit_code == 0, (result.output, result.exception)
     frfs = analysis.read_frfs(tmp_path / "a-frf.csv")
@@ -180,7 +180,7 @@ def test_block_average_agrees_with_scipy(tmp_path):
 
 # In pure noise, the driving-point response may appear reversed.
 @pytest.mark.filterwarnings("ignore:.*reversed channel")
-def test_averaged_hits_are_quotient_of_spectra(tmp_path):
+def test_averaged_hits_are_ratio_of_averaged_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)
     for begin, peak in ((900, 70.0), (9000, 50.0), (17000, 60.0)):
@@ -217,9 +217,9 @@ def test_lines_are_sorted_by_frequency(tmp_path):
 
 
 @pytest.mark.parametrize("extension", ["uff", "csv"])
-def test_written_file_has_errors_and_modes(extension, tmp_path):
+def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
-    # As for a hammer with AC coupling: neighboring lines have nearly the same error, so that it causes no scatter.
+    # An error that is nearly equal at neighboring lines causes no scatter, such as that of a hammer with AC coupling.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     measured = value + error * np.exp(0.3j * FREQUENCY[1:])
@@ -239,4 +239,4 @@ def test_written_file_has_errors_and_modes(extension, tmp_path):
         assert after.resolution == before.resolution == 0.0
     modes = analysis.identify(stored)
     assert modes.model_error == 0.0 and not modes.warnings
-    np.testing.assert_allclose(modes.frequency, [40.002, 95.00076], rtol=1e-4)
+    np.testing.assert_allclose(modes.frequency, NATURAL_FREQUENCIES, rtol=1e-4)

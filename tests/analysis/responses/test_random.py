@@ -19,6 +19,7 @@ from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
 RATE, OVERSAMPLING = synthetic.RATE, synthetic.OVERSAMPLING
+ANTIRESONANCES = (17.8, 28.1, 44.4)  # Hz
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 
 
@@ -41,14 +42,15 @@ def test_reference_relative_to_itself_is_one(tmp_path, estimator):
     assert curve.bound().max() < 1e-12
 
 
-def test_truth_away_from_peaks_is_within_uncertainty(random_file):
+def test_block_average_is_within_uncertainty_away_from_peaks(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=8.0)
         exact = receptance(rec.scene, curves[0].frequency)
     # A Hann window wider than the resonance widens its peak; the resolution of the curve states this.
     f = curves[0].frequency
-    far_from_peaks = np.all([abs(f - peak) > 2.0 for peak in (13.04, 34.78, 49.66)], axis=0)
+    far_from_peaks = np.all([abs(f - peak) > 2.0 for peak in synthetic.NATURAL_FREQUENCIES], axis=0)
     for body, frf in enumerate(curves):
+        # Noise bandwidth of a Hann window of 8 s.
         assert frf.resolution == pytest.approx(1.5 / 8.0)
         assert np.mean((abs(frf.value - exact[body]) < frf.bound(0.95))[far_from_peaks]) > 0.9
         assert np.max(frf.coherence) > 0.99
@@ -59,6 +61,7 @@ def test_short_blocks_warn_of_high_damping(random_file):
     with daq.open(random_file) as rec:
         [curves] = analysis.frequency_responses(rec, block=4.0)
         modes = analysis.identify(curves, count=3)
+    # The damping ratio is 0.005.
     assert modes.damping[0] > 0.0055
     assert any("widens the peaks" in warning and "blocks of at least" in warning for warning in modes.warnings)
 
@@ -96,12 +99,12 @@ def test_hv_lies_between_h1_and_h2():
 
 
 def test_responses_to_bursts_have_no_leakage(tmp_path):
-    block = 20.0
-    burst = synthetic.band_noise(3 * block, 6.0, 62.0, seed=5)
-    time = np.arange(burst.size) / (RATE * OVERSAMPLING) % block
-    burst *= np.where(time < 3.0, np.sin(np.pi * np.minimum(time / 3.0, 1.0)) ** 0.5, 0.0)
-    fields = {"from": 8.0, "to": 60.0, "level": 1.0, "burst": 0.125, "block": int(block * RATE)}
-    marks = [("measure", 0, int(3 * block * RATE) - 1, fields)]
+    block_s, burst_s = 20.0, 3.0
+    burst = synthetic.band_noise(3 * block_s, 6.0, 62.0, seed=5)
+    time = np.arange(burst.size) / (RATE * OVERSAMPLING) % block_s
+    burst *= np.where(time < burst_s, np.sin(np.pi * np.minimum(time / burst_s, 1.0)) ** 0.5, 0.0)
+    fields = {"from": 8.0, "to": 60.0, "level": 1.0, "burst": 0.125, "block": int(block_s * RATE)}
+    marks = [("measure", 0, int(3 * block_s * RATE) - 1, fields)]
     with daq.open(synthetic.record_response(tmp_path / "a.mcap", burst, RANDOM, marks)) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
@@ -117,7 +120,7 @@ def test_block_longer_than_recording_is_rejected(random_file):
 
 
 @pytest.mark.parametrize("selection", [{"level": "1 N"}, {"direction": "up"}])
-def test_missing_sweep_is_reported(random_file, selection):
+def test_selection_of_a_sweep_requires_tones(random_file, selection):
     with daq.open(random_file) as rec, pytest.raises(SceneError, match="no sweeps of steady tones"):
         analysis.frfs(rec, **selection)
 
@@ -140,14 +143,14 @@ def multisine(path, periods=4, realisations=4, noise=0.01):
     return synthetic.record_response(path, np.concatenate(forces), test, marks, noise=noise)
 
 
-def test_multisine_is_exact_within_uncertainty(tmp_path):
+def test_uncertainty_of_multisine_contains_truth(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
         modes = analysis.identify(curves)
     inside = [abs(frf.value - exact[body]) < frf.random_bound(0.95) for body, frf in enumerate(curves)]
     assert 0.93 < np.mean(inside) < 0.99
-    np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-4)
+    np.testing.assert_allclose(modes.frequency, synthetic.NATURAL_FREQUENCIES, rtol=2e-4)
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
@@ -160,7 +163,7 @@ def test_linear_structure_shows_no_distortion(tmp_path):
     assert 0.7 < total / noise < 1.3
 
 
-def test_multisine_without_flight_recommends_steady_tones(tmp_path):
+def test_tone_that_lifts_a_damper_is_recommended(tmp_path):
     test = {"kind": "multisine", "from": 30.0, "to": 40.0, "period": 2.0, "realisations": 2, "force": 0.05}
     scene = rig.load("fig8-three-dampers").replace(
         shaker={"kind": "force", "body": 1},
@@ -172,10 +175,10 @@ def test_multisine_without_flight_recommends_steady_tones(tmp_path):
         [curves] = analysis.frequency_responses(rec)
     [warning] = curves[0].warnings
     force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", warning).groups()
-    line, tone = float(frequency), {"kind": "stepped_sine", "frequencies": [float(frequency)]}
+    tone = {"kind": "stepped_sine", "frequencies": [float(frequency)]}
     below_limit, above_limit = (scene.replace(test=tone | {"force": ratio * float(force)}) for ratio in (0.9, 1.1))
-    assert rig.frequency_response(below_limit, [line]).motion_type[0] == "riding"
-    assert rig.frequency_response(above_limit, [line]).motion_type[0] != "riding"
+    assert rig.frequency_response(below_limit, [float(frequency)]).motion_type[0] == "riding"
+    assert rig.frequency_response(above_limit, [float(frequency)]).motion_type[0] != "riding"
 
 
 def sweep(path, duration, spacing="log"):
@@ -183,9 +186,10 @@ def sweep(path, duration, spacing="log"):
     rate = RATE * OVERSAMPLING
     time = np.arange(int(duration * rate)) / rate
     if spacing == "log":
-        cycles = duration * 8.0 * np.expm1(np.log(7.5) * time / duration) / np.log(7.5)
+        log_ratio = np.log(60.0 / 8.0)
+        cycles = duration * 8.0 * np.expm1(log_ratio * time / duration) / log_ratio
     else:
-        cycles = 8.0 * time + 52.0 * time**2 / 2 / duration
+        cycles = 8.0 * time + (60.0 - 8.0) * time**2 / 2 / duration
     fields = {"from": 8.0, "to": 60.0, "spacing": spacing, "level": 1.0, "duration": duration, "settled": True}
     marks = [("measure", 0, int(duration * RATE) - 1, fields)]
     test = f"{{kind: swept_sine, from: 8 Hz, to: 60 Hz, duration: {duration} s, force: 1 N, spacing: {spacing}}}"
@@ -194,16 +198,18 @@ def sweep(path, duration, spacing="log"):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("spacing", ["log", "linear"])
-def test_slow_sweep_gives_exact_curve(tmp_path, spacing):
+def test_response_to_slow_sweep_is_accurate(tmp_path, spacing):
     with daq.open(sweep(tmp_path / "a.mcap", 70.0, spacing)) as rec:
         [curves] = analysis.frequency_responses(rec)
         f = curves[0].frequency
         exact = receptance(rec.scene, f)
         modes = analysis.identify(curves, count=3)
-    far_from_peaks = np.all([abs(f - peak) > 1.5 for peak in (13.04, 34.78, 49.66, 17.8, 28.1, 44.4)], axis=0)
+    far_from_extrema = np.all(
+        [abs(f - extremum) > 1.5 for extremum in synthetic.NATURAL_FREQUENCIES + ANTIRESONANCES], axis=0
+    )
     for body, frf in enumerate(curves):
-        assert np.median(abs(frf.value / exact[body] - 1)[far_from_peaks]) < 0.01
-    np.testing.assert_allclose(2 * np.pi * modes.frequency, [81.911, 218.512, 312.041], rtol=2e-3)
+        assert np.median(abs(frf.value / exact[body] - 1)[far_from_extrema]) < 0.01
+    np.testing.assert_allclose(modes.frequency, synthetic.NATURAL_FREQUENCIES, rtol=2e-3)
 
 
 @pytest.mark.thorough

@@ -19,7 +19,7 @@ from rig.system.structural_model import receptance, transmissibility
 from tests.analysis.responses import synthetic
 
 
-def test_ideal_stepped_sine_is_exact(tmp_path):
+def test_response_to_ideal_stepped_sine_is_exact(tmp_path):
     frequencies = np.linspace(8.0, 60.0, 25)
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)) as rec:
         for body in (1, 2, 3):
@@ -28,8 +28,8 @@ def test_ideal_stepped_sine_is_exact(tmp_path):
             np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
 
 
-def test_integrated_accelerometers_are_corrected(tmp_path):
-    corner = 2 * np.pi * 1.0
+def test_high_pass_filter_and_delay_are_corrected(tmp_path):
+    corner = 2 * np.pi * 1.0  # rad/s
     chain = {"zeros": (0j, 0j), "poles": (-corner * (0.7 + 0.7j), -corner * (0.7 - 0.7j)), "delay": 3e-4}
     frequencies = np.linspace(8.0, 60.0, 11)
     infos = synthetic.channels("velocity", **chain)
@@ -91,25 +91,29 @@ def test_mobility_is_receptance_times_i_omega(tmp_path):
     assert mobility.unit == "m/(N s)"
 
 
-def test_ambiguous_level_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("level", "name"), [("force: [1 N, 3 N]", "3 N up"), ("drive: [1 m, 3 m]", "level 3 up")], ids=["force", "drive"]
+)
+def test_ambiguous_level_lists_the_levels(level, name, tmp_path):
     infos = synthetic.channels()
-    marks = [
+    scene = synthetic.scene(f"{{kind: stepped_sine, frequencies: [20 Hz], {level}}}")
+    markers = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("measure", 2560, 5119, {"frequency": 20.0, "level": 3.0, "direction": "up"}),
     ]
     samples = np.tile(np.sin(2 * np.pi * 20 / synthetic.RATE * np.arange(5120)), (4, 1))
     samples[3] *= 1.5
-    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
+    with daq.open(synthetic.write(tmp_path / "a.mcap", scene, infos, samples, markers)) as rec:
         with pytest.raises(SceneError, match="level=1, direction='up'; level=3"):
             analysis.compliance(rec)
-        assert analysis.compliance(rec, level=3.0).label.endswith("3 N up")
+        assert analysis.compliance(rec, level=3.0).label.endswith(f", {name}")
         assert len(analysis.frequency_responses(rec)) == 2
 
 
 @pytest.mark.parametrize(
     ("response", "message"), [("bodi3", "Did you mean 'body3'"), ("hammer", "no channel 'hammer'")]
 )
-def test_missing_channel_names_nearest(tmp_path, response, message):
+def test_error_for_unknown_channel_names_the_nearest(tmp_path, response, message):
     with (
         daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0])) as rec,
         pytest.raises(RecordingError, match=message),
@@ -119,8 +123,8 @@ def test_missing_channel_names_nearest(tmp_path, response, message):
 
 def test_missing_table_channel_is_explained(tmp_path):
     infos = synthetic.channels()[:3]
-    marks = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
-    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.ones((3, 2560)), marks)
+    markers = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.ones((3, 2560)), markers)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="needs a motion channel at the table"):
         analysis.compliance(rec)
 
@@ -135,7 +139,7 @@ def test_missing_measurements_are_explained(tmp_path):
 def test_overloaded_and_unsettled_points_warn(tmp_path):
     infos = synthetic.channels()
     fields = {"level": 1.0, "direction": "up", "settled": False}
-    marks = [
+    markers = [
         ("measure", 0, 1279, fields | {"frequency": 20.0}),
         ("measure", 1280, 2559, fields | {"frequency": 30.0}),
         ("overload", 100, 120, {"channel": "body3"}),
@@ -143,7 +147,7 @@ def test_overloaded_and_unsettled_points_warn(tmp_path):
         ("overload", 1300, 1310, {"channel": "body2"}),
     ]
     samples = np.random.default_rng(0).standard_normal((4, 2560))
-    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
+    with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, markers)) as rec:
         frf = analysis.compliance(rec)
     warnings = " ".join(frf.warnings)
     assert "20 Hz left out: body3 overloaded" in warnings and "No steady state at 30 Hz" in warnings
@@ -153,24 +157,24 @@ def test_overloaded_and_unsettled_points_warn(tmp_path):
 def test_unsettled_neighbors_form_ranges(tmp_path):
     settled = np.ones(40, dtype=bool)
     settled[[3, *range(10, 31)]] = False
-    marks = [
+    markers = [
         ("measure", 512 * k, 512 * k + 511, {"frequency": 20.0 + k, "level": 1.0, "settled": bool(settled[k])})
         for k in range(40)
     ]
     samples = np.random.default_rng(0).standard_normal((4, 512 * 40))
-    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, markers)
     with daq.open(path) as rec:
         assert any("No steady state at 23 and 30 to 50 Hz:" in note for note in analysis.compliance(rec).warnings)
     assert "not settled: 22 of 40 measurements, at 23 and 30 to 50 Hz" in summary(path)
 
 
 def test_overloaded_points_of_sweeps_are_listed(tmp_path):
-    # Two sweeps of five points; overloads in two points of the first sweep, and in all of the second.
+    # Two sweeps of five points; overloads in two points of the first sweep, and in all points of the second.
     fields = [{"frequency": 20.0 + 10 * (k % 5), "level": 1.0 + k // 5, "direction": "up"} for k in range(10)]
-    marks = [("measure", 256 * k, 256 * k + 255, fields[k]) for k in range(10)]
-    marks += [("overload", 256 * k + 9, 256 * k + 20, {"channel": "body3"}) for k in (1, 3, 5, 6, 7, 8, 9)]
+    markers = [("measure", 256 * k, 256 * k + 255, fields[k]) for k in range(10)]
+    markers += [("overload", 256 * k + 9, 256 * k + 20, {"channel": "body3"}) for k in (1, 3, 5, 6, 7, 8, 9)]
     samples = np.random.default_rng(0).standard_normal((4, 2560))
-    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, markers)
     with daq.open(path) as rec:
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
     assert frf.frequency.tolist() == [20.0, 40.0, 60.0] and frf.omitted.tolist() == [30.0, 50.0]
@@ -182,11 +186,11 @@ def test_overloaded_points_of_sweeps_are_listed(tmp_path):
 
 
 def test_overload_in_all_windows_is_explained(tmp_path):
-    marks = [
+    markers = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("overload", 0, 2559, {"channel": "body3"}),
     ]
-    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), marks)
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), np.ones((4, 2560)), markers)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="overloaded in every measured window"):
         analysis.compliance(rec)
 
@@ -204,21 +208,23 @@ def test_lost_samples_omit_only_their_frequency(tmp_path):
         recorder.write(tone)
     with daq.open(tmp_path / "a.mcap") as rec:
         frf = analysis.compliance(rec)
+    # The second measurement, at 40 Hz, is omitted.
     assert frf.frequency.tolist() == [20.0, 20.0]
-    assert any("40 Hz left out" in warning and "lost" in warning for warning in frf.warnings)
+    assert any("40 Hz left out: samples of " in warning for warning in frf.warnings)
     assert frf.omitted.tolist() == [40.0]
 
 
 @pytest.mark.parametrize("parts", [5, 20])
-@pytest.mark.parametrize("rotation", [0.0, 0.5, 1.5])
+@pytest.mark.parametrize("rotation", [0.0, 0.5, 1.5])  # rad per part, for five parts
 def test_rotating_transient_is_bounded(parts, rotation):
+    # Decay factor from part to part; 20 parts are averaged to four.
     factor = 0.9 * np.exp(1j * rotation * 5.0 / parts)
     amplitudes = 1.0 + 0.1 * factor ** np.arange(parts)
     bound = residual_transient(amplitudes[:, None, None])[0, 0]
     assert abs(np.mean(amplitudes) - 1.0) == pytest.approx(bound, rel=1e-6)
 
 
-def test_slow_transients_with_damper_are_within_uncertainty(tmp_path):
+def test_slow_transients_with_damper_are_nearly_within_uncertainty(tmp_path):
     scene = rig.loads(
         """
         structure:
@@ -236,10 +242,12 @@ def test_slow_transients_with_damper_are_within_uncertainty(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         frf = analysis.compliance(rec, response="a2")
     exact = rig.orbit_response(scene, frf.frequency).compliance[1]
+    # All errors, of which one in twenty may exceed the 95 % bound.
     assert np.all(abs(frf.value - exact) < 1.5 * frf.bound(0.95))
 
 
-PARTS, LINES = 4, 120  # Parts of a window, and frequency lines.
+PARTS = 4  # of a window
+LINES = 120  # frequencies
 
 
 def complex_noise(seed, shape):
@@ -254,7 +262,7 @@ def test_noise_alone_has_no_transient(seed):
 
 
 @pytest.mark.parametrize("decay_per_period", [0.3, 2.0, 8.0])
-def test_transient_of_a_mode_is_bounded(decay_per_period):
+def test_transient_of_a_mode_is_bounded_at_most_lines(decay_per_period):
     # The mode lies between two lines. The faster its transient decays, the more lines it affects.
     pole = (-decay_per_period + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Names of motions from `DamperMotion.name`, in the order of the legend, with their texts in the legend.
+# Texts in the legend for the names of motions (`DamperMotion.name`), in the order of the legend.
 _LEGEND_TEXTS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
@@ -28,7 +28,8 @@ _LEGEND_TEXTS = {
     "unseen": "may fly, impacts below the detection limit",
     "unsure": "impacts missed, or irregular",
 }
-_SHADES = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
+# Color of each motion.
+_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
 
 
 def dampers_figure(dampers: Dampers) -> Figure:
@@ -54,7 +55,7 @@ def dampers_figure(dampers: Dampers) -> Figure:
 
 
 def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
-    """Draw one row for each body, with a bar at each measured frequency."""
+    """Draw one row for each body, with a bar in the color of its motion at each measured frequency."""
     drawn: set[str] = set()
     for row, body in enumerate(motions):
         axes.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
@@ -62,44 +63,44 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
         for motion in body:
             frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
         for kind, frequency in frequencies.items():
-            axes.vlines(frequency, row - 0.35, row + 0.35, color=_SHADES[kind], lw=2.4)
+            axes.vlines(frequency, row - 0.35, row + 0.35, color=_MOTION_COLORS[kind], lw=2.4)
         drawn |= frequencies.keys()
     axes.set_ylim(len(motions) - 0.4, -0.6)
     axes.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
     axes.grid(False, axis="y")
     for kind, text in _LEGEND_TEXTS.items():
         if kind in drawn:
-            axes.plot([], [], "|", color=_SHADES[kind], ms=8, mew=2.4, label=text)
+            axes.plot([], [], "|", color=_MOTION_COLORS[kind], ms=8, mew=2.4, label=text)
 
 
-def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true: np.ndarray | None) -> None:
+def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
     """Draw the energies against frequency, with upper limits for damper energies whose interval includes zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
-    abscissa = np.insert(frequency, gaps, np.nan)
+    frequency_with_gaps = np.insert(frequency, gaps, np.nan)
 
     def draw_energy(joules: np.ndarray, **style: Any) -> None:
-        axes.plot(abscissa, np.insert(1e3 * joules[order], gaps, np.nan), **style)
+        axes.plot(frequency_with_gaps, np.insert(1e3 * joules[order], gaps, np.nan), **style)
 
-    determined = energy.dampers > energy.bound
-    into_dampers = np.where(determined, energy.dampers, np.nan)
+    is_determined = energy.dampers > energy.bound
+    into_dampers = np.where(is_determined, energy.dampers, np.nan)
     draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
     draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
     draw_energy(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
     axes.errorbar(
         energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
     )
-    limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
+    upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
-        energy.frequency[~determined], limit[~determined], "v", mfc="none", ms=4.5, mew=0.8, color=COLORS[1],
-        label="into the dampers, upper limit",
+        energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=4.5, mew=0.8,
+        color=COLORS[1], label="into the dampers, upper limit",
     )  # fmt: skip
-    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, limit[~determined]]
-    if true is not None:
-        lost = np.where(true > 0, true, np.nan)
-        draw_energy(lost, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
-        plotted.append(1e3 * lost)
+    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
+    if true_loss is not None:
+        positive_loss = np.where(true_loss > 0, true_loss, np.nan)
+        draw_energy(positive_loss, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
+        plotted.append(1e3 * positive_loss)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
     log_axis(axes, plotted)

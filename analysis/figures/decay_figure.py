@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
 
 
-# Modes of different recordings are the same mode if their relative frequency difference is below this value.
+# Largest relative frequency difference of modes of different recordings that share a panel.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
 # Maximum number of frequencies in the title of a panel; more are replaced by their range.
 _MAX_LISTED_FREQUENCIES = 3
@@ -37,19 +37,19 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
         for index, decay in enumerate(decays):
-            shade = color_of(index)
+            line_color = color_of(index)
             shown = decay.time <= duration
-            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=shade, lw=0.6, alpha=0.75)
+            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=line_color, lw=0.6, alpha=0.75)
             envelope = decay.outline()
             for sign in (1.0, -1.0):
                 waveform_axes.plot(
-                    decay.time[shown], sign * envelope[shown], color=shade, lw=1.4,
+                    decay.time[shown], sign * envelope[shown], color=line_color, lw=1.4,
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            envelope_axes.plot(decay.time[shown], envelope[shown], color=shade, lw=1.2)
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=line_color, lw=1.2)
             lowest = min(lowest, float(envelope[shown].min()))
             envelope_axes.plot(
-                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=shade, lw=1.6, ls="--"
+                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=line_color, lw=1.6, ls="--"
             )
         highest = max(float(decay.peak.max()) for decay in decays)
         waveform_axes.set_ylim(-1.1 * highest, 1.1 * highest)
@@ -82,10 +82,10 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in decays_of_mode:
-            shade, percent = color_of(index), 100.0 * mode.damping
-            bound = 200.0 * mode.damping_error
-            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=shade, alpha=0.25, lw=0)
-            axes.plot(mode.amplitude, percent, "o-", color=shade)
+            line_color, percent = color_of(index), 100.0 * mode.damping
+            bound = 100.0 * 2.0 * mode.damping_error
+            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=line_color, alpha=0.25, lw=0)
+            axes.plot(mode.amplitude, percent, "o-", color=line_color)
         amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         low, high = 0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max())
         axes.set_xlim(low, high)
@@ -103,13 +103,13 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         positive = positive[positive > 0]
         if positive.size:
             low, high = float(positive.min()), float(positive.max())
-            # The axis includes uncertainty bands unless they are so wide that the curves would become too small.
+            # The axis includes the edges of uncertainty bands unless the curves would then become too small.
             bounds = [200.0 * m.damping_error for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
                 [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]
             )
-            inside = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
-            low, high = min(low, *inside) / 1.3, max(high, *inside) * 1.3
+            included_edges = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
+            low, high = min(low, *included_edges) / 1.3, max(high, *included_edges) * 1.3
             set_log_scale(first.yaxis, 6)
             first.set_ylim(low, high)
 
@@ -144,6 +144,6 @@ def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
 
 
 def _relevant_duration(decay: Decay) -> float:
-    """Return the time after which the acceleration stays below 2 % of its maximum, or the whole duration."""
+    """Return the time after which the acceleration stays below 2 % of its maximum, or else the duration, s."""
     end = decay.time_below(0.02 * float(abs(decay.acceleration).max()))
     return float(decay.time[-1]) if np.isnan(end) or end <= 0 else end

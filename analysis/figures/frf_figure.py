@@ -18,15 +18,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Number of points over which the roughness of a curve is estimated.
+# Number of points over which the roughness of a curve is averaged.
 _ROUGHNESS_POINTS = 25
-# Points with a lower coherence are drawn as noise.
+# Smallest coherence of a point outside the noise.
 _MIN_COHERENCE = 0.5
-# A systematic error with a smaller ratio to the curve is not visible in the figure.
+# Smallest systematic error that is visible in the figure, relative to the magnitude.
 _MIN_VISIBLE_RATIO = 3e-3
-# Ratio to the curve that replaces zero on a logarithmic axis; its inverse replaces infinity.
-_ZERO = 1e-9
-THEORY_COLOR, NOISE_COLOR = "#555555", "#c4c4c4"
+# Ratio to the magnitude that replaces zero on a logarithmic axis; its inverse replaces infinity.
+_ZERO_RATIO = 1e-9
+# Largest standard uncertainty of a point outside the noise, relative to the magnitude.
+_MAX_ERROR_RATIO = 0.5
+# Largest roughness of a curve without error bars outside the noise, relative to the magnitude.
+_MAX_ROUGHNESS = 0.35
+_THEORY_COLOR = "#555555"
+_NOISE_COLOR = "#c4c4c4"
 
 
 def frf_figure(
@@ -35,24 +40,24 @@ def frf_figure(
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dashed in the color of their response. `marks`: vertical lines, such as jumps.
+    bars, drawn thin and dashed in the color of their response. `marks`: frequency, Hz, and text of vertical lines.
     """
     frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
     low, high = float(frequencies.min()), float(frequencies.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
-    shades = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
-    several = len(shades) > 1
+    line_colors = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
+    has_several_responses = len(line_colors) > 1
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            shade = shades.get(curve.response, THEORY_COLOR) if several else THEORY_COLOR
-            style: dict[str, Any] = {"color": shade, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
+            line_color = line_colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
+            style: dict[str, Any] = {"color": line_color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
             magnitude_axes.plot(
-                [], [], color=THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
+                [], [], color=_THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
             )
         for index, measured in enumerate(frfs):
             _draw_curve(measured, color_of(index), magnitude_axes, phase_axes, coherence_axes)
@@ -107,49 +112,53 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     return sentences
 
 
-def _draw_curve(frf: Response, shade: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
+def _draw_curve(frf: Response, line_color: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
-    downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
-    few = frf.frequency.size <= MAX_MARKERS
+    is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
+    has_markers = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
-    is_clear = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
-    line_style: dict[str, Any] = {"marker": "o" if few else None, "color": shade, "zorder": 2.9 if downward else 3}
-    if downward:
+    is_above_noise = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
+    line_style: dict[str, Any] = {
+        "marker": "o" if has_markers else None,
+        "color": line_color,
+        "zorder": 2.9 if is_downward else 3,
+    }
+    if is_downward:
         line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * _total_uncertainty(frf)
-    for width, strength in ((total, 0.13), (random, 0.25)):
+    for half_width, opacity in ((total, 0.13), (random, 0.25)):
         magnitude_axes.fill_between(
-            frf.frequency, np.maximum(magnitude - width, magnitude * _ZERO),
-            np.minimum(magnitude + width, magnitude / _ZERO),
-            where=is_clear, color=shade, alpha=strength, lw=0,
+            frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
+            np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
+            where=is_above_noise, color=line_color, alpha=opacity, lw=0,
         )  # fmt: skip
     for frequency in frf.omitted:
         magnitude_axes.plot(
-            frequency, 0.0, "x", color=shade, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
+            frequency, 0.0, "x", color=line_color, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
         )
-    if not (is_clear | np.isnan(magnitude)).all():
-        # One extra point on either side makes the line continuous where its color changes to gray.
-        noisy = ~is_clear | ~np.roll(is_clear, 1) | ~np.roll(is_clear, -1)
-        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=NOISE_COLOR, lw=0.7, zorder=2)
+    if not (is_above_noise | np.isnan(magnitude)).all():
+        # One more point on either side makes the line continuous where its color changes to gray.
+        noisy = ~is_above_noise | ~np.roll(is_above_noise, 1) | ~np.roll(is_above_noise, -1)
+        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=_NOISE_COLOR, lw=0.7, zorder=2)
     magnitude_axes.plot(
-        frf.frequency, np.where(is_clear, magnitude, np.nan), label=escape_figure(frf.label), **line_style
+        frf.frequency, np.where(is_above_noise, magnitude, np.nan), label=escape_figure(frf.label), **line_style
     )
     if frf.unsteady is not None and frf.unsteady.any():
         magnitude_axes.plot(
-            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=shade, markersize=6, zorder=4
+            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=line_color, markersize=6, zorder=4
         )
-    angle = np.where(is_clear, phase_degrees(frf), np.nan)
-    for width, strength in ((total, 0.13), (random, 0.25)):
-        degrees = np.degrees(np.arcsin(np.minimum(width / np.maximum(magnitude, 1e-300), 1.0)))
+    angle = np.where(is_above_noise, phase_degrees(frf), np.nan)
+    for half_width, opacity in ((total, 0.13), (random, 0.25)):
+        phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
         frequency, center = _break_at_wraps(frf.frequency, angle)
-        height = _break_at_wraps(frf.frequency, angle, degrees)[1]
-        phase_axes.fill_between(frequency, center - height, center + height, color=shade, alpha=strength, lw=0)
+        width = _break_at_wraps(frf.frequency, angle, phase_width)[1]
+        phase_axes.fill_between(frequency, center - width, center + width, color=line_color, alpha=opacity, lw=0)
     phase_axes.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
     if _has_scatter(frf):
-        coherence_axes.plot(frf.frequency, frf.coherence, color=shade, zorder=3)
+        coherence_axes.plot(frf.frequency, frf.coherence, color=line_color, zorder=3)
 
 
 def _has_scatter(frf: Response) -> bool:
@@ -169,12 +178,12 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
 
 
 def _total_uncertainty(frf: Response) -> Array:
-    """Return the half-width of the band of random and systematic errors; infinite if the error is unbounded."""
+    """Return the combined 95 % bound of random and systematic errors; infinite if the error is unbounded."""
     return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
 
 
 def _visible_edges(frf: Response) -> Array:
-    """Return the edges of the band that the axis includes: at most a decade beyond the curve."""
+    """Return the edges of the light band that the axis must include: at most a decade beyond the curve."""
     magnitude, total = abs(frf.value), _total_uncertainty(frf)
     visible = exceeds_noise(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
@@ -187,19 +196,21 @@ def _visible_edges(frf: Response) -> Array:
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     """Return whether each point exceeds its noise, so that its phase is determined.
 
-    The criterion is coherence and error bar if available, otherwise the roughness of the curve from point to point.
+    The criterion is error and coherence if the curve has them, otherwise its roughness from point to point.
     """
     magnitude = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
-        return np.asarray((frf.error < 0.5 * magnitude) & (frf.coherence > _MIN_COHERENCE))
+        return np.asarray((frf.error < _MAX_ERROR_RATIO * magnitude) & (frf.coherence > _MIN_COHERENCE))
     if magnitude.size < 2 * _ROUGHNESS_POINTS:
         return np.ones(magnitude.size, dtype=bool)
-    rough = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    return np.asarray(scipy.ndimage.median_filter(rough / magnitude, _ROUGHNESS_POINTS, mode="nearest") < 0.35)
+    roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
+    return np.asarray(
+        scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest") < _MAX_ROUGHNESS
+    )
 
 
 def _break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Insert gaps into a line, by default the line of the angle, where the phase wraps."""
+    """Insert gaps (NaN) into a line where the phase wraps; `values`: the line, by default the angle itself."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)

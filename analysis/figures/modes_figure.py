@@ -27,38 +27,45 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     count = modes.frequency.size
     with new_figure(7.6) as figure:
         rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
-        fit = figure.add_subplot(rows[0, :])
-        chart = figure.add_subplot(rows[1, :])
+        magnitude_axes = figure.add_subplot(rows[0, :])
+        chart_axes = figure.add_subplot(rows[1, :])
         # Frequencies are dense around each resonance, so that the drawn model reaches its peaks.
         near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
-            shade = color_of(index)
+            line_color = color_of(index)
             # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
-            few = curve.frequency.size <= MAX_MARKERS
-            fit.plot(
-                curve.frequency, 1e6 * abs(curve.value), "o" if few else "-", ms=2.4, color=shade,
-                lw=2.4, alpha=1.0 if few else 0.35, label=escape_figure(curve.response),
+            has_few_points = curve.frequency.size <= MAX_MARKERS
+            magnitude_axes.plot(
+                curve.frequency, 1e6 * abs(curve.value), "o" if has_few_points else "-", ms=2.4, color=line_color,
+                lw=2.4, alpha=1.0 if has_few_points else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
-            fit.plot(dense, 1e6 * abs(modes.receptance(dense)[index]), color=shade if few else "black", lw=0.9)
-        log_axis(fit, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
-        frequency_axis(fit, low, high, False)
-        fit.set_ylabel("|compliance| / (µm/N)")
-        add_title(fit, title)
-        fit.legend(loc="best", title=f"{'dots' if few else 'broad'}: measured, thin: model", title_fontsize=8.5)
-        kinds = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
-        for stable, mark, shade, text in kinds:
-            poles = np.array([(p.frequency, p.order) for p in modes.chart if p.stable == stable])
+            magnitude_axes.plot(
+                dense,
+                1e6 * abs(modes.receptance(dense)[index]),
+                color=line_color if has_few_points else "black",
+                lw=0.9,
+            )
+        log_axis(magnitude_axes, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
+        frequency_axis(magnitude_axes, low, high, False)
+        magnitude_axes.set_ylabel("|compliance| / (µm/N)")
+        add_title(magnitude_axes, title)
+        magnitude_axes.legend(
+            loc="best", title=f"{'dots' if has_few_points else 'broad'}: measured, thin: model", title_fontsize=8.5
+        )
+        pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
+        for stable, marker, marker_color, text in pole_styles:
+            poles = np.array([(pole.frequency, pole.order) for pole in modes.chart if pole.stable == stable])
             frequency, order = poles.reshape(-1, 2).T
-            chart.plot(frequency, order, mark, ms=2.6, color=shade, label=text, ls="")
-        frequency_axis(chart, low, high, True)
-        chart.set_ylabel("order")
+            chart_axes.plot(frequency, order, marker, ms=2.6, color=marker_color, label=text, ls="")
+        frequency_axis(chart_axes, low, high, True)
+        chart_axes.set_ylabel("order")
         # The legend is above the axes because poles can lie anywhere inside.
-        chart.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
-        for f in modes.frequency:
-            for axes in (fit, chart):
-                axes.axvline(f, color="#777777", lw=0.7, ls=":", zorder=0)
+        chart_axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
+        for frequency in modes.frequency:
+            for axes in (magnitude_axes, chart_axes):
+                axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
         bodies = modes.of_bodies()
         heights = np.arange(1, len(bodies.names) + 1)
         for i in range(count):

@@ -25,21 +25,22 @@ from rig.results.response import Response, stack
 
 # Smallest relative error assigned to a point, so that a few points of very small error do not determine the result.
 MIN_RELATIVE_ERROR = 1e-4
-# Relative error for a second chart, which weights the whole curve and not only its peaks.
+# Relative error assumed for a second chart, so that it weights the whole curve and not only its peaks.
 _CHART_ERROR = 0.03
-# Limit of the number of initial poles.
+# Largest number of initial poles.
 _MAX_INITIAL_POLES = 15
-# Limit of the number of candidates in the search for a further pole.
+# Largest number of candidates for a further pole.
 _MAX_CANDIDATES = 40
-# Largest misfit that noise explains, in noise powers; above it, the structure is nonlinear.
+# Largest misfit that noise explains, relative to its expected value. Above it, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
-# Model errors relative to the neighboring peaks, which are assumed in this order until noise explains the misfit.
+# Model errors relative to the highest neighboring magnitude, which are assumed in this order until they and the noise
+# explain the misfit.
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
-# Ratio of frequencies up to which lines are neighbors.
+# Largest frequency ratio of neighboring lines, for the model error.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# Smallest number of degrees of freedom at which the error of a line is used alone, without the neighboring errors.
+# Smallest number of degrees of freedom at which the error of a line is used without those of neighboring lines.
 _MIN_DEGREES = 10.0
-# Ratio of a limit of error to its standard uncertainty.
+# Ratio of the limit of the clock error to its standard uncertainty.
 _LIMIT_FACTOR = 1.8
 
 
@@ -102,13 +103,13 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             f"{curves[0].label}: no resonance exceeds the noise and the resolution of the curves. Measure for longer, "
             "more densely around the resonances, or in another band."
         )
-    # Expanded uncertainties (95 %) are twice the standard uncertainties.
     included: tuple[str, ...] = ()
     if refinement is None:
         random_errors = pole_errors(weighted, model)
     else:
         included, random_errors = refinement.included, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
+    # A limit counts as an expanded uncertainty (95 %): twice the standard uncertainty.
     frequency_error, damping_error = (
         np.hypot(*errors) for errors in zip(random_errors, (0.5 * limit for limit in systematic), strict=True)
     )
@@ -126,8 +127,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     if not accepted.any():
         raise RecordingError(
             f"{curves[0].label}: the poles ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) lie only where the "
-            "uncertainty of the curves is too large. Reduce the largest parts of the uncertainty that `analysis frf` "
-            "lists."
+            "uncertainty of the curves is too large. Reduce the largest contributions to the uncertainty, which "
+            "`analysis frf` lists."
         )
     poles, frequency = model.poles[accepted], frequency[accepted]
     frequency_error, damping_error = frequency_error[accepted], damping_error[accepted]
@@ -160,7 +161,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Estimate standard deviations of shapes with largest element 1, from the uncertainty of the curves at resonance.
 
-    The error of the reference sensor is common to all curves and is excluded. The shape is (responses, modes).
+    The error of the reference sensor is excluded, because it is common to all curves. The result has the shape
+    (responses, modes).
     """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     lines = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
@@ -175,7 +177,7 @@ def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: Comp
 
 
 def _nearest(curve: Response, frequency: Array, selected: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the selected lines of a curve that are nearest to other frequencies."""
+    """Return the nearest of the selected lines of a curve to each of some frequencies, Hz."""
     lines = np.flatnonzero(selected)
     return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
@@ -219,36 +221,39 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
 def _best_model(
     measured: Curves, sigma: Array, stable: ComplexArray, candidates: ComplexArray, max_modes: int
 ) -> tuple[Curves, ModalModel, float]:
-    """Return the curves with the weights of the best fit, its model, and the model's relative error beyond noise."""
+    """Return the curves with the weights of the best fit, its model, and the model's relative error.
+
+    The relative error is the root mean square of the residual over the highest neighboring magnitude; 0 if noise
+    explains the residual.
+    """
     # Nonlinear errors are proportional to the peaks, not to the curve between them.
-    f, magnitude = measured.frequency, np.abs(measured.value)
-    first = np.searchsorted(f, f / _NEIGHBOR_FREQUENCY_RATIO)
-    stop = np.searchsorted(f, f * _NEIGHBOR_FREQUENCY_RATIO, side="right")
-    local_peak = np.stack([magnitude[:, a:b].max(axis=1) for a, b in zip(first, stop, strict=True)], axis=1)
+    frequency, magnitude = measured.frequency, np.abs(measured.value)
+    first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
+    stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
+    local_peak = np.stack([magnitude[:, begin:end].max(axis=1) for begin, end in zip(first, stop, strict=True)], axis=1)
     models: list[tuple[Curves, ModalModel]] = []
     for error in _MODEL_ERRORS:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * local_peak))
         model = select_model(curves, stable, candidates, max_modes)
         if models:
-            # Poles that are significant only in combination may be removed individually. The previous poles are
-            # therefore further initial values.
+            # Poles that are significant only in combination may be removed one by one. The poles of the previous model
+            # are therefore tried as initial values, too.
             model = better_model(curves, model, select_model(curves, models[-1][1].poles, candidates, max_modes))
         models.append((curves, model))
-        if model.misfit < _MAX_NOISE_RATIO * curves.degrees(model.poles.size):
+        if model.misfit < _MAX_NOISE_RATIO * curves.degrees_of_freedom(model.poles.size):
             break
-    # The model error is relative to neighboring peaks, so it may exceed a peak of one or two lines and hide its
-    # mode.
-    narrow_modes = [
+    # A model error relative to neighboring peaks may exceed a peak of one or two lines and hide its mode. The model
+    # with the most modes of this kind is therefore used if the last model has fewer.
+    n_narrow_modes = [
         int((in_band(curves, model.poles) & narrower_than_resolution(curves, model.poles)).sum())
         for curves, model in models
     ]
-    curves, model = models[int(np.argmax(narrow_modes)) if max(narrow_modes) > narrow_modes[-1] else -1]
+    curves, model = models[int(np.argmax(n_narrow_modes)) if max(n_narrow_modes) > n_narrow_modes[-1] else -1]
     # Points of zero weight are not fitted, and points of zero value have no relative error.
     scale = curves.weight * local_peak
     relative = np.divide(model.residual, scale, out=np.zeros_like(model.residual), where=scale > 0.0)
-    relative_error = np.linalg.norm(relative) / np.sqrt(curves.degrees(model.poles.size))
-    # Modes far outside the band deviate slightly from their residual terms, which does not indicate a nonlinear
-    # structure.
+    relative_error = np.linalg.norm(relative) / np.sqrt(curves.degrees_of_freedom(model.poles.size))
+    # A smaller error may be due to modes far outside the band, which deviate slightly from their residual terms.
     is_nonlinear = len(models) > 1 and relative_error > MIN_RELATIVE_ERROR
     return curves, model, float(relative_error) if is_nonlinear else 0.0
 
@@ -256,11 +261,11 @@ def _best_model(
 def _remove_spurious_poles(
     curves: Curves, model: ModalModel, frfs: Sequence[Response]
 ) -> tuple[Curves, ModalModel, list[float]]:
-    """Remove poles that are not modes; also return their frequencies, in Hz.
+    """Remove poles that are not modes; also return their frequencies, Hz.
 
-    A pole is not a mode if its damping is undetermined, or if its peak is below the systematic uncertainty of every
-    curve: residual transients and images cause similar peaks. A distinct peak narrower than the resolution is
-    accepted as a mode, because its width cannot be measured.
+    A pole is not a mode if its damping is undetermined. It is not a mode either if its peak is small relative to the
+    systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct peak
+    that is narrower than the resolution is accepted although its damping is undetermined.
     """
     rejected: list[float] = []
     while model.poles.size:
@@ -283,7 +288,7 @@ def _remove_spurious_poles(
 
 
 def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Refinement | None:
-    """Refine with the covariance of all responses; return None if only their standard deviations are known."""
+    """Refine the model with the covariance of all responses; return None if only standard deviations are known."""
     if any(frf.uncertainty.errors is None for frf in frfs):
         return None
     lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
@@ -308,11 +313,11 @@ def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
 
 
 def _residual_terms(model: ModalModel, accepted: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
-    """Return `Modes.lower` and `Modes.upper`, which also represent the fitted modes that are not accepted."""
+    """Return `Modes.lower` and `Modes.upper`, with the contributions of the fitted modes that are not accepted."""
     s = 2j * np.pi * frequency
     contribution = np.zeros((model.residue.shape[0], s.size), dtype=complex)
-    for p, residue in zip(model.poles[~accepted], model.residue[:, ~accepted].T, strict=True):
-        contribution += residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
+    for pole, residue in zip(model.poles[~accepted], model.residue[:, ~accepted].T, strict=True):
+        contribution += residue[:, None] / (s - pole) + residue.conj()[:, None] / (s - pole.conjugate())
     terms = np.stack(residual_terms(s), axis=1)
     scale = abs(terms).max(axis=0)
     columns, target = (np.concatenate([part.real, part.imag]) for part in (terms / scale, contribution.T))
@@ -321,7 +326,7 @@ def _residual_terms(model: ModalModel, accepted: NDArray[np.bool_], frequency: A
 
 
 def _standard_deviations(curves: Sequence[Response]) -> Array:
-    """Return the standard deviation of either quadrature component of each line, shape (responses, n)."""
+    """Return the standard deviation of either quadrature component of each line, shape (responses, lines)."""
     magnitude = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):
@@ -329,21 +334,21 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # The errors stated in a file may be incomplete; the scatter of its lines is a lower limit.
+            # The errors that a file states may be incomplete; the scatter between its lines is their lower limit.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
-    # Errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
+    # Systematic errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
     error = np.hypot(error, 0.5 * _systematic_limit(curves, ROUGH))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))
 
 
-def _local_median(error: Array, degrees: Array) -> Array:
-    """Return the median of errors over enough lines for the required degrees of freedom; 0 if each line has enough.
+def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
+    """Return the median error over enough lines for `_MIN_DEGREES`; 0 if each line has enough, or if they are unknown.
 
     Errors estimated from few segments may be close to zero by chance, and such lines would dominate the fit.
     """
-    median_degrees = float(np.median(degrees))
+    median_degrees = float(np.median(degrees_of_freedom))
     if not 0.0 < median_degrees < _MIN_DEGREES:
         return np.zeros(error.size)
     return np.asarray(
@@ -352,6 +357,6 @@ def _local_median(error: Array, degrees: Array) -> Array:
 
 
 def _systematic_limit(curves: Sequence[Response], names: Sequence[str]) -> Array:
-    """Return the limit of the error of each line by some systematic errors, (responses, n); infinite if unknown."""
+    """Return the root sum of squares of some systematic errors, shape (responses, lines); infinite if unknown."""
     limits = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(limits, axis=1), nan=np.inf, posinf=np.inf))

@@ -11,24 +11,25 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 
-# Largest number of lines that are all fitted; more are reduced to about half of this number between peaks.
+# Largest number of lines that are all fitted. If there are more, about half of this number is selected at equal
+# distances, in addition to the lines of peaks.
 MAX_LINES = 2000
 # Number of the highest peaks around which all lines are selected.
 _MAX_PEAKS = 24
-# Number of lines that are selected around each peak.
+# Number of adjacent lines that are selected around each peak, and of lines at equal distances between its flanks.
 _LINES_PER_PEAK = 41
-# Height of the ends of a peak's flanks, relative to the peak.
+# Magnitude at the ends of a peak's flanks, relative to the peak.
 _FLANK_RATIO = 0.1
-# Smallest ratio of a peak to its neighborhood.
+# Smallest ratio of a peak to the magnitude of its neighborhood.
 _MIN_PEAK_RATIO = 2.0
-# Smallest ratio of a frequency step to the steps on either side that is a gap.
+# Smallest gap, as a ratio of a frequency step to the larger of the steps on either side.
 _GAP_RATIO = 5.0
 # Number of lines over which scatter is estimated.
 _SCATTER_LINES = 31
 
 
 def reduce_lines(curves: Sequence[Response]) -> list[Response]:
-    """Remove lines that a fit does not need: far from peaks, and within wide peaks.
+    """Remove lines that a fit does not need: most of those far from peaks and within wide peaks.
 
     `curves`: curves at equal, rising frequencies.
     """
@@ -39,9 +40,9 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
     # Each curve is divided by its median, so that all have equal weight.
     normalized = magnitudes / np.median(magnitudes, axis=1, keepdims=True).clip(1e-300)
     magnitude = np.sqrt(np.mean(normalized**2, axis=0))
-    level = np.log(np.maximum(magnitude, 1e-12 * magnitude.max()))
-    peaks, _ = scipy.signal.find_peaks(level, prominence=np.log(_MIN_PEAK_RATIO))
-    highest = peaks[np.argsort(scipy.signal.peak_prominences(level, peaks)[0])[::-1][:_MAX_PEAKS]]
+    log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max()))
+    peaks, _ = scipy.signal.find_peaks(log_magnitude, prominence=np.log(_MIN_PEAK_RATIO))
+    highest = peaks[np.argsort(scipy.signal.peak_prominences(log_magnitude, peaks)[0])[::-1][:_MAX_PEAKS]]
     selected = np.zeros(count, dtype=bool)
     selected[:: -(-2 * count // MAX_LINES)] = True
     for peak in highest:
@@ -54,7 +55,7 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
 
 
 def scatter(value: ComplexArray) -> Array:
-    """Estimate the standard deviation of either quadrature component of each line from its distance to a parabola.
+    """Estimate the standard deviation of either quadrature component of each line from third differences.
 
     The median over many lines is insensitive to the few lines of a narrow peak.
 
@@ -73,7 +74,7 @@ def scatter(value: ComplexArray) -> Array:
 
 
 def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether poles, rad/s, lie in gaps without a measured line within the half-power bandwidth.
+    """Return whether poles, rad/s, lie in gaps between lines and no line is within their half-power bandwidths.
 
     The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
@@ -93,6 +94,6 @@ def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
 
 
 def is_peak(magnitude: Array, line: int) -> bool:
-    """Return whether a line is a peak that exceeds the median of its neighborhood."""
+    """Return whether the magnitude at a line is at least `_MIN_PEAK_RATIO` times the median of its neighborhood."""
     neighborhood = magnitude[max(line - _SCATTER_LINES // 2, 0) : line + _SCATTER_LINES // 2 + 1]
     return bool(magnitude[line] > _MIN_PEAK_RATIO * np.median(neighborhood))

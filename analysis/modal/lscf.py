@@ -1,6 +1,7 @@
 """Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization chart.
 
-The poles of common-denominator models of rising order are compared. A pole that recurs at the next order is *stable*.
+The poles of common-denominator models of rising order are compared. A pole that recurs at the next order is *stable*;
+a pole s with Re s < 0 is *decaying*.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 
-# Largest damping ratio of a resonance.
+# Largest damping ratio of a mode; poles with a larger ratio are discarded.
 MAX_DAMPING = 0.25
-# Smallest number of stable poles in a stable column of a chart.
+# Smallest number of stable poles in a cluster that represents a mode.
 _MIN_STABLE_POLES = 4
 
 
@@ -23,10 +24,10 @@ _MIN_STABLE_POLES = 4
 class ChartPole:
     """One pole of the stabilization chart."""
 
-    order: int  # number of modes of its model
+    order: int  # order of the denominator: number of poles of its model
     frequency: float  # Hz
     damping: float  # damping ratio
-    stable: bool  # whether the previous order has a pole within a quarter of the half-power bandwidth
+    stable: bool  # whether the previous order has nearly the same pole (see `_is_same_pole`)
 
     @property
     def pole(self) -> complex:
@@ -41,10 +42,10 @@ def poles_by_order(
     """Estimate poles by common-denominator models of rising order, fitted to all responses.
 
     The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
-    highest coefficient of A set to 1. With this constraint the poles due to noise are unstable, and the chart is
-    clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
-    estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of
-    `value`, shape (outputs, n). Yields the order and the stable poles inside the band, rad/s.
+    highest coefficient of A set to 1. With this constraint the poles due to noise grow (Re s > 0), so that the chart is
+    clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain estimator,
+    IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of `value`, shape
+    (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
     """
     low, high = float(frequency.min()), float(frequency.max())
     phase = np.pi * (frequency - low) / (high - low)
@@ -53,62 +54,63 @@ def poles_by_order(
         (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
     ]
     for order in orders:
-        # Normal matrix of the denominator; the numerators are eliminated.
-        reduced = np.zeros((order + 1, order + 1), dtype=complex)
+        # The numerators are eliminated from the normal equations.
+        reduced_normal_matrix = np.zeros((order + 1, order + 1), dtype=complex)
         for numerator, denominator in bases:
-            orthogonal, _ = np.linalg.qr(numerator[:, : order + 1])
-            projected = denominator[:, : order + 1]
-            projected = projected - orthogonal @ (orthogonal.conj().T @ projected)
-            reduced += projected.conj().T @ projected
-        coefficients = np.linalg.lstsq(reduced[:order, :order], -reduced[:order, order], rcond=None)[0]
+            numerator_basis, _ = np.linalg.qr(numerator[:, : order + 1])
+            residual = denominator[:, : order + 1]
+            residual = residual - numerator_basis @ (numerator_basis.conj().T @ residual)
+            reduced_normal_matrix += residual.conj().T @ residual
+        left, right = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]
+        coefficients = np.linalg.lstsq(left, right, rcond=None)[0]
         roots = np.roots(np.append(coefficients, 1.0)[::-1])
         with np.errstate(divide="ignore"):
-            # z = exp(-s T) along s = i w, with T = 1 / (2 (f_max - f_min)) and the band's start folded in.
+            # z = exp(-(s - 2 pi i f_min) T) with T = 1 / (2 (f_max - f_min)).
             s = -np.log(roots[roots != 0]) * 2.0 * (high - low) + 2j * np.pi * low
-        # The polynomial is poorly determined in the outermost hundredth of the band, so that poles there are spurious.
+        # Poles in the outermost hundredth of the band are spurious, because the polynomial is poorly determined there.
         edge = 0.01 * (high - low)
         inside = (s.real < 0) & (s.imag > 2 * np.pi * (low + edge)) & (s.imag < 2 * np.pi * (high - edge))
         yield order, s[inside]
 
 
 def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
-    """Compute the stabilization chart of models with 2 to 24 poles; `weight` as in `poles_by_order`."""
+    """Compute the stabilization chart of models of order 2 to 24; arguments as in `poles_by_order`."""
     chart: list[ChartPole] = []
     previous: list[complex] = []
     spacing = float(np.median(np.diff(frequency)))
     for order, poles in poles_by_order(frequency, value, weight, range(2, 25)):
-        current = sorted((p for p in poles if -p.real < MAX_DAMPING * abs(p)), key=lambda p: p.imag)
-        for p in current:
-            stable = any(_same_pole(p, q, spacing) for q in previous)
-            chart.append(ChartPole(order, float(abs(p) / (2 * np.pi)), float(-p.real / abs(p)), stable))
+        current = sorted((pole for pole in poles if -pole.real < MAX_DAMPING * abs(pole)), key=lambda pole: pole.imag)
+        for pole in current:
+            stable = any(_is_same_pole(pole, earlier, spacing) for earlier in previous)
+            chart.append(ChartPole(order, float(abs(pole) / (2 * np.pi)), float(-pole.real / abs(pole)), stable))
         previous = current
     return chart
 
 
 def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Merge equal poles of charts to columns; return the poles of stable columns and of all columns, rad/s.
+    """Cluster the poles of several charts; return a pole, rad/s, of each cluster with enough stable poles, and of each.
 
-    Columns with the most stable poles are first.
+    Clusters with the most stable poles are first.
     """
     spacing = float(np.median(np.diff(frequency)))
-    columns: list[tuple[complex, int]] = []  # last pole and number of stable poles of each column
+    clusters: list[tuple[complex, int]] = []  # last stable pole, or else first pole, and number of stable poles
     for chart_pole in itertools.chain(*charts):
-        p = chart_pole.pole
-        same = [i for i, (q, _) in enumerate(columns) if _same_pole(p, q, spacing)]
+        pole = chart_pole.pole
+        same = [k for k, (other, _) in enumerate(clusters) if _is_same_pole(pole, other, spacing)]
         if same:
-            index = min(same, key=lambda i: abs(columns[i][0] - p))
-            q, n_stable = columns[index]
+            nearest = min(same, key=lambda k: abs(clusters[k][0] - pole))
+            earlier, n_stable = clusters[nearest]
             # The last pole is the most accurate, because at its order other poles represent the noise.
-            columns[index] = (p if chart_pole.stable else q, n_stable + chart_pole.stable)
+            clusters[nearest] = (pole if chart_pole.stable else earlier, n_stable + chart_pole.stable)
         else:
-            columns.append((p, int(chart_pole.stable)))
-    columns.sort(key=lambda column: -column[1])
+            clusters.append((pole, int(chart_pole.stable)))
+    clusters.sort(key=lambda cluster: -cluster[1])
     return (
-        np.array([p for p, n_stable in columns if n_stable >= _MIN_STABLE_POLES], dtype=complex),
-        np.array([p for p, _ in columns], dtype=complex),
+        np.array([pole for pole, n_stable in clusters if n_stable >= _MIN_STABLE_POLES], dtype=complex),
+        np.array([pole for pole, _ in clusters], dtype=complex),
     )
 
 
-def _same_pole(p: complex, q: complex, spacing: float) -> bool:
-    """Return whether two poles are closer than a quarter of the half-power bandwidth or of the line spacing."""
-    return abs(p - q) < max(0.5 * max(-p.real, -q.real), 0.5 * np.pi * spacing)
+def _is_same_pole(first: complex, second: complex, spacing: float) -> bool:
+    """Return whether two poles are closer than a quarter of the half-power bandwidth, or of the line spacing in Hz."""
+    return abs(first - second) < max(0.5 * max(-first.real, -second.real), 0.5 * np.pi * spacing)

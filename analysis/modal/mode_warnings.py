@@ -13,7 +13,7 @@ from rig.results.response import Response
 
 # Largest relative standard uncertainty of a damping ratio without a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# Ratio of resolution to half of the half-power bandwidth at which leakage raises the damping ratio by this share.
+# Ratio of resolution to half of the half-power bandwidth at which leakage increases the damping ratio by as much.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # Largest residual of a linear response, relative to the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
@@ -23,7 +23,7 @@ def mode_warnings(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
-    rejected: Sequence[float],  # Hz: poles of undetermined damping or peak height
+    rejected: Sequence[float],  # Hz: poles whose damping or peak height is not determined
     uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
     unused_responses: Sequence[str],  # responses that were not used
@@ -47,49 +47,51 @@ def mode_warnings(
     if rejected:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(rejected))} Hz: their damping or height is below the "
-            "uncertainty of these curves. Impacts of dampers make peaks without poles."
+            "uncertainty of these curves. Impacts of dampers cause peaks without poles."
         )
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
-        yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves there is too large."
+        yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
     if unmeasured.size:
         yield (
             f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were left out. There may be "
-            "several modes."
+            "several modes there."
         )
-    f, zeta, error = modes.frequency, modes.damping, modes.damping_error
+    f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
         yield f"Identified only {f.size} of the {count} requested modes."
-    half_widths, lines = zeta * f, curves[0].frequency
+    half_widths, line_frequency = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
     widened = resolution > _WIDENING_RATIO * half_widths
-    narrow = (error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
+    narrow = (zeta_error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
     if narrow.any():
         yield (
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
             "upper limit of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
-    leakage = widened & ~narrow
-    if leakage.any():
+    leaking = widened & ~narrow
+    if leaking.any():
         yield (
-            f"{_listed(f[leakage])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
-            f"{_listed(2.0 * half_widths[leakage], 3)} Hz), which raises the damping ratios by more than "
+            f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
+            f"{_listed(2.0 * half_widths[leaking], 3)} Hz), which raises the damping ratios by more than "
             f"{_MAX_DAMPING_UNCERTAINTY:.0%}. Use blocks of at least "
-            f"{1.5 / (_WIDENING_RATIO * half_widths[leakage].min()):.3g} s, burst random, multisine or stepped sine."
+            f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
         )
-    n_points = np.sum(abs(lines - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
+    # Lines within the half-power bandwidth on either side of the resonance.
+    n_points = np.sum(abs(line_frequency - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
     undersampled = (n_points < 2) & ~widened
     if undersampled.any():
         yield (
-            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within the half-power bandwidth of "
-            f"{_listed(2.0 * half_widths[undersampled], 3)} Hz, so the damping is extrapolated from the flanks. "
+            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power bandwidth of "
+            f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
+            "flanks. "
             f"Measure every {half_widths[undersampled].min() / 2.0:.2g} Hz there."
         )
-    uncertain = (error > _MAX_DAMPING_UNCERTAINTY * zeta) & (error <= MAX_RELATIVE_UNCERTAINTY * zeta)
+    uncertain = (zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta) & (zeta_error <= MAX_RELATIVE_UNCERTAINTY * zeta)
     if uncertain.any():
         parts = ", ".join(
             f"{100 * ratio:.2g} % at {frequency:.4g} Hz"
-            for ratio, frequency in zip(error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
+            for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 
 # Largest relative standard uncertainty of a determined damping ratio: a third, so that the ratio differs from zero by
-# three standard deviations. Otherwise only its upper limit is stated, and its pole is a mode only with a distinct peak.
+# three standard deviations. Otherwise only its upper limit is stated, and its pole counts as a mode only if it has a
+# distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
@@ -128,14 +129,16 @@ class Modes(Result):
         # A channel with an unknown position is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
-        # The element that scales a shape has zero error. It gets the weight of the most precise other element.
+        # The largest element, which scales a shape, has zero error; it gets the weight of the most precise other
+        # element.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
         for key in dict.fromkeys(keys):
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)
-            is_single_axis = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
-            names.append(self.responses[rows[0]] if is_single_axis else key)
+            # A single sensor on a body without a name, or at an unknown position, is named by its channel.
+            is_unnamed = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
+            names.append(self.responses[rows[0]] if is_unnamed else key)
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))
             errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
         shape, error = np.array(shapes), np.array(errors)
@@ -149,8 +152,8 @@ class Modes(Result):
         omega = 2 * np.pi * self.frequency
         poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
         receptance = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
-        for p, residue in zip(poles, self.residue.T, strict=True):
-            receptance = receptance + residue[:, None] / (s - p) + residue.conj()[:, None] / (s - p.conjugate())
+        for pole, residue in zip(poles, self.residue.T, strict=True):
+            receptance = receptance + residue[:, None] / (s - pole) + residue.conj()[:, None] / (s - pole.conjugate())
         return np.asarray(receptance, dtype=complex)
 
     @property

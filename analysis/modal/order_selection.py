@@ -1,6 +1,6 @@
 """Selection of the order of a modal model: poles are added while they reduce the misfit by more than noise explains.
 
-The *misfit* is the sum of squared residuals in standard deviations.
+The *misfit* is the sum of squared residuals, each divided by its standard deviation.
 
 References
 ----------
@@ -20,20 +20,19 @@ from rig.arrays import Array, ComplexArray
 
 # Largest number of modes inside the band.
 MAX_MODES = 12
-# Smallest number of residual degrees of freedom; with fewer, a model fits any data.
+# Smallest number of degrees of freedom of the residuals; with fewer, a model fits any data.
 _MIN_DEGREES = 8
 # Smallest reduction of the misfit by a pole, as a multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
 # Smallest distance of two resolved poles, in mean half-power bandwidths.
 _MIN_DISTANCE_WIDTHS = 0.4
-# Two poles closer than this, in the same unit, are accepted only if their local misfit is at noise level. Close poles
-# can also imitate the asymmetric peak of a nonlinear structure.
+# Largest distance of close poles, in the same unit. They are accepted only if their local misfit is at noise level,
+# because close poles can imitate the asymmetric peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
-# Largest misfit of close poles, in noise powers.
+# Largest local misfit of close poles, relative to its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
-# Largest distance of two poles that are fitted to a single narrow peak broadened by the window, in units of the
-# resolution.
-_SAME_PEAK_LINES = 1.5
+# Largest distance of two poles that are fitted to a single narrow peak, which the window broadens, in resolutions.
+_SAME_PEAK_RESOLUTIONS = 1.5
 # Number of candidates that are fully fitted at each step.
 _FITTED_CANDIDATES = 4
 
@@ -45,12 +44,12 @@ def half_width(poles: ComplexArray) -> Array:
 
 def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
     """Return whether poles are inside the measured band."""
-    f = poles.imag / (2 * np.pi)
-    return np.asarray((f > curves.frequency[0]) & (f < curves.frequency[-1]))
+    frequency = poles.imag / (2 * np.pi)
+    return np.asarray((frequency > curves.frequency[0]) & (frequency < curves.frequency[-1]))
 
 
 def narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether peaks are narrower than the resolution, so that their widths are undetermined."""
+    """Return whether the peaks of poles are narrower than the resolution, so that their widths are undetermined."""
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 
@@ -67,12 +66,12 @@ def select_model(
         least_significant = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
         model = fit(curves, np.delete(model.poles, least_significant))
     current = _prune(curves, model)
-    # Poles below and above the band represent curvature that residual terms cannot represent.
+    # Candidates below and above the band, for modes there whose effect residual terms cannot represent.
     low, high = curves.frequency[0], curves.frequency[-1]
     frequency = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
     outside = np.asarray(2 * np.pi * frequency * (-0.01 + 1j), dtype=complex)
     while in_band(curves, current.poles).sum() < max_modes:
-        if curves.degrees(current.poles.size + 1) < _MIN_DEGREES:
+        if curves.degrees_of_freedom(current.poles.size + 1) < _MIN_DEGREES:
             break
         all_candidates = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
         larger = _with_best_added_pole(curves, current, all_candidates)
@@ -88,11 +87,11 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
     best: ModalModel | None = None
     tried: list[complex] = []
     for index in np.argsort(misfits, kind="stable"):
-        p = candidates[index]
-        if any(abs(p - q) < 0.5 * min(-p.real, -q.real) for q in tried):
+        pole = candidates[index]
+        if any(abs(pole - other) < 0.5 * min(-pole.real, -other.real) for other in tried):
             continue
-        tried.append(p)
-        model = fit(curves, np.append(current.poles, p))
+        tried.append(pole)
+        model = fit(curves, np.append(current.poles, pole))
         better = best is None or model.misfit < best.misfit
         if better and significant(curves, current, model) and not spurious_poles(curves, model).size:
             best = model
@@ -107,23 +106,22 @@ def significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool
 
 
 def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> ModalModel:
-    """Return the model with more poles if they reduce the misfit by more than noise explains, otherwise the other."""
+    """Return the model with more poles if they are significant, else the other; of equal models, the better fit."""
     smaller, larger = sorted((first, second), key=lambda model: model.poles.size)
     if smaller.poles.size == larger.poles.size:
         return min(first, second, key=lambda model: model.misfit)
     return larger if significant(curves, smaller, larger) else smaller
 
 
-def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, poles: int) -> float:
-    """Compute the misfit reduction from `poles` poles to a larger model, less the reduction that noise explains."""
-    unknowns = curves.unknowns(larger.poles.size)
-    added = unknowns - curves.unknowns(poles)
-    scale = max(larger.misfit / curves.degrees(larger.poles.size), 1.0) * correlation_length(larger.residual)
-    return misfit - larger.misfit - float(_PENALTY_FACTOR * added * np.log(curves.n_values) * scale)
+def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, n_poles: int) -> float:
+    """Compute the misfit reduction from a model of `n_poles` to a larger one, less that by noise."""
+    added_unknowns = curves.unknowns(larger.poles.size) - curves.unknowns(n_poles)
+    scale = max(larger.misfit / curves.degrees_of_freedom(larger.poles.size), 1.0) * correlation_length(larger.residual)
+    return misfit - larger.misfit - float(_PENALTY_FACTOR * added_unknowns * np.log(curves.n_values) * scale)
 
 
 def correlation_length(residual: ComplexArray) -> float:
-    """Estimate the number of neighboring lines with a common residual; 1 for independent noise."""
+    """Estimate the number of neighboring lines with a common error from the residual; 1 for independent noise."""
     power = float(np.sum(abs(residual) ** 2))
     if power == 0.0:
         return 1.0
@@ -139,7 +137,8 @@ def correlation_length(residual: ComplexArray) -> float:
 def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     """Return the indices of spurious poles.
 
-    They are too heavily damped, doubled, or fitted to the asymmetric peak of a nonlinear structure.
+    These poles are too heavily damped, or two poles are fitted to one peak or to the asymmetric peak of a nonlinear
+    structure.
     """
     poles, width = model.poles, half_width(model.poles)
     is_inside = in_band(curves, poles)
@@ -148,8 +147,8 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean_width = width[low] + width[high]
-        # A narrow peak that the window broadens is at most two lines wide.
-        is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_LINES * curves.resolution
+        # The window broadens a narrow peak to less than two resolutions.
+        is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RESOLUTIONS * curves.resolution
         is_unresolved = distance < _MIN_DISTANCE_WIDTHS * mean_width
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (
@@ -162,13 +161,15 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
 
 
 def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> float:
-    """Compute the misfit around poles as a multiple of the noise power."""
-    width = 2.0 * half_width(poles)
-    f = poles.imag / (2 * np.pi)
-    lines = (curves.frequency > np.min(f - 2 * width)) & (curves.frequency < np.max(f + 2 * width))
+    """Compute the misfit around poles, relative to its expected value for noise."""
+    bandwidth = 2.0 * half_width(poles)
+    frequency = poles.imag / (2 * np.pi)
+    lines = (curves.frequency > np.min(frequency - 2 * bandwidth)) & (
+        curves.frequency < np.max(frequency + 2 * bandwidth)
+    )
     n_values = 2 * lines.sum() * curves.value.shape[0]
-    degrees = max(n_values - curves.unknowns(poles.size), 0.3 * n_values, 1.0)
-    return float(np.sum(abs(model.residual[:, lines]) ** 2) / degrees)
+    degrees_of_freedom = max(n_values - curves.unknowns(poles.size), 0.3 * n_values, 1.0)
+    return float(np.sum(abs(model.residual[:, lines]) ** 2) / degrees_of_freedom)
 
 
 def _prune(curves: Curves, model: ModalModel) -> ModalModel:
@@ -179,8 +180,8 @@ def _prune(curves: Curves, model: ModalModel) -> ModalModel:
             misfits = misfits_without(curves, poles)
             least_significant = int(np.argmin(misfits))
             fewer = np.delete(poles, least_significant)
-            # Without a new fit of the other poles the increase of the misfit is overestimated. A pole that is not
-            # significant here is therefore not significant after a new fit.
+            # The other poles are not fitted again, so that the increase of the misfit is overestimated. A pole that is
+            # not significant here is not significant after a new fit either.
             if _net_misfit_reduction(curves, float(misfits[least_significant]), model, fewer.size) > 0:
                 break
             poles = fewer

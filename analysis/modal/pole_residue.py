@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Largest number of evaluations; a fit from good initial values converges before, and a fit from poor values is stopped.
+# Largest number of evaluations: a fit from good initial values converges earlier, and a fit from poor values is
+# stopped.
 _MAX_EVALUATIONS = 25
 # Number of terms of the series that represents modes above the band.
 UPPER_TERMS = 3
 # Smallest number of lines that determine all of these terms; fewer determine only the first.
 _MIN_LINES = 20
-# Rounding error of the squared norm of a unit column.
+# Squared norm below which the remainder of a unit column is rounding error.
 _ROUNDING = 1e-20
 
 
@@ -31,9 +32,9 @@ class Curves:
 
     frequency: Array  # Hz, rising, shape (n,)
     value: ComplexArray  # receptances, m/N, shape (responses, n)
-    weight: Array  # inverse standard deviations, shape (responses, n)
+    weight: Array  # inverse standard deviations of either quadrature component, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error
-    resolution: float = 0.0  # Hz: leakage bandwidth of each line
+    resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
 
     @property
     def n_values(self) -> int:
@@ -49,7 +50,7 @@ class Curves:
         """Count the real parameters of a model with `poles` poles: poles, residues, and residual terms."""
         return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.upper_terms)
 
-    def degrees(self, poles: int) -> int:
+    def degrees_of_freedom(self, poles: int) -> int:
         """Count the degrees of freedom of the misfit of a model with `poles` poles."""
         return max(self.n_values - self.unknowns(poles), 1)
 
@@ -62,7 +63,7 @@ class ModalModel:
     residue: ComplexArray  # m/(N s), shape (responses, modes)
     lower: Array  # lower / s² represents modes below the band; shape (responses,)
     upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)
-    misfit: float  # sum of squared weighted differences
+    misfit: float  # sum of squares of `residual`
     residual: ComplexArray  # weighted differences, measured less model; shape (responses, n)
     # derivative of `residual` with respect to the logarithms of the decay rates, then to the damped frequencies in
     # units of the decay rates; shape (2 modes, responses, n)
@@ -100,9 +101,9 @@ def fit(curves: Curves, start: ComplexArray) -> ModalModel:
 
 
 def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexfloating]]:
-    """Return the residual terms of modes outside the band, each with a real factor: first terms of series in 1/s or s.
+    """Return the residual terms, each with a real factor in the model: the first terms of series in 1/s and in s.
 
-    Below its frequency w, a mode ``R / (s² + 2 ζ w s + w²)`` changes by about ``(s/w)²`` over the band, and its damping
+    Below its natural frequency w, a mode ``R / (s² + 2 ζ w s + w²)`` changes by about ``(s/w)²``, and its damping
     rotates the phase by ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on its flank or
     with much noise.
     """
@@ -110,10 +111,10 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
 
 
 def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:
-    """Compute the misfit with one more pole, for each of the added poles, with the best residues; shape (added,).
+    """Compute the misfit with one more pole, for each of the poles `added`, with the best residues; shape (added,).
 
-    An added pole lowers the misfit by the projection of the residual on the component of its two columns that is
-    orthogonal to all other columns.
+    An added pole lowers the misfit by the squared projection of the residual onto the component of its two columns that
+    is orthogonal to all other columns.
     """
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
@@ -122,25 +123,28 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     columns = _real_rows(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0.0, size, 1.0)
-    # Orthogonalize twice, because rounding dominates the first result for columns close to those of other poles.
+    # Columns close to those of other poles are orthogonalized twice, because rounding dominates the first result.
     for _ in range(2):
         columns = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
     scores = (np.swapaxes(columns, 1, 2) @ residual)[..., 0]
     first, second = columns[..., ::2], columns[..., 1::2]
-    a, b, c = (np.einsum("ojk,ojk->ok", *pair) for pair in ((first, first), (first, second), (second, second)))
-    u, v = scores[:, ::2], scores[:, 1::2]
-    reduction = np.where(a > _ROUNDING, u**2 / np.maximum(a, _ROUNDING), 0.0)
-    # Part of the second column that is orthogonal to the first.
-    orthogonal = c - np.where(a > _ROUNDING, b**2 / np.maximum(a, _ROUNDING), 0.0)
-    score = v - b * u / np.maximum(a, _ROUNDING)
+    first_power, product, second_power = (
+        np.einsum("ojk,ojk->ok", *pair) for pair in ((first, first), (first, second), (second, second))
+    )
+    first_score, second_score = scores[:, ::2], scores[:, 1::2]
+    is_new, divisor = first_power > _ROUNDING, np.maximum(first_power, _ROUNDING)
+    reduction = np.where(is_new, first_score**2 / divisor, 0.0)
+    # Squared norm of the component of the second column that is orthogonal to the first, and its score.
+    orthogonal = second_power - np.where(is_new, product**2 / divisor, 0.0)
+    score = second_score - product * first_score / divisor
     reduction += np.where(orthogonal > _ROUNDING, score**2 / np.maximum(orthogonal, _ROUNDING), 0.0)
     return np.asarray(np.sum(residual**2) - np.sum(reduction, axis=0))
 
 
 def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
-    """Compute the misfit without each of the poles in turn, with the best residues; shape (poles,).
+    """Compute the misfit without each of the poles in turn, with the best other residues; shape (poles,).
 
-    Without the unknowns u, of covariance C, the misfit rises by ``u^T C^-1 u``.
+    The misfit rises by ``u^T C^-1 u`` if the unknowns u, of covariance C, are omitted.
     """
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
@@ -155,13 +159,13 @@ def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
 
 
 class _Factors(NamedTuple):
-    """QR factors of the weighted basis of each response, columns scaled to unit length."""
+    """QR factors of the weighted basis of each response, whose columns are scaled to unit length."""
 
     basis: Array  # shape (responses, 2 n, unknowns), orthonormal columns
     triangle: Array  # shape (responses, unknowns, unknowns)
-    size: Array  # shape (responses, 1, unknowns), lengths of the columns
-    projection: Array  # shape (responses, unknowns, 1), of the target on the basis
-    target: Array  # shape (responses, 2 n, 1), weighted readings
+    size: Array  # lengths of the columns, shape (responses, 1, unknowns)
+    projection: Array  # products of basis and target, shape (responses, unknowns, 1)
+    target: Array  # weighted receptances, shape (responses, 2 n, 1)
 
 
 class Projection:
@@ -187,8 +191,8 @@ class Projection:
     def poles(self, x: Array) -> ComplexArray:
         """Convert parameters to poles, rad/s.
 
-        The first half are changes of the logarithms of the decay rates, so that poles remain stable. The second half
-        are changes of the frequencies in units of the initial decay rates.
+        The first half are changes of the logarithms of the decay rates, which therefore remain positive. The second
+        half are changes of the damped frequencies in units of the initial decay rates.
         """
         count = self.start.size
         return np.asarray(
@@ -230,7 +234,8 @@ class Projection:
     def reduced_jacobian(self, x: Array) -> Array:
         """Return the triangular factor of the Jacobian with the residuals as last column.
 
-        It suffices for a Gauss-Newton step, because its columns have the same products as those of all lines.
+        It is sufficient for a Gauss-Newton step, because its columns have the same scalar products as the complete
+        ones.
         """
         if self._stored_jacobian is None or not np.array_equal(self._stored_jacobian[0], x):
             jacobian = self.jacobian(x)

@@ -23,9 +23,9 @@ from rig.results.uncertainty import Covariance
 
 # Largest number of Gauss-Newton steps.
 _MAX_STEPS = 12
-# Largest number of halvings of each step.
+# Largest number of halvings of a step that would increase the misfit.
 _MAX_HALVINGS = 6
-# Largest step after which the iteration has converged, standard deviations.
+# Largest step after which the iteration has converged, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
 # Largest number of array elements in memory for a block of lines.
 _MAX_ELEMENTS = 1 << 20
@@ -38,7 +38,8 @@ class Refinement:
     """Modes fitted with the covariance of all responses."""
 
     model: ModalModel  # refined model; its `misfit`, `residual` and `jacobian` are those of the initial model
-    # of the logarithms of the decay rates, then of the damped frequencies in decay rates, shape (2 modes, 2 modes)
+    # covariance of the logarithms of the decay rates, then of the damped frequencies in units of the decay rates; shape
+    # (2 modes, 2 modes)
     covariance: Array
     included: tuple[str, ...]  # systematic errors of the curves that the covariance includes
 
@@ -50,9 +51,9 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation
     imaginary part of other errors that differ from line to line.
     """
     problem = Likelihood(curves, errors, line_deviation)
-    count = 2 * model.poles.size
-    multiplications = curves.value.size * curves.value.shape[0] * (count + 1 + curves.upper_terms) ** 2
-    if not count or multiplications > _MAX_MULTIPLICATIONS:
+    n_pole_parameters = 2 * model.poles.size
+    multiplications = curves.value.size * curves.value.shape[0] * (n_pole_parameters + 1 + curves.upper_terms) ** 2
+    if not n_pole_parameters or multiplications > _MAX_MULTIPLICATIONS:
         return None
     misfit = problem.misfit(model)
     for _ in range(_MAX_STEPS):
@@ -67,14 +68,15 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation
         model, misfit = next_model, next_misfit
         if step @ right < _MAX_FINAL_STEP**2:
             break
-    weights = problem.weights(model, _inverse(problem.equations(model)[0])[:, :count])
+    weights = problem.weights(model, _inverse(problem.equations(model)[0])[:, :n_pole_parameters])
     deviation = line_deviation.T[..., None] * weights
     scatter = errors.of_sums(weights)
     scatter += errors.shared * np.einsum("kap,kaq->pq", deviation.conj(), deviation).real
-    covariance = scatter * max(1.0, misfit / curves.degrees(model.poles.size))
+    covariance = scatter * max(1.0, misfit / curves.degrees_of_freedom(model.poles.size))
     included: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
-        # Noise of the reference causes a bias of all responses, which may vary over a peak.
+        # Noise of the reference causes a bias of all responses, which may vary over a peak. The bias counts as a
+        # rectangular distribution.
         bias = curves.value.T * errors.reference[:, None]
         shift = np.einsum("kap,ka->p", weights.conj(), bias).real / np.sqrt(3.0)
         covariance, included = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
@@ -164,9 +166,10 @@ class Likelihood:
         return matrix, np.concatenate([right_poles, right_residues.ravel()])
 
     def weights(self, model: ModalModel, rows: Array) -> ComplexArray:
-        """Compute the weights of the readings' errors in combinations of the unknowns.
+        """Compute the weights of the errors of the responses in linear combinations of the unknowns.
 
-        `rows`: combinations, shape (unknowns, combinations). Returns the shape (n, responses, combinations).
+        `rows`: factors of the unknowns, shape (unknowns, combinations). The weights have the shape (n, responses,
+        combinations).
         """
         poles, responses = 2 * model.poles.size, self.curves.value.shape[0]
         pole_rows, residue_rows = rows[:poles], rows[poles:].reshape(responses, -1, rows.shape[1])
@@ -179,7 +182,7 @@ class Likelihood:
 
 
 def _inverse(normal_matrix: Array) -> Array:
-    """Invert a normal matrix by its pseudoinverse, scaled to unit diagonal, because unknowns may be dependent."""
+    """Return the pseudoinverse of a normal matrix, scaled to unit diagonal, because unknowns may be dependent."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal_matrix), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal_matrix * np.outer(scale, scale), hermitian=True) * scale)
 
@@ -187,10 +190,9 @@ def _inverse(normal_matrix: Array) -> Array:
 def take_step(curves: Curves, model: ModalModel, step: Array) -> ModalModel:
     """Change poles, residues and residual terms by a step of the unknowns, in the order of `Likelihood.equations`."""
     modes, responses = model.poles.size, curves.value.shape[0]
-    decay = -model.poles.real
-    poles = -decay * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * (
-        model.poles.imag + decay * step[modes : 2 * modes]
-    )
+    decay_rate = -model.poles.real
+    damped = model.poles.imag + decay_rate * step[modes : 2 * modes]
+    poles = -decay_rate * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * damped
     linear_step = step[2 * modes :].reshape(responses, -1)
     upper = np.zeros((responses, UPPER_TERMS))
     upper[:, : curves.upper_terms] = linear_step[:, 2 * modes + 1 :]

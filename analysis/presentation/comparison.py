@@ -46,11 +46,11 @@ _HEADING = (
     "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
-# Warning if the bound of a peak is infinite.
+# Warning if the 95 % bound of a peak is infinite.
 _UNBOUNDED_PEAKS = (
-    "A peak may be higher than measured where its curve has a jump, an end or excluded points next to "
-    "the highest point, or only three points. Measure more densely there, upwards and downwards (test: "
-    "direction: both), without overloads."
+    "A peak may be higher than measured if a jump, an end or excluded points of the curve are next to its "
+    "highest point, or if the curve has only three points. Measure more densely there, upwards and downwards "
+    "(test: direction: both), without overloads."
 )
 
 
@@ -184,7 +184,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
-    """Format a change and its interval; a change without one of its limits has no best estimate."""
+    """Format a change, dB or Hz, and its interval; a change without one of its limits has no best estimate."""
     estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
         return "unknown", ""
@@ -268,7 +268,7 @@ class MeasurementPoints:
                 )
         if not common:
             raise SceneError(
-                f"{self.path}: has {_channel_list(self.channels)}, but none of the responses of {first.path}, "
+                f"{self.path}: its responses are {_channel_list(self.channels)}, but those of {first.path} are "
                 f"{_channel_list(first.channels)}. Give the same names to channels on the same bodies."
             )
 

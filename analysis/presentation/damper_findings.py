@@ -19,15 +19,17 @@ from rig.progress import CountProgress
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
 
-# Number of frequencies in the printed energy table; the CSV file contains all of them.
+# Number of frequencies in the printed energy table; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
 # Printed texts for the names of motions (`DamperMotion.name`).
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
 _IRREGULAR = "irregular, or impacts missed"
+# Impacts once a period: type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
 _TYPES = ("type I", "type II", "type III")
 _OTHER = "other patterns, or irregular"
-# Maximum number of rows for the kinds of motion of a body; with more kinds, all except types I to III share a row.
+# Maximum number of rows for the moving dampers of a body; with more kinds of motion, all irregular or other patterns
+# share a row.
 _MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
@@ -92,7 +94,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     bodies : sequence of list of DamperMotion
         One list for each body, from one channel.
     left_out : sequence of float
-        Frequencies without a result, Hz; a printed frequency range ends there.
+        Frequencies without a result, Hz, which interrupt the printed frequency ranges.
 
     Examples
     --------
@@ -138,7 +140,7 @@ def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list
 
 
 def _restitution(motions: list[DamperMotion]) -> list[str]:
-    """Return the weighted mean of the restitution of one body; an empty list if no impact determines it."""
+    """Return the text on the mean restitution of one body; an empty list if no impact determines it."""
     estimates = [motion.restitution for motion in motions if motion.restitution is not None]
     if not estimates:
         return []
@@ -160,26 +162,27 @@ def _kind(motion: DamperMotion) -> str:
     return printed_names.get(kind, f"type {kind}")
 
 
-def describe_energy(energy: CycleEnergy, true: np.ndarray | None = None) -> list[str]:
+def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) -> list[str]:
     """Return a table of the energy per period at the frequencies with the largest supplied energy.
 
-    The last columns are the change of the dampers' share if the structural damping of the scene is 10 % too high, and
-    the true share if the recording contains it.
+    The fourth column is the change of the dampers' share if the structural damping of the scene is 10 % too high. The
+    last column, if the recording contains `true_loss`, is the true share of the impacts.
     """
     indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % error of scene damping / %"]
-    rows = [heading if true is None else [*heading, "true impact loss / %"]]
+    rows = [heading if true_loss is None else [*heading, "true impact loss / %"]]
     for i in indices:
         share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))
         damper_share = (
             format_interval(share, bound) if not abs(share) <= bound else f"below {format_number(share + bound)}"
         )
-        damping_share = 10.0 * energy.structure[i] / energy.supplied[i]
+        # Change of the dampers' share in %, if the structural damping changes by 10 %.
+        change = 10.0 * energy.structure[i] / energy.supplied[i]
         row = [
             f"{energy.frequency[i]:.4g}",
             format_number(1e3 * energy.supplied[i]),
             damper_share,
-            f"{damping_share:+.2g}",
+            f"{change:+.2g}",
         ]
-        rows.append(row if true is None else [*row, f"{100.0 * true[i] / energy.supplied[i]:.3g}"])
+        rows.append(row if true_loss is None else [*row, f"{100.0 * true_loss[i] / energy.supplied[i]:.3g}"])
     return ["Energy per period where most is supplied:", *table_lines(rows, ">" * len(rows[0]))]

@@ -26,7 +26,7 @@ _COLUMNS = (
     "at / (m/s²)",
     "noise / (m/s²)",
 )
-# Cells of a mode whose decay is too short, or too near its noise, for a damping ratio.
+# Cells of a mode whose decay is too short, or too small relative to its noise, for a damping ratio.
 _TOO_SHORT = ("too short", "-")
 
 
@@ -85,6 +85,6 @@ def describe_decay(decay: Decay) -> list[str]:
 
 
 def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
-    """Format the damping ratio in % with its 95 % bound, and the acceleration amplitude that it belongs to."""
+    """Format the damping ratio, %, with its 95 % bound, and the amplitude at which it was estimated, m/s²."""
     ratio = format_interval(100.0 * mode.damping[index], 200.0 * mode.damping_error[index])
     return ratio, f"{mode.amplitude[index]:.3g}"

@@ -1,4 +1,4 @@
-"""The demonstration: record tests of the paper and reproduce its Figs 8 and 10b from the recordings."""
+"""The demonstration: record tests of Inoue, Yokomichi, Hiraki (2011) and reproduce its Figs 8 and 10b from them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band, Hz.
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids around the resonances without dampers and with dampers at rest, whose mass lowers the frequencies, Hz.
+# Fine grids around the resonances, Hz. They include the lower frequencies with dampers at rest, whose mass is added.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
@@ -54,7 +54,7 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     for name, path, frequencies_hz in jobs:
         if path.exists() and not (may_overwrite() or is_recorded(_scene(name, frequencies_hz), path)):
             raise SceneError(
-                f"{path} exists and is not a recording of the demonstration. Choose another folder with --output, or "
+                f"{path}: exists and is not a recording of the demonstration. Choose another folder with --output, or "
                 "pass --overwrite."
             )
     with Workers() as workers:

@@ -49,11 +49,15 @@ def present_frf(
     window: str | None = None,
     unit: str | None = None,
 ) -> CommandOutput:
-    """Draw and tabulate frequency responses; several files are overlaid in one figure for each response."""
+    """Draw and tabulate frequency responses; several files are overlaid in one figure for each response.
+
+    `output`: folder, by default that of the first file; `theory`: add the linear theory; `unit`: unit of files that
+    state none; the other options are those of `frequency_responses`.
+    """
     from analysis.presentation.tables import frf_table
 
     curves: list[Response] = []
-    exact: list[Response] = []
+    theory_curves: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
     warnings = check_inputs(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
@@ -71,15 +75,15 @@ def present_frf(
             warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
             tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
-                exact += [linear_theory(rec, frf) for frf in groups[0]]
+                theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
-        files = _draw_figures(curves, exact, stem)
+        files = _draw_figures(curves, theory_curves, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:
-    """Return a table of the highest value of each response; equal recording, input and band share a heading."""
+    """Return a table of the highest value of each response; responses of one sweep and band share a heading."""
     lines: list[str] = []
 
     def heading(frf: Response) -> str:
@@ -107,8 +111,8 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
     return lines
 
 
-def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: Path) -> list[Path]:
-    """Draw one figure for one recording, or one figure for each FRF of several recordings; return the files."""
+def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:
+    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save_figure
 
@@ -118,18 +122,18 @@ def _draw_figures(curves: Sequence[Response], exact: Sequence[Response], stem: P
     if len(sweep_labels) == 1:
         labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(exact), _jump_marks(labeled)),
+            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(labeled)),
             stem,
         )
     inputs = {labeled[0].input for labeled in groups}
     files = []
     for labeled in groups:
         first = labeled[0]
-        theory_curves = [frf for frf in exact if (frf.response, frf.input) == (first.response, first.input)]
+        same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
-            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(theory_curves), _jump_marks(labeled)),
+            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(labeled)),
             figure_stem,
         )
     return files
@@ -159,9 +163,9 @@ def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
-    """State the sensor tolerances and their source if they dominate the uncertainty of most curves."""
-    largest = [part for frf in frfs for part in frf.parts()]
-    if 2 * largest.count(SENSITIVITY) < len(largest):
+    """State the sensor tolerances and their source if they are the largest contribution at most points."""
+    largest_contributions = [name for frf in frfs for name in frf.parts()]
+    if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
         return []
     groups: dict[str, list[str]] = {}
     settings = {channel.name: channel.accelerometer or channel.hammer for channel in rec.scene.channels or ()}

@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 
 def labels(paths: Sequence[Path]) -> list[str]:
-    """Return the label of each file: scene name of a recording, file name of another program's FRF file."""
+    """Return the label of each file: scene name of a recording, or name of a file of FRFs."""
     recordings = [path for path in paths if not is_frf_file(path)]
     recording_labels = dict(zip(recordings, scene_labels(recordings), strict=True))
     return [recording_labels.get(path, path.stem) for path in paths]
 
 
 def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
-    """Read the FRFs of another program from a file.
+    """Read FRFs from a file.
 
-    `reference`: node and direction of the force in the file, or "force" for any; `channels`: responses to return;
-    `unit`: of the values, if the file states none.
+    `reference`: node and direction of the force in the file, or "force" for the only one; `channels`: responses to
+    return; `unit`: unit of the values, if the file states none.
     """
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
@@ -58,7 +58,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
         raise RecordingError(f"{path}: no force drives {test.name}. Use `analysis decay {file}` for its decay.")
     if command == "dampers":
         if not rec.scene.dampers:
-            raise RecordingError(f"{path}: no dampers in its scene. Use `analysis frf {file}` for its responses.")
+            raise RecordingError(f"{path}: its scene has no dampers. Use `analysis frf {file}` for its responses.")
         if test.kind not in (TestKind.TONES, TestKind.NONE):
             suitable = "decay" if test.decays else "frf"
             raise RecordingError(
@@ -88,7 +88,7 @@ def check_inputs(
     for path in paths:
         effective: tuple[str, ...]
         if is_frf_file(path):
-            effective, reason = ("unit",), "it contains estimates of another program"
+            effective, reason = ("unit",), "it contains frequency responses, not samples"
         else:
             with opened(path) as rec:
                 check_recording(rec, path, command)

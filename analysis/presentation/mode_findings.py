@@ -25,7 +25,7 @@ from rig.results.text import table_lines
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Two mode shapes are usually considered the same if their modal assurance criterion is at least this value.
+#: Smallest modal assurance criterion (MAC) of two mode shapes that are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
 
 
@@ -101,19 +101,18 @@ def theory_warnings(modes: Modes, theory: np.ndarray | None) -> list[str]:
     if theory is None:
         return []
     nearest = nearest_mac(modes, theory)
-    # Upper bound of the decrease of the MAC that the uncertainty of the shape can cause.
+    # Upper bound of the decrease of the MAC by the uncertainty of the shape.
     mac_uncertainty = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
     mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
     if not mismatched.any():
         return []
     pairs = zip(modes.frequency[mismatched], nearest[mismatched], strict=True)
     listed = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
-    text = (
+    return [
         f"{listed}: the shape matches no mode of the scene's structure (MAC above {MIN_SAME_SHAPE_MAC:g}). Check for "
         "swapped channels and wrong signs or places, check the scene (analysis fit estimates its values), and measure "
         "at a lower level if dampers fly."
-    )
-    return [text]
+    ]
 
 
 def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:

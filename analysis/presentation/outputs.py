@@ -17,7 +17,7 @@ from rig.provenance import is_from_another_source, may_overwrite, output_source,
 
 # Maximum number of characters of a channel name in a file name.
 _MAX_CHANNEL_LENGTH = 40
-# Maximum length of a file name that combines the names of several recordings.
+# Maximum number of characters of the combined names of several recordings.
 _MAX_NAME_LENGTH = 60
 
 
@@ -42,7 +42,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensio
     `paths`: recordings; `output`: folder, by default that of the first recording; `kind`: last part of the name, such
     as "frf"; `extensions`: extensions of the files that are always written.
 
-    If files of other recordings already have the name, the folder name is added as a prefix. Files written inside the
+    If files of other recordings already have the name, each name is prefixed with its folder. Files written inside the
     `with` block store the paths of the recordings as their source, and are overwritten only by results of the same
     source (`rig.provenance`).
 
@@ -61,7 +61,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensio
                 yield stem
                 return
         raise RunError(
-            f"{stem} was made from other recordings of that name. Choose another folder with --output, or pass "
+            f"{stem}: results of other recordings have this name. Choose another folder with --output, or pass "
             "--overwrite."
         )
 
@@ -83,7 +83,7 @@ def join_names(names: Sequence[str]) -> str:
     name = "+".join(names)
     if len(name) <= _MAX_NAME_LENGTH:
         return name
-    # The digest distinguishes lists that begin with the same name.
+    # The digest distinguishes lists with the same first name and length.
     digest = _digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{digest}" if len(names) > 1 else name
 

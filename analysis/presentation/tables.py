@@ -16,7 +16,7 @@ from rig.results.response import Response
 
 Row = Sequence[str | float | int]
 
-# Approximate number of rows of an envelope table; one row per sample would only duplicate the recording.
+# Approximate number of rows of an envelope table; the recording itself contains every sample.
 _ENVELOPE_ROWS = 400
 
 
@@ -85,9 +85,9 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
     rows: list[Row] = []
     for decay in decays:
         for mode in decay.modes:
-            uncertain = mode.damping, mode.damping_error, mode.decrement, mode.natural, mode.natural_error
-            numbers = zip(mode.amplitude, *uncertain, strict=True)
-            rows += [(decay.label, decay.channel, decay.hit, mode.frequency, *row) for row in numbers]
+            columns = mode.damping, mode.damping_error, mode.decrement, mode.natural, mode.natural_error
+            cells = zip(mode.amplitude, *columns, strict=True)
+            rows += [(decay.label, decay.channel, decay.hit, mode.frequency, *row) for row in cells]
     return write_table(path, heading, rows)
 
 

@@ -29,10 +29,11 @@ def curves() -> Curves:
     return Curves(frequency, value + noise, np.full(value.shape, 1e6))
 
 
-def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_normal_equations_equal_products_of_derivatives(curves: Curves, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(refinement, "_MAX_ELEMENTS", 100)
     model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     random = np.random.default_rng(3)
+    # Factor of a positive definite covariance of the responses at each line.
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
     problem = Likelihood(curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES)))
     matrix, right_side = problem.equations(model)
@@ -47,19 +48,20 @@ def test_normal_equations_equal_dense_ones(curves: Curves, monkeypatch: pytest.M
         axis=2,
     )
     weighted = problem.information @ derivatives
-    dense_matrix = np.einsum("kap,kaq->pq", weighted.conj(), derivatives).real
-    scale = np.sqrt(np.outer(np.diag(dense_matrix), np.diag(dense_matrix)))
-    np.testing.assert_allclose(matrix / scale, dense_matrix / scale, atol=1e-6)
-    dense_right_side = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
+    expected_matrix = np.einsum("kap,kaq->pq", weighted.conj(), derivatives).real
+    scale = np.sqrt(np.outer(np.diag(expected_matrix), np.diag(expected_matrix)))
+    np.testing.assert_allclose(matrix / scale, expected_matrix / scale, atol=1e-6)
+    expected_right_side = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
     tolerance = 1e-6 * abs(right_side * steps).max()
-    np.testing.assert_allclose(right_side * steps, dense_right_side * steps, atol=tolerance)
+    np.testing.assert_allclose(right_side * steps, expected_right_side * steps, atol=tolerance)
     rows = random.standard_normal((len(right_side), 2))
     np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 
 
-def test_reduced_problem_has_the_same_normal_matrix(curves: Curves) -> None:
+def test_reduced_jacobian_has_the_same_normal_matrix(curves: Curves) -> None:
     problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
+    # Jacobian of the four parameters, and the residuals.
     rows = np.column_stack([problem.jacobian(x).reshape(-1, 4), problem.residual(x)])
     reduced = problem.reduced_jacobian(x)
     assert reduced.shape == (5, 5)

@@ -14,14 +14,16 @@ IMPULSE = "{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}"
 
 
 def tone_marker(last):
+    """Return the marker of a measured tone that ends at sample `last`."""
     return ("measure", 0, last, {"frequency": 20.0, "level": 1.0, "direction": "up"})
 
 
 def overload_markers(last):
+    """Return markers of an overload of each body's channel up to sample `last`."""
     return [("overload", 0, last, {"channel": info.name}) for info in synthetic.channels()[:3]]
 
 
-# Name, test, channels, samples, marks, command, required part of the message.
+# Name, test (None: sine), number of channels, samples, markers, command, required part of the message.
 CASES = [
     ("silent", None, 4, np.zeros(2560), [tone_marker(2559)], "frf", "force on the structure is zero throughout"),
     ("window", None, 4, np.ones(60), [tone_marker(59)], "frf", "shorter than a period of its tone"),
@@ -43,11 +45,11 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
 def test_error_of_unsuitable_recording_names_problem(tmp_path, case):
-    name, test, channels, samples, marks, command, message = case
+    name, test, n_channels, samples, markers, command, message = case
     scene = synthetic.scene() if test is None else synthetic.scene(test)
-    infos = synthetic.channels()[:channels]
+    infos = synthetic.channels()[:n_channels]
     path = tmp_path / f"{name}.mcap"
-    synthetic.write(path, scene, infos, np.tile(samples, (channels, 1)), marks)
+    synthetic.write(path, scene, infos, np.tile(samples, (n_channels, 1)), markers)
     result = CliRunner().invoke(app, [command, str(path), "-o", str(tmp_path)])
     assert message in str(result.exception) + result.output
     assert getattr(result.exception, "exit_code", result.exit_code) == 2

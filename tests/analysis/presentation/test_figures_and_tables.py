@@ -88,7 +88,7 @@ def test_overlaid_decays_are_named_by_file(folder, tmp_path):
     assert sum(line.startswith("again, body3") for line in result.lines) == 1
 
 
-def test_force_channel_offers_motion_channels(folder):
+def test_error_for_force_channel_lists_motion_channels(folder):
     arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
     result = CliRunner().invoke(app, arguments)
     assert isinstance(result.exception, RecordingError)
@@ -96,7 +96,7 @@ def test_force_channel_offers_motion_channels(folder):
 
 
 @pytest.mark.thorough
-def test_repeated_drawing_is_byte_equal(folder, tmp_path):
+def test_figures_are_reproducible_byte_for_byte(folder, tmp_path):
     def digests(output):
         files = present_frf([folder / "one.mcap"], output).files
         return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
@@ -105,19 +105,19 @@ def test_repeated_drawing_is_byte_equal(folder, tmp_path):
 
 
 @pytest.mark.thorough
-def test_command_names_its_outputs(folder, tmp_path):
+def test_command_prints_results_and_names_of_files(folder, tmp_path):
     result = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
     assert result.exit_code == 0
     assert "13.03" in result.output and "wrote" in result.output
     assert (tmp_path / "one-modes.png").exists()
 
 
-def test_missing_recording_names_its_command(tmp_path):
+def test_error_for_missing_recording_suggests_record_command(tmp_path):
     with pytest.raises(RecordingError, match=r"no such file. Make one: `daq record SCENE -o"):
         present_frf([tmp_path / "none.mcap"])
 
 
-def test_foreign_file_is_recording_error(tmp_path):
+def test_file_that_is_not_a_recording_is_rejected(tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
     with pytest.raises(RecordingError):
         present_frf([tmp_path / "no.mcap"])
@@ -129,28 +129,31 @@ def test_long_title_does_not_overlap_axes(folder):
     figure = frf_figure(curves, "Receptance: " + "a scene of many words, " * 5)
     figure.canvas.draw()
     upper, _, lower = figure.axes
-    caption, label = figure.legends[0].get_window_extent(), lower.xaxis.label.get_window_extent()
+    legend_box, label_box = figure.legends[0].get_window_extent(), lower.xaxis.label.get_window_extent()
     assert upper._left_title.get_window_extent().x1 < figure.bbox.x1
-    assert caption.y1 <= label.y0 and caption.y0 >= 0.0
+    assert legend_box.y1 <= label_box.y0 and legend_box.y0 >= 0.0
 
 
-@pytest.mark.parametrize(("error", "drawn"), [(0.01, True), (np.nan, False)])
-def test_coherence_from_files_is_drawn(error, drawn):
+@pytest.mark.parametrize(("error", "is_drawn"), [(0.01, True), (np.nan, False)])
+def test_coherence_is_drawn_if_error_is_known(error, is_drawn):
     frequency = np.linspace(10.0, 20.0, 11)
     curve = Response.curve(
         frequency, np.ones(11, dtype=complex), "body3", error=np.full(11, error), coherence=np.full(11, 0.9)
     )
     axes = frf_figure([curve], "Compliance").axes[2]
-    assert [line.get_ydata().tolist() for line in axes.lines] == [[0.9] * 11] * drawn
-    assert bool(axes.texts) != drawn
+    assert [line.get_ydata().tolist() for line in axes.lines] == ([[0.9] * 11] if is_drawn else [])
+    assert bool(axes.texts) != is_drawn
 
 
-def draw_curve(systematic, omitted=()):
-    """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption."""
+def draw_curve(limit_m_per_N, omitted=()):
+    """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption.
+
+    `limit_m_per_N`: limit of a systematic error; `omitted`: frequencies without a value, Hz.
+    """
     ones, value = np.ones(11), 1e-6
     curve = Response.curve(
         np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
-        degrees=38.0 * ones, limits={"sensors' sensitivity": systematic * ones}, omitted=np.array(omitted),
+        degrees=38.0 * ones, limits={"sensors' sensitivity": limit_m_per_N * ones}, omitted=np.array(omitted),
         label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
@@ -166,13 +169,14 @@ def test_curve_is_interrupted_at_omitted_points():
     assert caption.replace("\n", " ").endswith("excluded frequencies (see the warnings).")
 
 
-@pytest.mark.parametrize(("systematic", "reaches_axis"), [(0.8e-6, False), (2e-6, True), (np.inf, True)])
-def test_axis_contains_wide_bounds(systematic, reaches_axis):
-    axes, caption = draw_curve(systematic)
+@pytest.mark.parametrize(("limit_um_per_N", "includes_zero"), [(0.8, False), (2.0, True), (np.inf, True)])
+def test_axis_contains_wide_bounds(limit_um_per_N, includes_zero):
+    axes, caption = draw_curve(1e-6 * limit_um_per_N)
     low, high = axes.get_ylim()
-    assert high >= 1.0 + 1e6 * min(systematic, 9e-6)
-    assert low <= max(1.0 - 1e6 * systematic, 0.99)
-    assert ("includes zero" in caption) == reaches_axis and "sensors' sensitivity" in caption
+    # The axis ends at ten times the largest value, 1 µm/N.
+    assert high >= min(1.0 + limit_um_per_N, 10.0)
+    assert low <= max(1.0 - limit_um_per_N, 0.99)
+    assert ("includes zero" in caption) == includes_zero and "sensors' sensitivity" in caption
 
 
 def test_titles_of_five_modes_are_separate():
@@ -212,7 +216,7 @@ def test_differing_modes_are_both_in_title(folder):
     ]
 
 
-def test_constant_damping_has_axis_labels(folder):
+def test_axis_of_constant_damping_has_distinct_labels(folder):
     with daq.open(folder / "hit.mcap") as rec:
         figure = decay_figure([analysis.decay(rec)], "Free decay")
     figure.canvas.draw()

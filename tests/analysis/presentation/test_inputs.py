@@ -40,7 +40,7 @@ converter: {rate: 2048 Hz, bits: 24, range: 5 V}
 
 @pytest.fixture(scope="module")
 def bracket(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return recordings of the bracket, driven at its base, at its arm, and up to 150 Hz only."""
+    """Return recordings of the bracket: driven at its base, driven at its arm, and driven up to 150 Hz only."""
     folder = tmp_path_factory.mktemp("bracket")
     (folder / "bracket.yaml").write_text(BRACKET, encoding="utf-8")
     changes = {"base": {}, "arm": {"shaker.body": 2}, "low": {"test.to": "150 Hz"}}
@@ -52,7 +52,7 @@ def bracket(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return paths
 
 
-def test_different_inputs_have_separate_figures(bracket: dict[str, Path], tmp_path: Path) -> None:
+def test_responses_to_different_inputs_have_separate_figures(bracket: dict[str, Path], tmp_path: Path) -> None:
     result = present_frf([bracket["base"], bracket["arm"]], tmp_path)
     assert re.findall(r"force at body \d", " ".join(result.lines)) == ["force at body 1", "force at body 2"]
     pictures = {path.stem: path.read_text(encoding="utf-8") for path in result.files if path.suffix == ".svg"}
@@ -79,6 +79,7 @@ def test_exported_responses_keep_their_input(bracket: dict[str, Path], tmp_path:
 
 def test_mode_outside_the_other_band_is_explained(bracket: dict[str, Path], tmp_path: Path) -> None:
     result = present_compare([bracket["base"], bracket["low"]], tmp_path)
+    # The second mode, at 165.8 Hz, is above the band of the second recording.
     assert any("165.8" in line and "low.mcap was measured from 20 to 150 Hz" in line for line in result.lines)
 
 
@@ -131,7 +132,7 @@ def test_error_names_right_command_for_recording(tmp_path, test, marker_kind, co
 FIRST = MeasurementPoints(Path("a.mcap"), (1,), {"base": "body 1", "tip": "body 3"})
 
 
-def test_same_places_are_comparable() -> None:
+def test_recordings_with_a_common_point_are_comparable() -> None:
     MeasurementPoints(Path("b.mcap"), (1,), {"tip": "body 3", "other": "body 2"}).comparable_with(FIRST)
 
 
@@ -140,15 +141,21 @@ def test_same_places_are_comparable() -> None:
     [
         ((3,), {"tip": "body 3"}, r"b\.mcap: driven at body 3, a\.mcap at body 1, .* on the same body"),
         ((1,), {"tip": "body 2"}, r"b\.mcap: tip is at body 2, but at body 3 in a\.mcap"),
-        ((1,), {"top": "body 3"}, r"b\.mcap: has .*top \(at body 3\), but none .* base \(at body 1\), tip"),
+        (
+            (1,),
+            {"top": "body 3"},
+            r"b\.mcap: its responses are top \(at body 3\), but those of a\.mcap are base \(at body 1\), tip",
+        ),
     ],
 )
-def test_other_places_are_explained(force_on: tuple[int, ...], channels: dict[str, str], message: str) -> None:
+def test_different_measurement_points_are_explained(
+    force_on: tuple[int, ...], channels: dict[str, str], message: str
+) -> None:
     with pytest.raises(SceneError, match=message):
         MeasurementPoints(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
 
 
-def test_shared_sensors_are_named() -> None:
+def test_sensors_of_both_recordings_are_listed() -> None:
     first = MeasurementPoints(Path("a.mcap"), (1,), {}, {"base": "one", "tip": "two"})
     second = MeasurementPoints(Path("b.mcap"), (1,), {}, {"base": "one", "tip": "another", "mid": "three"})
     assert second.same_sensors(first) == ["base"]

@@ -37,7 +37,7 @@ def test_recordings_of_same_name_have_separate_files(tmp_path):
     paths = [tmp_path / folder / "a.mcap" for folder in ("x", "y", "z/y")]
     first, second = (write_output([path], tmp_path / "out", "modes") for path in paths[:2])
     assert (first.name, second.name) == ("a-modes.csv", "y-a-modes.csv")
-    with pytest.raises(RunError, match="other recordings of that name"):
+    with pytest.raises(RunError, match="results of other recordings have this name"):
         write_output([paths[2]], tmp_path / "out", "modes")
 
 
@@ -76,12 +76,12 @@ def test_undecodable_name_is_kept(tmp_path):
 
 @pytest.mark.parametrize("name", ["../../etc/passwd", "a\nb", "x" * 300, "\u202e", "/", "nul\0"])
 def test_impossible_channel_name_stays_in_folder(name: str, tmp_path: Path) -> None:
-    part = with_channel_name(tmp_path / "run-frf", name)
+    path = with_channel_name(tmp_path / "run-frf", name)
 
-    part.touch()
+    path.touch()
 
-    assert part.parent == tmp_path and list(tmp_path.iterdir()) == [part]
-    assert part != with_channel_name(tmp_path / "run-frf", f"{name} ")
+    assert path.parent == tmp_path and list(tmp_path.iterdir()) == [path]
+    assert path != with_channel_name(tmp_path / "run-frf", f"{name} ")
 
 
 @settings(max_examples=25)

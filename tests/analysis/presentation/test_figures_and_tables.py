@@ -145,15 +145,15 @@ def test_coherence_is_drawn_if_error_is_known(error, is_drawn):
     assert bool(axes.texts) != is_drawn
 
 
-def draw_curve(limit_m_per_N, omitted=()):
+def draw_curve(limit_m_per_n, omitted=()):
     """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption.
 
-    `limit_m_per_N`: limit of a systematic error; `omitted`: frequencies without a value, Hz.
+    `limit_m_per_n`: limit of a systematic error; `omitted`: frequencies without a value, Hz.
     """
     ones, value = np.ones(11), 1e-6
     curve = Response.curve(
         np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
-        degrees=38.0 * ones, limits={"sensors' sensitivity": limit_m_per_N * ones}, omitted=np.array(omitted),
+        degrees=38.0 * ones, limits={"sensors' sensitivity": limit_m_per_n * ones}, omitted=np.array(omitted),
         label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
@@ -169,13 +169,13 @@ def test_curve_is_interrupted_at_omitted_points():
     assert caption.replace("\n", " ").endswith("excluded frequencies (see the warnings).")
 
 
-@pytest.mark.parametrize(("limit_um_per_N", "includes_zero"), [(0.8, False), (2.0, True), (np.inf, True)])
-def test_axis_contains_wide_bounds(limit_um_per_N, includes_zero):
-    axes, caption = draw_curve(1e-6 * limit_um_per_N)
+@pytest.mark.parametrize(("limit_um_per_n", "includes_zero"), [(0.8, False), (2.0, True), (np.inf, True)])
+def test_axis_contains_wide_bounds(limit_um_per_n, includes_zero):
+    axes, caption = draw_curve(1e-6 * limit_um_per_n)
     low, high = axes.get_ylim()
     # The axis ends at ten times the largest value, 1 µm/N.
-    assert high >= min(1.0 + limit_um_per_N, 10.0)
-    assert low <= max(1.0 - limit_um_per_N, 0.99)
+    assert high >= min(1.0 + limit_um_per_n, 10.0)
+    assert low <= max(1.0 - limit_um_per_n, 0.99)
     assert ("includes zero" in caption) == includes_zero and "sensors' sensitivity" in caption
 
 

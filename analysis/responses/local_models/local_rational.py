@@ -125,8 +125,7 @@ def local_fit(
     polynomial, rational, higher_order = fits
     prefers_polynomial = polynomial.criterion < rational.criterion
     best = _select(prefers_polynomial, polynomial, rational)
-    # The lower order is contained in the higher, so the variance of the difference is the difference of the
-    # variances.
+    # The lower order is contained in the higher, so that the variance of the change is the difference of the variances.
     squared_change = abs(higher_order.value - best.value) ** 2
     change_variance = 2.0 * np.maximum(higher_order.variance - best.variance, 0.0)
     # Lines within half the width of a fit.
@@ -194,35 +193,33 @@ def _fit(
         is_improved = _sum_of_squares(stepped_residual) < _sum_of_squares(residual)
         unknown = _select(is_improved, stepped, unknown)
         residual = np.where(is_improved[:, None, None], stepped_residual, residual)
-    # Response at all lines of the fit: the model for a unit reference.
+    # Response at all bins of the fit: the model for a unit reference.
     reference_only = unknown._replace(numerator=unknown.numerator[:, : order + 1])
     fitted_response = terms._replace(numerator=powers).response(reference_only)
     variance_per_reference_noise = _sum_of_squares(bin_weights * fitted_response * channel) / 2.0
-    # With the columns of the numerator alone, the constant would have the variance of a polynomial fit; all columns
-    # that are not independent of them increase it.
+    # With the columns of the numerator alone, the constant would have the variance of a polynomial fit. Other columns
+    # that are not independent of them increase this variance.
     polynomial_variance = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / segments
-    constant_variance, residual_power = _sum_of_squares(bin_weights), _sum_of_squares(residual)
+    constant_variance, residual_squares = _sum_of_squares(bin_weights), _sum_of_squares(residual)
     independent_share = np.minimum(polynomial_variance / np.maximum(constant_variance, _ZERO_POWER), 1.0)
     excitation = np.where(input_rms > _ZERO_POWER, input_rms, np.nan)[:, 0, 0]
     scale = output_rms[:, 0, 0] / excitation
     constant = unknown.numerator[:, 0]
     # Zero padding correlates neighboring bins and reduces the degrees of freedom.
     equations = segments * width
-    unknowns = (
-        terms.numerator.shape[-1] + poles + (segments + len(separate)) * (order + 1 + len(reading.high_pass_transients))
-    )
+    n_transients = (segments + len(separate)) * (order + 1 + len(reading.high_pass_transients))
+    unknowns = terms.numerator.shape[-1] + poles + n_transients
     n_free = max(measured_share * equations - unknowns, 0.5)
-    noise_power = residual_power / n_free
+    noise_power = residual_squares / n_free
     # Noise contributes to the magnitude of the estimate even if the true response is zero.
-    explained = (
-        np.maximum(np.square(abs(constant)) - noise_power * constant_variance, 0.0) * independent_share * equations
-    )
+    true_power = np.maximum(np.square(abs(constant)) - noise_power * constant_variance, 0.0)
+    explained = true_power * independent_share * equations
     penalty = unknowns * np.log(2 * measured_share * equations)
-    criterion = measured_share * equations * np.log(np.maximum(residual_power, _ZERO_POWER)) + penalty
+    criterion = measured_share * equations * np.log(np.maximum(residual_squares, _ZERO_POWER)) + penalty
     return LocalFit(
         value=constant * scale,
         variance=0.5 * noise_power * constant_variance * scale**2,
-        coherence=explained / np.maximum(explained + residual_power, _ZERO_POWER),
+        coherence=explained / np.maximum(explained + residual_squares, _ZERO_POWER),
         degrees_of_freedom=np.full(lines.size, 2.0 * n_free),
         variance_per_reference_noise=variance_per_reference_noise * (scale / excitation) ** 2,
         independent_share=independent_share,

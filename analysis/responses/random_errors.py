@@ -47,12 +47,12 @@ _MAX_ELEMENTS = 1 << 22
 class MeanErrors:
     """Errors of ratios of means, independent from line to line: weighted sums of the errors of the channels."""
 
-    weights: ComplexArray  # shape (lines, elements, channels)
-    means: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
+    weights: ComplexArray  # of the channels in each element; shape (lines, elements, channels)
+    channel_covariance: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
 
     def at(self, lines: Lines) -> MeanErrors:
         """Select some lines."""
-        return MeanErrors(self.weights[lines], self.means[lines])
+        return MeanErrors(self.weights[lines], self.channel_covariance[lines])
 
     def select(self, elements: Sequence[int]) -> MeanErrors:
         """Select some elements."""
@@ -64,41 +64,43 @@ class MeanErrors:
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
-        same = [other for other in others if isinstance(other, MeanErrors) and other.means.shape == self.means.shape]
+        shape = self.channel_covariance.shape
+        same = [other for other in others if isinstance(other, MeanErrors) and other.channel_covariance.shape == shape]
         if len(same) < len(others):
             return None
         return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
-        lines = np.einsum("kai,kij,kcj->kac", self.weights, self.means, self.weights.conj(), optimize=True)
-        return LineCovariance(_add_uncorrelated(_scale_to_variances(lines, error)), shared)
+        weights, channels = self.weights, self.channel_covariance
+        elements = np.einsum("kai,kij,kcj->kac", weights, channels, weights.conj(), optimize=True)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
 
 
 @dataclass(frozen=True)
 class MatrixErrors:
     """Errors of all elements of a matrix, given by their covariance at each line."""
 
-    lines: ComplexArray  # shape (lines, elements, elements)
+    line_covariance: ComplexArray  # shape (lines, elements, elements)
 
     def at(self, lines: Lines) -> MatrixErrors:
         """Select some lines."""
-        return MatrixErrors(self.lines[lines])
+        return MatrixErrors(self.line_covariance[lines])
 
     def select(self, elements: Sequence[int]) -> MatrixErrors:
         """Select some elements."""
-        return MatrixErrors(self.lines[:, elements][:, :, elements])
+        return MatrixErrors(self.line_covariance[:, elements][:, :, elements])
 
     def scaled(self, factor: ComplexArray) -> MatrixErrors:
         """Multiply by a factor at each line."""
-        return MatrixErrors(self.lines * np.square(abs(factor))[:, None, None])
+        return MatrixErrors(self.line_covariance * np.square(abs(factor))[:, None, None])
 
     def joined(self, others: Sequence[RandomErrors]) -> None:
         """Return None, because the correlation with other elements is unknown."""
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements, scaled to the stated variances."""
-        return LineCovariance(_add_uncorrelated(_scale_to_variances(self.lines, error)), shared)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(self.line_covariance, error)), shared)
 
 
 @dataclass(frozen=True)
@@ -155,14 +157,14 @@ class LocalErrors:
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
-        count, elements = self.common_error.shape
-        residual = self.residual.reshape(count, elements, -1)
+        n_lines, elements = self.common_error.shape
+        residual = self.residual.reshape(n_lines, elements, -1)
         # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
         # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
         power = residual @ residual.conj().swapaxes(1, 2) / self.complex_degrees_of_freedom
         width = self.fitted_response.shape[2]
         bins, center = int(self.first_bin.max()) + width, self.first_bin + width // 2
-        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, count - 1)
+        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
         reference_ratio: Array | None = None
         if self.has_single_reference:
             reference, variances, reference_ratio = _separate_noise(
@@ -171,36 +173,41 @@ class LocalErrors:
             reference_ratio = self.measured_share * reference_ratio
             within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
             response = self.fitted_response[nearest, :, within]
-            noise = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
+            bin_covariance = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
             index = np.arange(elements)
-            noise[:, index, index] += variances[nearest]
+            bin_covariance[:, index, index] += variances[nearest]
         else:
-            noise = power[nearest]
-        lines = np.empty((count, elements, elements), dtype=complex)
+            bin_covariance = power[nearest]
+        covariance = np.empty((n_lines, elements, elements), dtype=complex)
         step = max(1, _MAX_ELEMENTS // (width * elements**2))
-        for begin in range(0, count, step):
+        for begin in range(0, n_lines, step):
             part = slice(begin, begin + step)
-            local_noise, bin_weights = noise[self.first_bin[part, None] + np.arange(width)], self.bin_weights[part]
-            lines[part] = np.einsum("kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True)
-        lines = lines + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
+            local_noise, bin_weights = (
+                bin_covariance[self.first_bin[part, None] + np.arange(width)],
+                self.bin_weights[part],
+            )
+            covariance[part] = np.einsum(
+                "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
+            )
+        covariance = covariance + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
         if reference_ratio is None:
             # The fit reproduces part of the noise, so that the residuals may underestimate it.
-            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
+            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
             scale = np.sqrt(
                 np.maximum(1.0, np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
             )
-            lines = lines * scale[:, :, None] * scale[:, None]
-        return LocalCovariance(_add_uncorrelated(lines), shared, self, noise, reference_ratio)
+            covariance = covariance * scale[:, :, None] * scale[:, None]
+        return LocalCovariance(_add_uncorrelated(covariance), shared, self, bin_covariance, reference_ratio)
 
 
 @dataclass(frozen=True)
 class LocalCovariance:
-    """Covariance of the errors of local fits, whose lines have bins in common."""
+    """Covariance of the errors of local fits, whose lines have bins in common; attributes as in `Covariance`."""
 
     lines: ComplexArray
     shared: float
     errors: LocalErrors
-    noise: ComplexArray  # covariance of the readings; shape (bins, elements, elements)
+    bin_covariance: ComplexArray  # covariance of the readings at each bin; shape (bins, elements, elements)
     # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
     reference: Array | None
 
@@ -219,7 +226,7 @@ class LocalCovariance:
             self,
             lines=self.lines[:, elements][:, :, elements],
             errors=self.errors.select(elements),
-            noise=self.noise[:, elements][:, :, elements],
+            bin_covariance=self.bin_covariance[:, elements][:, :, elements],
         )
 
     def of_sums(self, weights: ComplexArray) -> Array:
@@ -227,7 +234,7 @@ class LocalCovariance:
         from scipy.sparse import csr_array
 
         errors = self.errors
-        bins, width = len(self.noise), errors.bin_weights.shape[3]
+        bins, width = len(self.bin_covariance), errors.bin_weights.shape[3]
         total = np.zeros((weights.shape[2],) * 2)
         columns = (errors.first_bin[:, None] + np.arange(width)).ravel()
         ends = np.arange(0, columns.size + 1, width)
@@ -238,7 +245,7 @@ class LocalCovariance:
                 matrix = csr_array((bin_weights, columns, ends), shape=(len(errors.first_bin), bins))
                 by_element.append((matrix.T @ weights[:, k].conj()).T)
             by_bin = np.stack(by_element, axis=2)
-            total += np.einsum("pbi,bij,qbj->pq", by_bin, self.noise, by_bin.conj(), optimize=True).real
+            total += np.einsum("pbi,bij,qbj->pq", by_bin, self.bin_covariance, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,ka->p", weights.conj(), errors.common_error)
         total *= 0.5 * errors.shared
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
@@ -246,20 +253,20 @@ class LocalCovariance:
         return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
 
 
-def _scale_to_variances(lines: ComplexArray, error: Array) -> ComplexArray:
+def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
     """Scale covariances to stated standard uncertainties of either quadrature component."""
-    stated, variances = 2.0 * error**2, np.einsum("kaa->ka", lines).real
+    stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
     with np.errstate(invalid="ignore"):
         ratio = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
-    return np.asarray(lines * ratio[:, :, None] * ratio[:, None])
+    return np.asarray(covariance * ratio[:, :, None] * ratio[:, None])
 
 
-def _add_uncorrelated(lines: ComplexArray) -> ComplexArray:
+def _add_uncorrelated(covariance: ComplexArray) -> ComplexArray:
     """Add uncorrelated variances to covariances, shape (lines, elements, elements)."""
-    index = np.arange(lines.shape[1])
-    lines = lines.copy()
-    lines[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", lines).real
-    return lines
+    index = np.arange(covariance.shape[1])
+    covariance = covariance.copy()
+    covariance[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", covariance).real
+    return covariance
 
 
 def _separate_noise(

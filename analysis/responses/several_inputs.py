@@ -116,13 +116,13 @@ def response_matrix(
 
 @dataclass(frozen=True)
 class SpectralMatrix:
-    """Spectra of outputs and several inputs, averaged over blocks."""
+    """Spectra of outputs and several inputs at n lines, averaged over blocks."""
 
     outputs: tuple[Point, ...]
     inputs: tuple[Point, ...]
     # auto and cross spectra, outputs first, corrected for the sensors; shape (n, points, points)
     spectral_matrix: ComplexArray
-    spectra: AveragedSpectra  # spectra of the channels as recorded, with their number of averages and resolution
+    spectra: AveragedSpectra  # spectra of the channels as recorded
     leakage_free: Response  # the same responses by the local rational method
 
     @property
@@ -185,20 +185,20 @@ class SpectralMatrix:
             rows = [a, *range(n_outputs, n_outputs + len(self.inputs))]
             unit, scale = _unit_power(self.spectral_matrix[:, rows][:, :, rows])
             # The eigenvector of the smallest eigenvalue is the linear combination of output and inputs that contains
-            # only noise. Its coefficients determine the response.
+            # only noise: output minus response times inputs, up to a factor.
             noise = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
             hv[:, a] = -noise[:, 1:] / noise[:, :1]
         return np.where(np.isfinite(h1), hv, np.nan)
 
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
-        """Return the response with its budget; error covariance after Bendat and Piersol, section 7.3."""
+        """Return the response with its budget; covariance of the random errors by Bendat and Piersol, section 7.3 [1]_."""
         value = self.frf(estimator)
-        n_degrees = max(self.spectra.n_averages - len(self.inputs), 1e-300)
+        n_free_averages = max(self.spectra.n_averages - len(self.inputs), 1e-300)
         inverse, residual = self._inverse_inputs(), self.residual()
         n_lines, n_outputs, n_inputs = value.shape
         n_elements = n_outputs * n_inputs
         covariance = np.einsum("nab,nlk->nakbl", residual, inverse).reshape(n_lines, n_elements, n_elements)
-        covariance = covariance / n_degrees
+        covariance = covariance / n_free_averages
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(value.shape)
         residual_power = np.einsum("naa->na", residual).real[:, :, None]
         # Upper limit of the noise power of each force: its power that is not coherent with an output.
@@ -213,7 +213,7 @@ class SpectralMatrix:
             for k, force in enumerate(self.inputs):
                 leakage_free = self.leakage_free[output.name, force.name]
                 leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
-        points, degrees_of_freedom = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_degrees)
+        points, degrees_of_freedom = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_free_averages)
         limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
         budget = _matrix_budget(rec, self.frequency, value, points, error, degrees_of_freedom, limits, covariance)
         response = Response(
@@ -256,7 +256,7 @@ def _rows(
     inputs: Sequence[Point],
     motion: str,
 ) -> ComplexArray:
-    """Return the factors from readings to motions and forces, shape (motions and forces, channels, frequencies)."""
+    """Return the weights of the readings in motions and forces, shape (motions and forces, channels, frequencies)."""
     forces = [Measurand((point.name,), (1.0,), "force") for point in inputs]
     measurands = [*(motion_of(rec, name, motion) for name in names), *forces]
     return np.stack([measurand.row(rec, channels, frequency) for measurand in measurands])
@@ -447,8 +447,8 @@ class Reciprocity:
     """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
     pair: tuple[str, str]  # positions of output and input, which are exchanged for the other response
-    within: float  # share of lines at which the difference is within the expanded uncertainties
-    deviation: float  # median of their relative difference
+    within: float  # share of lines at which the difference is within the sum of the expanded uncertainties
+    deviation: float  # median of the relative difference of the two responses
 
 
 def reciprocity(response: Response) -> tuple[Reciprocity, ...]:

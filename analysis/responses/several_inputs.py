@@ -191,7 +191,7 @@ class SpectralMatrix:
         return np.where(np.isfinite(h1), hv, np.nan)
 
     def response(self, rec: Recording, estimator: str = "H1") -> Response:
-        """Return the response with its budget; covariance of the random errors by Bendat and Piersol, section 7.3 [1]_."""
+        """Return the response with its budget; covariance of the random errors after [1]_, section 7.3."""
         value = self.frf(estimator)
         n_free_averages = max(self.spectra.n_averages - len(self.inputs), 1e-300)
         inverse, residual = self._inverse_inputs(), self.residual()

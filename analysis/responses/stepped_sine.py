@@ -259,7 +259,7 @@ class _Point(NamedTuple):
 
     tone: ToneFit
     window: tuple[int, int]  # first sample, and one past the last
-    steady: bool
+    steady: bool  # whether steady state was reached
 
 
 class _Omission(NamedTuple):
@@ -274,8 +274,8 @@ class _Omission(NamedTuple):
 class Sweep:
     """A pass through the frequencies at a constant level."""
 
-    lines: Lines  # fundamental of every channel
-    tones: tuple[ToneFit, ...]  # lock-in results, in the same order
+    lines: Lines  # amplitude of the tone in every channel, at each frequency
+    tones: tuple[ToneFit, ...]  # lock-in results, in the order of the frequencies
     level: float  # nominal level: amplitude of the force, or of the drive
     direction: str  # ``"up"`` or ``"down"``
     windows: NDArray[np.int64]  # first and one-past-last sample of each window; int, shape (n, 2)
@@ -297,7 +297,8 @@ def sweeps(rec: Recording, channels: Sequence[str] | None = None, progress: Coun
 def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProgress | None) -> list[Sweep]:
     """Apply lock-in detection to every window marked ``measure``, and group the windows by level and direction."""
     markers = sorted(
-        (m for m in rec.markers if m.kind == "measure" and "frequency" in m.fields), key=lambda m: m.first_sample
+        (marker for marker in rec.markers if marker.kind == "measure" and "frequency" in marker.fields),
+        key=lambda marker: marker.first_sample,
     )
     points: dict[_SweepKey, list[_Point]] = {}
     omissions: dict[_SweepKey, list[_Omission]] = {}
@@ -321,8 +322,9 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
             reason = ", ".join(dict.fromkeys(flaw.description for flaw in window_flaws))
             omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
         else:
-            shortest = min(end - begin for begin, end in group)
-            harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest - 2) // 4)))
+            # Harmonics below half the sample rate, with at most half as many terms as samples of a part.
+            shortest_part = min(end - begin for begin, end in group)
+            harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest_part - 2) // 4)))
             lockin = LockIn(frequency, rec.rate, harmonics)
             for part in samples:
                 lockin.add(part)

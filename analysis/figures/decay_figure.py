@@ -37,19 +37,19 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
         for index, decay in enumerate(decays):
-            line_color = color_of(index)
+            color = color_of(index)
             shown = decay.time <= duration
-            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=line_color, lw=0.6, alpha=0.75)
+            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=color, lw=0.6, alpha=0.75)
             envelope = decay.outline()
             for sign in (1.0, -1.0):
                 waveform_axes.plot(
-                    decay.time[shown], sign * envelope[shown], color=line_color, lw=1.4,
+                    decay.time[shown], sign * envelope[shown], color=color, lw=1.4,
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            envelope_axes.plot(decay.time[shown], envelope[shown], color=line_color, lw=1.2)
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2)
             lowest = min(lowest, float(envelope[shown].min()))
             envelope_axes.plot(
-                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=line_color, lw=1.6, ls="--"
+                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=color, lw=1.6, ls="--"
             )
         highest = max(float(decay.peak.max()) for decay in decays)
         waveform_axes.set_ylim(-1.1 * highest, 1.1 * highest)
@@ -82,10 +82,10 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in decays_of_mode:
-            line_color, percent = color_of(index), 100.0 * mode.damping
+            color, percent = color_of(index), 100.0 * mode.damping
             bound = 100.0 * 2.0 * mode.damping_error
-            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=line_color, alpha=0.25, lw=0)
-            axes.plot(mode.amplitude, percent, "o-", color=line_color)
+            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=color, alpha=0.25, lw=0)
+            axes.plot(mode.amplitude, percent, "o-", color=color)
         amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         low, high = 0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max())
         axes.set_xlim(low, high)

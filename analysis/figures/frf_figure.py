@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Number of points over which the roughness of a curve is averaged.
+# Number of points over which the median roughness of a curve is computed.
 _ROUGHNESS_POINTS = 25
 # Smallest coherence of a point outside the noise.
 _MIN_COHERENCE = 0.5
@@ -46,13 +46,13 @@ def frf_figure(
     low, high = float(frequencies.min()), float(frequencies.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
-    line_colors = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
-    has_several_responses = len(line_colors) > 1
+    colors = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
+    has_several_responses = len(colors) > 1
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            line_color = line_colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
-            style: dict[str, Any] = {"color": line_color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
+            color = colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
+            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
@@ -112,18 +112,15 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     return sentences
 
 
-def _draw_curve(frf: Response, line_color: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
+def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
     """Draw one measured curve into the three panels."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
     has_markers = frf.frequency.size <= MAX_MARKERS
     curve, frf = frf.sorted(), frf.with_gaps()
     is_above_noise = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
-    line_style: dict[str, Any] = {
-        "marker": "o" if has_markers else None,
-        "color": line_color,
-        "zorder": 2.9 if is_downward else 3,
-    }
+    marker, zorder = "o" if has_markers else None, 2.9 if is_downward else 3
+    line_style: dict[str, Any] = {"marker": marker, "color": color, "zorder": zorder}
     if is_downward:
         line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
@@ -133,11 +130,11 @@ def _draw_curve(frf: Response, line_color: str, magnitude_axes: Axes, phase_axes
         magnitude_axes.fill_between(
             frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
             np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
-            where=is_above_noise, color=line_color, alpha=opacity, lw=0,
+            where=is_above_noise, color=color, alpha=opacity, lw=0,
         )  # fmt: skip
     for frequency in frf.omitted:
         magnitude_axes.plot(
-            frequency, 0.0, "x", color=line_color, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
+            frequency, 0.0, "x", color=color, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
         )
     if not (is_above_noise | np.isnan(magnitude)).all():
         # One more point on either side makes the line continuous where its color changes to gray.
@@ -148,17 +145,17 @@ def _draw_curve(frf: Response, line_color: str, magnitude_axes: Axes, phase_axes
     )
     if frf.unsteady is not None and frf.unsteady.any():
         magnitude_axes.plot(
-            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=line_color, markersize=6, zorder=4
+            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
         )
     angle = np.where(is_above_noise, phase_degrees(frf), np.nan)
     for half_width, opacity in ((total, 0.13), (random, 0.25)):
         phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
         frequency, center = _break_at_wraps(frf.frequency, angle)
         width = _break_at_wraps(frf.frequency, angle, phase_width)[1]
-        phase_axes.fill_between(frequency, center - width, center + width, color=line_color, alpha=opacity, lw=0)
+        phase_axes.fill_between(frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
     phase_axes.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
     if _has_scatter(frf):
-        coherence_axes.plot(frf.frequency, frf.coherence, color=line_color, zorder=3)
+        coherence_axes.plot(frf.frequency, frf.coherence, color=color, zorder=3)
 
 
 def _has_scatter(frf: Response) -> bool:
@@ -204,9 +201,8 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     if magnitude.size < 2 * _ROUGHNESS_POINTS:
         return np.ones(magnitude.size, dtype=bool)
     roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    return np.asarray(
-        scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest") < _MAX_ROUGHNESS
-    )
+    local_roughness = scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest")
+    return np.asarray(local_roughness < _MAX_ROUGHNESS)
 
 
 def _break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:

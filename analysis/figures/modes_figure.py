@@ -34,26 +34,21 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
         for index, curve in enumerate(curves):
-            line_color = color_of(index)
+            color = color_of(index)
             # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
-            has_few_points = curve.frequency.size <= MAX_MARKERS
+            is_sparse = curve.frequency.size <= MAX_MARKERS
             magnitude_axes.plot(
-                curve.frequency, 1e6 * abs(curve.value), "o" if has_few_points else "-", ms=2.4, color=line_color,
-                lw=2.4, alpha=1.0 if has_few_points else 0.35, label=escape_figure(curve.response),
+                curve.frequency, 1e6 * abs(curve.value), "o" if is_sparse else "-", ms=2.4, color=color,
+                lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
-            magnitude_axes.plot(
-                dense,
-                1e6 * abs(modes.receptance(dense)[index]),
-                color=line_color if has_few_points else "black",
-                lw=0.9,
-            )
+            model = 1e6 * abs(modes.receptance(dense)[index])
+            magnitude_axes.plot(dense, model, color=color if is_sparse else "black", lw=0.9)
         log_axis(magnitude_axes, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
         frequency_axis(magnitude_axes, low, high, False)
         magnitude_axes.set_ylabel("|compliance| / (µm/N)")
         add_title(magnitude_axes, title)
-        magnitude_axes.legend(
-            loc="best", title=f"{'dots' if has_few_points else 'broad'}: measured, thin: model", title_fontsize=8.5
-        )
+        legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
+        magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)
         pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
         for stable, marker, marker_color, text in pole_styles:
             poles = np.array([(pole.frequency, pole.order) for pole in modes.chart if pole.stable == stable])

@@ -110,11 +110,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
     if not frf_sets:
         has_time = any(uff.is_time(data_set) for data_set in sets)
-        remedy = (
-            "It contains time responses: convert them with `daq import`."
-            if has_time
-            else "Export a frequency response to this file."
-        )
+        remedy = "It contains time responses: convert them with `daq import`."
+        remedy = remedy if has_time else "Export a frequency response to this file."
         raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
@@ -267,7 +264,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     for name, pair in components.items():
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
-                f"{path}: {name} has only {', '.join(pair)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has {', '.join(pair)}; expected real and imag, or magnitude and phase"
             )
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
@@ -290,10 +287,7 @@ def _curve(
     error: Array | None = None,
     resolution: float | None = None,
 ) -> Response:
-    """Build a curve from its valid lines in order of frequency; zero frequency is omitted.
-
-    `error`: standard uncertainty; `resolution`: noise bandwidth, Hz.
-    """
+    """Build a curve from its valid lines in order of frequency; `error`: standard uncertainty; `resolution` in Hz."""
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
         steps = np.diff(frequency[lines])

@@ -33,15 +33,13 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Smallest length of a segment, relative to the longest. Shorter segments add more parameters for their transients than
-# information.
+# Smallest length of a segment, relative to the longest; the transients of shorter segments need too many parameters.
 _MIN_LENGTH_RATIO = 0.25
 # Smallest share of a burst in a segment; with less, most of the vibration was excited before the segment.
 _MIN_BURST_RATIO = 0.5
 # Largest number of lines at which a response is estimated.
 _MAX_LINES = 1000
-# Largest number of samples, summed over all channels, in segments with hits. They and their spectra need just under 1
-# GB.
+# Largest number of samples of all channels in segments with hits; with their spectra they need just under a gigabyte.
 _MAX_VALUES = 14_000_000
 #: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
@@ -172,8 +170,7 @@ class SegmentFits:
         self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
     ) -> LocalSpectra:
         """Compute the spectra of all segments, with zeros in front of each up to the length of the longest."""
-        # The transform is periodic: zeros before a segment separate the vibration at its end from the response to its
-        # hit.
+        # The transform is periodic: zeros separate the vibration at the end of a segment from the response to its hit.
         leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in segments) + leading_zeros, real=True)
@@ -192,9 +189,7 @@ class SegmentFits:
             pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
             samples = [spectra for spectra, _ in pairs]
             power = np.average([square for _, square in pairs], axis=0, weights=lengths)
-            rounding_gain_error = np.repeat(
-                noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1
-            )
+            gain_error = np.repeat(noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
             at_rest = [
                 self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, prior_motion, strict=True)
@@ -213,9 +208,7 @@ class SegmentFits:
                 spectra[names.index(self.hits.channel)] *= high_pass
             inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
             jitter = jitter_factor(rec, names, inside, size, half_width)
-            rounding_gain_error = self.hits.rounding_gain_error(
-                rec, names, segments, blocks, samples, lines, half_width
-            )
+            gain_error = self.hits.rounding_gain_error(rec, names, segments, blocks, samples, lines, half_width)
         begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
         end_phases = np.where(np.array(at_rest)[:, None], 0.0, begins)
         frequency = bins * (rec.rate / size)
@@ -229,8 +222,8 @@ class SegmentFits:
             lines - first,
             half_width,
             sum(lengths) / (size * len(lengths)),
-            rounding_gain_error,
-            np.zeros(rounding_gain_error.shape),
+            gain_error,
+            np.zeros(gain_error.shape),
             jitter,
         )
 

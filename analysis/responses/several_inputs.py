@@ -133,9 +133,8 @@ class SpectralMatrix:
     def _spectra_blocks(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """Return the spectra xx, xf and ff of outputs x (motions) and inputs f (forces)."""
         n_outputs, matrix = len(self.outputs), self.spectral_matrix
-        return (
-            matrix[:, :n_outputs, :n_outputs], matrix[:, :n_outputs, n_outputs:], matrix[:, n_outputs:, n_outputs:]
-        )  # fmt: skip
+        x, f = slice(n_outputs), slice(n_outputs, None)
+        return matrix[:, x, x], matrix[:, x, f], matrix[:, f, f]
 
     def condition(self) -> Array:
         """Compute the condition number of the input spectra at unit power, shape (n,); 1 for uncorrelated inputs."""

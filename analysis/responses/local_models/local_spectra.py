@@ -1,7 +1,4 @@
-"""Spectra of segments of a recording, and responses with their uncertainty by the local rational method.
-
-*Bin* and *line* are defined in `local_rational`.
-"""
+"""Spectra of segments of a recording, and responses with their uncertainty by the local rational method."""
 
 from __future__ import annotations
 
@@ -108,9 +105,8 @@ class LocalSpectra:
         scale = abs(value) / np.maximum(abs(main_fit.value), 1e-300)
         # Noise of the reference changes the value even if the residual does not show it.
         reference_noise_power = np.einsum("cn,cn->n", abs(reference_weights) ** 2, self.noise)
-        variance = (
-            np.maximum(main_fit.variance, main_fit.variance_per_reference_noise * reference_noise_power) * scale**2
-        )
+        noise_variance = main_fit.variance_per_reference_noise * reference_noise_power
+        variance = np.maximum(main_fit.variance, noise_variance) * scale**2
         contributions = ChannelContributions(
             names, frequency, motion, value, response_weights * readings, reference_weights * readings
         )
@@ -126,19 +122,13 @@ class LocalSpectra:
             # value is zero, the whole reference may be noise.
             squared = abs(main_fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)
-            np.divide(
-                2.0 * main_fit.variance_per_reference_noise * reference_noise_power,
-                squared,
-                out=noise_ratio,
-                where=squared > 0.0,
-            )
+            np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)
             reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
             noise_bias = reference_noise_limit(value, main_fit.coherence)
             if len(denominator.channels) > 1:
-                power = (
-                    np.minimum(self.power(force, 1), self.power(force, self.half_width)) * main_fit.independent_share
-                )
+                power = np.minimum(self.power(force, 1), self.power(force, self.half_width))
+                power = power * main_fit.independent_share
                 channel_noise = self._reference_noise(rec, denominator)
                 noise_bias = np.maximum(
                     noise_bias, shared_noise_limit(channel_noise, change_per_reading, reference_weights, power)
@@ -185,18 +175,17 @@ class LocalSpectra:
     def reading(self, rec: Recording, name: str) -> Reading:
         """Return the spectra of a channel, its response, and the transients of its high-pass filters."""
         info = rec.channels[name]
-        high_pass_transients = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
+        transients = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
         return Reading(
             self.samples[:, self.channels.index(name)],
             info.response(self.frequency),
-            np.array(high_pass_transients).reshape(-1, self.frequency.size),
+            np.array(transients).reshape(-1, self.frequency.size),
         )
 
     def power(self, spectra: ComplexArray, half_width: int) -> Array:
         """Compute the mean square of spectra over `half_width` bins on either side of each line; shape (lines,)."""
-        return np.asarray(
-            scipy.ndimage.uniform_filter1d(np.mean(abs(spectra) ** 2, axis=0), 2 * half_width + 1)[self.lines]
-        )
+        mean_square = np.mean(abs(spectra) ** 2, axis=0)
+        return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
         """Fit the response of the quantity that a channel measures to the measurand `to`; the fit is stored."""
@@ -216,7 +205,6 @@ class LocalSpectra:
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
             # Upper 95 % limit of the noise power for these degrees of freedom.
-            limit[row] = np.maximum(
-                limit[row], fit.noise_power * fit.degrees_of_freedom / special.chdtri(fit.degrees_of_freedom, 0.95)
-            )
+            n = fit.degrees_of_freedom
+            limit[row] = np.maximum(limit[row], fit.noise_power * n / special.chdtri(n, 0.95))
         return limit

@@ -116,18 +116,18 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
     differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
     block_samples = int(np.ceil(rec.rate / lowest))
-    count = (stop - first) // block_samples
-    if count < _MIN_BLOCKS:
+    n_blocks = (stop - first) // block_samples
+    if n_blocks < _MIN_BLOCKS:
         return []
-    blocks = [(first + k * block_samples, first + (k + 1) * block_samples) for k in range(count)]
-    late_blocks = np.unique(np.linspace(count // 2, count - 1, _SETTLED_BLOCKS).astype(int))
+    blocks = [(first + k * block_samples, first + (k + 1) * block_samples) for k in range(n_blocks)]
+    late_blocks = np.unique(np.linspace(n_blocks // 2, n_blocks - 1, _SETTLED_BLOCKS).astype(int))
     means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in late_blocks])]
     # A channel without any valid sample has no mean; the masked array avoids numpy's warning.
     settled_means = np.ma.masked_invalid(means)
     mean, scatter = settled_means.mean(axis=0).filled(np.nan), settled_means.std(axis=0).filled(np.nan)
     n_drift_blocks, n_settled_in_a_row = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     is_settled = np.zeros(len(names), dtype=bool)
-    for number, block in enumerate(read_slices(rec, names, blocks[: count // 2]), 1):
+    for number, block in enumerate(read_slices(rec, names, blocks[: n_blocks // 2]), 1):
         is_drifting = abs(_means(block) - mean) > _DRIFT_SIGMAS * scatter
         n_drift_blocks = np.where(is_drifting & ~is_settled, number, n_drift_blocks)
         n_settled_in_a_row = np.where(is_drifting, 0, n_settled_in_a_row + 1)
@@ -135,9 +135,9 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
         if is_settled.all():
             break
     return [
-        Flaw(first, first + int(n_blocks) * block_samples, name, SETTLING)
-        for name, n_blocks in zip(names, n_drift_blocks, strict=True)
-        if n_blocks
+        Flaw(first, first + int(n_drifting) * block_samples, name, SETTLING)
+        for name, n_drifting in zip(names, n_drift_blocks, strict=True)
+        if n_drifting
     ]
 
 

@@ -126,8 +126,7 @@ class Hits:
         """Return whether a segment, zero-padded to `samples`, is treated as the response to its hits alone.
 
         This is the case if `motion`, the result of `prior_motion`, is small. It is also the case for a single hit close
-        to the beginning, because a fit cannot separate earlier motion from the response: their spectra are equally
-        smooth.
+        to the beginning: the spectra of earlier motion and of the response are then too similar for separate terms.
         """
         if motion < _MAX_REST_RATIO:
             return True
@@ -170,7 +169,7 @@ class Hits:
         power, noise = np.zeros(frequency.size), []
         info = rec.channels[self.channel]
         # Rounding adds 1/12 count² even if it is not visible before the hit.
-        rounding_gain_error = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
+        rounding_variance = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in segments:
             for begin, end in self.inside(start, stop):
                 before = rec.read(self.channel, max(start, begin - int(PRE_HIT_S * rec.rate)), begin)
@@ -179,7 +178,7 @@ class Hits:
                 power += abs(phases @ (pulse - before.mean() if before.size else pulse)) ** 2
                 if before.size > 2:
                     # Differences between samples are insensitive to the tail of an earlier hit.
-                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_gain_error))
+                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance))
         return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
 
     def rounding_gain_error(
@@ -203,13 +202,13 @@ class Hits:
         `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result;
         `half_width`: bins on either side of a line that a local fit uses.
         """
-        count = quantization_steps(rec, names)[:, None]
-        step = np.where(count > 0.0, count, 1.0)
+        steps = quantization_steps(rec, names)[:, None]
+        step = np.where(steps > 0.0, steps, 1.0)
         size = 2 * (spectra[0].shape[1] - 1)
         # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
         n_after_hit = int(size * (ORDER + 1) / half_width)
         power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
-        errors, noise, largest = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(count.shape)
+        errors, noise, largest = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(steps.shape)
         for block, (start, stop) in zip(blocks, segments, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
@@ -221,7 +220,7 @@ class Hits:
                 before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
-        reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(count.shape))
+        reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
         # The spectrum of several hits is a comb. The power is averaged over one spacing of its teeth and no farther,
         # because the power in peaks of the response is not that in its valleys.
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1
@@ -231,9 +230,8 @@ class Hits:
             # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
             gain_error = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
         gain_error = np.where((largest < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
-        return np.asarray(
-            np.where(count > 0.0, reproducible * np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf), 0.0)
-        )
+        gain_error = np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf)
+        return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))
 
     def highest_frequency(self, rec: Recording) -> float:
         """Compute the highest frequency that the hits excite, Hz, but at most 40 % of the sample rate."""

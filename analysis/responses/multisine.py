@@ -95,8 +95,7 @@ def best_linear_approximation(
     steps = quantization_steps(rec, names)
     samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding resembles noise of 1/12 count², of which 95 % of the amplitudes at a line are below steps / sqrt(samples)
-    # (95 % quantile of the Rayleigh distribution). The scatter lacks the share of this error that is equal in every
-    # period.
+    # (Rayleigh distribution). The scatter lacks the share of this error that is equal in every period.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
     amplitude: Array = np.abs(mean_spectrum)
@@ -113,7 +112,7 @@ def best_linear_approximation(
     deviations = (realisation_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
     realisations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
     with_distortion = replace(noise_only, scatter=realisations, noise=noise)
-    if _distorted(with_distortion, noise_only):
+    if _is_distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
     if dampers_move:
         return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, reference)))
@@ -177,14 +176,15 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
         notes.append(f"Realisation {number} was measured before steady state. Increase test: settle.")
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
+        reasons = reasons or "the recording ends"
         notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}.")
     if len(clean) < 2:
         notes.append(f"Realisation {number} left out: fewer than two whole periods.")
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))
-    steady = _without_drift(samples, np.array([(first - marker.first_sample) // size for first, _ in clean]))
-    spectra = fft.rfft(steady, axis=2)[:, :, lines] * (2.0 / size)
+    without_drift = _without_drift(samples, np.array([(first - marker.first_sample) // size for first, _ in clean]))
+    spectra = fft.rfft(without_drift, axis=2)[:, :, lines] * (2.0 / size)
     return PeriodSpectra(frequency, spectra, samples, tuple(notes))
 
 
@@ -198,7 +198,7 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     return np.asarray(periods - drifts[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
 
 
-def _distorted(measured: Lines, noise: Lines) -> bool:
+def _is_distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
     limits = [limit for limit in (measured.residual_transient, measured.resolution) if limit is not None]

@@ -59,7 +59,7 @@ class Lines:
     warnings: tuple[str, ...] = field(default=())  # in full sentences
     # largest error of each mean by residual transients; shape (channels, n)
     residual_transient: Array | None = None
-    # lines at which steady state was not reached; shape (n,). None for tests without held tones
+    # lines at which steady state was not reached; shape (n,). None for a multisine
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
@@ -144,11 +144,11 @@ def _noise_of_changes(changes: ComplexArray) -> Array:
     count, _, lines = changes.shape
     if lines < _MIN_LINES:
         return np.zeros(changes.shape[1:])
-    # Second differences of noise have six times its power. The last factor is the ratio of the median of a gamma
+    # Second differences of noise have six times its power. The last divisor is the ratio of the median of a gamma
     # distribution to its mean.
     power = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
-    level = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
-    return np.pad(level, ((0, 0), (1, 1)), mode="edge")
+    median_power = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
+    return np.pad(median_power, ((0, 0), (1, 1)), mode="edge")
 
 
 def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:

@@ -244,14 +244,14 @@ def grains(
     Each bed is simulated to its steady motion at each frequency.
     """
     import rig
-    from rig.bed_response.bed_response import text
+    from rig.bed_response.bed_response import format_table
     from rig.scene.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     with resumable(output is not None), count_progress("simulating the grains") as progress:
         result = rig.grains(loaded_scene, *band, points, periods, output, cluster, progress)
-    print(text(result))
+    print(format_table(result))
     if output is not None:
         report_written(output)
 

@@ -44,8 +44,8 @@ def table(study: ChainStudy) -> str:
             *table_lines(rows, "<<>>><"),
             "",
             "ms for a second: CPU time to record and analyze a second of the test. Relative error: of the compliance,",
-            "corrected by the data sheets. Correction: relative error of a displacement without it. All changes start",
-            "from the scene without noise, rounding to counts, sensor tolerances and bias, which no sheet corrects.",
+            "corrected by the data sheets. Correction: relative error of a displacement without it. Each change is",
+            "made in the scene without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
             f"Reference: {study.reference}.",
         ]
     )
@@ -87,7 +87,7 @@ def _draw(study: ChainStudy) -> Figure:
     groups = [(group, [p for p in study.points if p.group == group]) for group in GROUPS]
     rows = [
         ("the scene as it is", study.unchanged, SCENE_COLOR),
-        ("without noise, counts, tolerances, bias", study.without_noise, SCENE_COLOR),
+        ("without noise, quantization, tolerances, bias", study.without_noise, SCENE_COLOR),
     ]
     for group, points in groups:
         unchanged_setting = scene_setting(study.scene, group)

@@ -1,4 +1,4 @@
-"""Cost of the measurement chain: error of the measured compliance against the time of recording and analysis.
+"""Cost of the measurement chain: error of the measured compliance, and computing time of recording and analysis.
 
 Short stepped-sine tests are recorded through the whole chain of the scene, in closed loop and into a file. One part
 of the chain is changed at a time. Each measured compliance is compared with the exact compliance.
@@ -36,9 +36,9 @@ from rig.system.structural_model import receptance, structural_model
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Number of frequencies at which steady motion that repeats every period is searched for.
-CANDIDATES = 15
-#: Residual transient at which a measurement begins, relative to the amplitude.
+#: Number of frequencies at which motion that repeats every period is searched for.
+CANDIDATE_FREQUENCIES = 15
+#: Largest residual transient at the start of a measurement, relative to the amplitude.
 SETTLE_TOLERANCE = 1e-5
 #: Timeout of settling, in decay times of the slowest mode.
 MAX_WAIT_DECAY_TIMES = 10.0
@@ -50,12 +50,12 @@ MAX_TIMEOUT_S = 60.0
 PERIODS = 50
 #: Number of repetitions of each recording; the shortest time is reported.
 REPEATS = 2
-#: Relative change from period to period at which the steady motion is accepted as the reference.
+#: Largest relative change from period to period of the steady motion that is the reference.
 REFERENCE_TOLERANCE = 1e-10
-#: Largest relative difference of two motions that agree, for the choice of frequencies.
+#: Largest relative difference of upward and downward sweep at a frequency that is chosen.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
-UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with it and remove what it reports."
+UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with it, and correct what it reports."
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ class Measurement:
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
     Channels are corrected by their data sheets: frequency response of sensor, amplifier and converter."""
     correction: float
-    """Size of that correction: largest relative error of a displacement computed with nominal sensitivities
-    only. In a compliance most of it cancels if all channels are identical."""
-    note: str = ""  # warnings of test and analysis, or the reason of a failure
+    """Size of that correction: largest relative error of a displacement without it. In a compliance, most of it cancels
+    if all channels are identical."""
+    note: str = ""  # warnings about overloads, or the reason of a failure
 
 
 @dataclass(frozen=True)
@@ -94,11 +94,10 @@ def chain_study(
 ) -> ChainStudy:
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
-    A structure without moving dampers is linear: its exact compliance is the receptance at the frequency
-    (`receptance`). With dampers the compliance depends on the level. The recording contains the drive amplitude that
-    the controller reached. The reference is the engine's steady motion under this drive, computed until it repeats
-    within 1e-10. `rig cost` compares the engine with arithmetic of 40 digits. Both references are independent of the
-    measurement chain.
+    A structure without moving dampers is linear: the reference is its exact compliance. With dampers the compliance
+    depends on the level. The reference is then the engine's steady motion under the drive amplitude that the controller
+    reached, which is in the recording; it is computed until it repeats within 1e-10. `rig cost` compares the engine
+    with arithmetic of 40 digits. Both references are independent of the measurement chain.
 
     `scene`: with a shaker, and a test with a level and, unless `frequencies` is given, a frequency; `frequencies`:
     Hz; None: the lowest, the highest and the frequency of largest acceleration of the test's range at which
@@ -123,13 +122,13 @@ def chain_study(
         # Run once without measurement, so that the cost excludes compilation; this run also yields the
         # largest voltage.
         try:
-            largest_volts = bench.largest_volts(expanded)
+            largest_voltage = bench.largest_voltage(expanded)
         except ShotrigError as error:
             raise type(error)(UNMEASURABLE.format(error)) from None
         all_variants = [
             Variant("", "as it is", expanded),
             Variant("", "without noise and tolerances", without_noise(expanded)),
-            *variants(expanded, min(test_frequencies), peak_frequency, max(test_frequencies), largest_volts),
+            *variants(expanded, min(test_frequencies), peak_frequency, max(test_frequencies), largest_voltage),
         ]
         measured: list[Measurement] = []
         for number, variant in enumerate(all_variants):
@@ -150,14 +149,11 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns the lowest and the highest frequency in the test's range and that of largest acceleration, Hz; rising.
-
-    Raises
-    ------
-    `RunError` if there is no such frequency.
+    Returns the lowest and the highest of these in the test's range, and that of largest acceleration, Hz; rising.
+    Raises `RunError` if there is none.
     """
     motion = with_ideal_force(scene)
-    candidates = select_frequencies(motion, points=CANDIDATES)
+    candidates = select_frequencies(motion, points=CANDIDATE_FREQUENCIES)
     if assemble(motion).dampers == 0:
         is_steady = np.ones(len(candidates), dtype=bool)
     else:
@@ -169,7 +165,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
-            "the motion is periodic at none of the frequencies tried, so that there is no reference "
+            "at none of the frequencies tried does the motion repeat every period, so that there is no reference "
             "compliance. Choose others with --frequency, or another level."
         )
     steady = candidates[is_steady]
@@ -184,13 +180,17 @@ def _accelerations(scene: Scene, frequencies: Sequence[float] | NDArray[np.float
 
 
 def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
-    """Build a short stepped-sine test at the scene's level, with a longer wait than usual."""
-    slowest = max(float(structural_model(scene).modes.decay_rate.min()), MAX_WAIT_DECAY_TIMES / MAX_TIMEOUT_S)
-    name = "force" if getattr(scene.test, "force", None) is not None else "drive"
+    """Return a stepped-sine test at the scene's level, with more complete settling than usual."""
+    slowest_decay_rate = max(
+        float(structural_model(scene).modes.decay_rate.min()), MAX_WAIT_DECAY_TIMES / MAX_TIMEOUT_S
+    )
+    level_key = "force" if getattr(scene.test, "force", None) is not None else "drive"
     return SteppedSine(
-        **{name: level_of(scene)},
+        **{level_key: level_of(scene)},
         frequencies=frequencies,
-        settle=Settle(tolerance=SETTLE_TOLERANCE, longest=max(MAX_WAIT_DECAY_TIMES / slowest, MIN_TIMEOUT_S)),
+        settle=Settle(
+            tolerance=SETTLE_TOLERANCE, longest=max(MAX_WAIT_DECAY_TIMES / slowest_decay_rate, MIN_TIMEOUT_S)
+        ),
         measure=Measure(periods=PERIODS),
     )
 
@@ -204,7 +204,7 @@ class _Bench:
     def __init__(self, folder: Path, linear: bool) -> None:
         self._folder, self._linear = folder, linear
 
-    def largest_volts(self, scene: Scene) -> float:
+    def largest_voltage(self, scene: Scene) -> float:
         """Record the test and return the largest voltage at the converter."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -259,29 +259,29 @@ class _Bench:
         marks = [marker.fields for marker in rec.markers if marker.kind == "measure"]
         frequencies = [float(mark["frequency"]) for mark in marks]
         if self._linear:
-            bodies = receptance(scene, frequencies)
+            compliance = receptance(scene, frequencies)
         else:
-            bodies = np.stack(
+            compliance = np.stack(
                 [
                     _steady_compliance(scene, f, float(mark["drive"]))
                     for f, mark in zip(frequencies, marks, strict=True)
                 ],
                 axis=1,
             )
-        places = [info.at for info in rec.channels.values() if info.at.startswith("body")]
-        return bodies[[int(place.removeprefix("body ")) - 1 for place in places]]
+        locations = [info.at for info in rec.channels.values() if info.at.startswith("body")]
+        return compliance[[int(location.removeprefix("body ")) - 1 for location in locations]]
 
 
 def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     """Compute the compliance of all bodies under a drive of given amplitude."""
-    name = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
-    test = SteppedSine(**{name: drive}, frequencies=(frequency,))
+    level_key = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
+    test = SteppedSine(**{level_key: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
     # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. For the engine, the
     # drive of a table is its actual position; for the servo, it is the commanded position.
     amplitude_ratio = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
     amplitude_ratio /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
-    scene = scene.replace(test=test.replace(**{name: drive * amplitude_ratio}))
+    scene = scene.replace(test=test.replace(**{level_key: drive * amplitude_ratio}))
     response = frequency_response(scene, [frequency], tolerance=REFERENCE_TOLERANCE)
     if not response.converged[0]:
         raise RunError(

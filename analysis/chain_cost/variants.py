@@ -23,12 +23,12 @@ RESONANCE_RATIOS = (10.0, 100.0, 1000.0)
 BITS = (24, 16, 12)
 #: Lower corner frequency of an added integrator, relative to the lowest frequency.
 CORNER_RATIO = 0.1
-#: Sensor properties that differ from the data sheet, or depend on switching on.
-UNCORRECTABLE = (
+#: Sensor settings whose effect no data sheet can correct: tolerances, and bias after switching on.
+UNCORRECTABLE_SETTINGS = (
     "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
     "bias", "bias_settling",
 )  # fmt: skip
-#: Range of the converter relative to the largest reading, if the scene gives no range.
+#: Range of the converter relative to the largest voltage, if the scene gives no range.
 HEADROOM = 1.5
 
 #: Output of an integrator of order 0, 1, 2.
@@ -47,7 +47,7 @@ class Variant:
 
 
 def expand_chain(scene: Scene) -> Scene:
-    """Return the scene with its presets filled in, all channels named, and without alarm and abort limits.
+    """Return the scene with its presets filled in, and its channels listed, without alarm and abort limits.
 
     Raises `SceneError` if no channel measures the force.
     """
@@ -103,64 +103,64 @@ def scene_setting(scene: Scene, group: str) -> str:
 
 def without_noise(scene: Scene) -> Scene:
     """Remove noise, quantization, sensor tolerances and bias, which no data sheet can correct, in an expanded scene."""
-    return _exact_sensors(_without_counts(_with_noise(scene, 0.0)))
+    return _without_tolerances(_without_quantization(_with_noise(scene, 0.0)))
 
 
-def _exact_sensors(scene: Scene) -> Scene:
+def _without_tolerances(scene: Scene) -> Scene:
     """Remove sensor tolerances and bias."""
     if scene.channels is None:
         return scene
-    scene = _sensors(scene, **dict.fromkeys(UNCORRECTABLE))
-    exact = [
+    scene = _with_sensors(scene, **dict.fromkeys(UNCORRECTABLE_SETTINGS))
+    channels = [
         channel
         if channel.hammer is None
         else channel.replace(hammer=channel.hammer.replace(sensitivity_tolerance=None))
         for channel in scene.channels or ()
     ]
-    return scene.replace(channels=exact)
+    return scene.replace(channels=channels)
 
 
-def _without_counts(scene: Scene) -> Scene:
+def _without_quantization(scene: Scene) -> Scene:
     """Remove quantization by the converter."""
-    return _converter(scene, bits=None).replace(recording=scene.recording.replace(samples=None))
+    return _with_converter(scene, bits=None).replace(recording=scene.recording.replace(samples=None))
 
 
 def variants(
-    scene: Scene, lowest: float, peak_frequency: float, highest: float, largest_volts: float
+    scene: Scene, lowest: float, peak_frequency: float, highest: float, largest_voltage: float
 ) -> Iterator[Variant]:
     """Change one part at a time in the scene from `without_noise`, where noise does not mask the effects.
 
     `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
-    integrator has unit gain at `peak_frequency`; `largest_volts`: largest reading of the unchanged scene, V, which
+    integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene, V, which
     determines the range of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         noisy = _with_noise(scene, factor)
         if noisy != _with_noise(scene, 0.0):
-            yield Variant("noise", name, _exact_sensors(_without_counts(noisy)))
-    if _exact_sensors(scene) != scene:
-        yield Variant("sensor", "tolerances, bias", _without_counts(_with_noise(scene, 0.0)))
-    full_scale = scene.converter.range or HEADROOM * largest_volts
+            yield Variant("noise", name, _without_tolerances(_without_quantization(noisy)))
+    if _without_tolerances(scene) != scene:
+        yield Variant("sensor", "tolerances, bias", _without_quantization(_with_noise(scene, 0.0)))
+    full_scale = scene.converter.range or HEADROOM * largest_voltage
     scene = without_noise(scene)
     yield from _resonances(scene, highest)
     yield from _integrators(scene, lowest, peak_frequency)
     if scene.converter.filter is None:
-        yield Variant("anti-alias filter", "on", _converter(scene, filter="delta_sigma", remove_delay=True))
+        yield Variant("anti-alias filter", "on", _with_converter(scene, filter="delta_sigma", remove_delay=True))
     else:
-        yield Variant("anti-alias filter", "off", _converter(scene, filter=None, remove_delay=False))
+        yield Variant("anti-alias filter", "off", _with_converter(scene, filter=None, remove_delay=False))
     rate = scene.converter.sample_rate
     for factor in RATE_RATIOS:
         if factor * rate >= MIN_SAMPLES_PER_PERIOD * highest:
-            yield Variant("sample rate", f"{factor * rate:.6g} Hz", _converter(scene, rate=factor * rate))
+            yield Variant("sample rate", f"{factor * rate:.6g} Hz", _with_converter(scene, rate=factor * rate))
     for bits in BITS:
-        yield Variant("bits", str(bits), _converter(scene, bits=bits, range=full_scale))
+        yield Variant("bits", str(bits), _with_converter(scene, bits=bits, range=full_scale))
 
 
-def _converter(scene: Scene, **changes: Any) -> Scene:
+def _with_converter(scene: Scene, **changes: Any) -> Scene:
     return scene.replace(converter=scene.converter.replace(**changes))
 
 
-def _sensors(scene: Scene, **changes: Any) -> Scene:
+def _with_sensors(scene: Scene, **changes: Any) -> Scene:
     """Change settings of all accelerometers; a channel without an accelerometer gets one if a setting is not None."""
     assert scene.channels is not None
     channels = [
@@ -176,10 +176,10 @@ def _resonances(scene: Scene, highest: float) -> Iterator[Variant]:
     if scene.channels is None:
         return
     if any(c.accelerometer is not None and c.accelerometer.resonance is not None for c in scene.channels):
-        yield Variant("sensor", "no resonance", _sensors(scene, resonance=None, q=None))
+        yield Variant("sensor", "no resonance", _with_sensors(scene, resonance=None, q=None))
     for factor in RESONANCE_RATIOS:
         resonance = float(f"{factor * highest:.1g}")
-        yield Variant("sensor", f"resonance {resonance:g} Hz", _sensors(scene, resonance=resonance))
+        yield Variant("sensor", f"resonance {resonance:g} Hz", _with_sensors(scene, resonance=resonance))
 
 
 def _with_noise(scene: Scene, factor: float) -> Scene:
@@ -201,7 +201,7 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
             hammer = hammer.replace(noise=scaled(hammer.noise))
         channels.append(channel.replace(accelerometer=sensor, integrator=amplifier, hammer=hammer))
     converter = scene.converter
-    scene = _converter(scene, noise=scaled(converter.noise), jitter=scaled(converter.jitter))
+    scene = _with_converter(scene, noise=scaled(converter.noise), jitter=scaled(converter.jitter))
     return scene if scene.channels is None else scene.replace(channels=channels)
 
 

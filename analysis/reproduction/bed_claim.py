@@ -15,7 +15,7 @@ from analysis.reproduction.bed_study import (
     point_of,
     settings,
 )
-from analysis.reproduction.charts import trust_error
+from analysis.reproduction.charts import approximation_error
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.contact_study import (
     at_shaking_frequency,
@@ -32,15 +32,16 @@ from analysis.reproduction.figures import Columns, Parts
 GOOD_DEVIATION = 0.05
 #: Largest relative deviation at which one mass describes grains acceptably.
 MAX_DEVIATION = 0.10
-#: Dissipated energy below which a mass is at rest on the floor, relative to its weight times 1 mm.
-_MIN_ENERGY = 1e-3
+#: Smallest value with one mass (see `summary_row`) from which a deviation is computed: smaller energies and impulses
+#: are those of a mass at rest on the floor, or that does not hit the ceiling.
+_MIN_MASS_VALUE = 1e-3
 #: Phase difference below which landings are indistinguishable in a figure, degrees.
 SAME_LANDING_DEG = 20.0
 
 
 def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
     """Assess C7: deviations of a bed of grains from one mass, and the verdicts on the consequences."""
-    beds, error = parts["beds"], np.abs(trust_error(parts))
+    beds, error = parts["beds"], np.abs(approximation_error(parts))
     verdicts = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
     bed_sentences = [
         _describe_settings(beds),
@@ -94,7 +95,7 @@ def deviation_error(beds: Columns, name: str) -> NDArray[np.float64]:
 
 
 def _relative_to_mass(values: np.ndarray, mass_values: np.ndarray) -> NDArray[np.float64]:
-    return np.divide(values, mass_values, out=np.full(len(values), np.nan), where=mass_values > _MIN_ENERGY)
+    return np.divide(values, mass_values, out=np.full(len(values), np.nan), where=mass_values > _MIN_MASS_VALUE)
 
 
 def _count_within(values: np.ndarray, bound: float) -> int:
@@ -103,17 +104,17 @@ def _count_within(values: np.ndarray, bound: float) -> int:
 
 
 def verdict(beds: Columns) -> str:
-    """Return the verdict on the claim, from the compliance."""
+    """Return the verdict on C7: the number of settings in which the compliance with grains is that of one mass."""
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
         f"the body's compliance is that of one mass within {100 * GOOD_DEVIATION:g} % in "
         f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in {acceptable} of {count} "
-        "settings of frequency, acceleration, clearance and depth at which beds of grains were simulated"
+        "simulated settings of frequency, acceleration, clearance and depth"
     )
-    planned = len({point_of(setting) for setting in settings()})
-    if count < planned:
-        agreement += f", of {planned} in the study: the others are not computed yet"
+    setting_count = len({point_of(setting) for setting in settings()})
+    if count < setting_count:
+        agreement += f" (the study has {setting_count}; the others are not computed yet)"
     if acceptable == count:
         return f"holds: {agreement}"
     return f"{'holds in part' if 2 * acceptable > count else 'does not hold'}: {agreement}"
@@ -210,14 +211,14 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     ceiling_impulse = ceiling_impulse_on_contact(contact, limited, contacts)
     floor_deviations = (1.0 + limited["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
     return (
-        f"One mass with finite-duration contact: of those computed, a landing in {1e3 * contact.duration:g} ms with a "
-        f"restitution of {contact.restitution:g}, and {100 * contact.share:g} % of the bed moving, agrees best with "
-        f"the beds below a ceiling. Compliance there is within {100 * GOOD_DEVIATION:g} % in "
+        "One mass with finite-duration contact agrees best with the beds below a ceiling if it lands in "
+        f"{1e3 * contact.duration:g} ms with a restitution of {contact.restitution:g}, and {100 * contact.share:g} % "
+        "of the bed move. The compliance is then within {100 * GOOD_DEVIATION:g} % in "
         f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in "
         f"{_count_within(deviations, MAX_DEVIATION)} of {len(deviations)} settings (one mass with instantaneous "
         f"contact: {_count_within(instantaneous[has_ceiling], GOOD_DEVIATION)} and "
-        f"{_count_within(instantaneous[has_ceiling], MAX_DEVIATION)}); at each acceleration by the contact fitted to "
-        f"the others, in {_count_within(cross_validated, GOOD_DEVIATION)} and "
+        f"{_count_within(instantaneous[has_ceiling], MAX_DEVIATION)}); with each acceleration compared with the "
+        f"contact fitted to the others: {_count_within(cross_validated, GOOD_DEVIATION)} and "
         f"{_count_within(cross_validated, MAX_DEVIATION)}. The floor's impulse is within {100 * MAX_DEVIATION:g} % in "
         f"{_count_within(floor_deviations, MAX_DEVIATION)}. Without a ceiling the same contact is within "
         f"{100 * MAX_DEVIATION:g} % in {_count_within(all_deviations[~has_ceiling], MAX_DEVIATION)} of "

@@ -1,4 +1,4 @@
-"""Study of a bed of grains against one mass (`analysis beds`): the evidence for claim C7 of the paper.
+"""Study of a bed of grains compared with one mass (`analysis beds`): the evidence for claim C7 of the paper.
 
 A bed is the granular material in the cavity of a damper. It is simulated as grains by discrete elements, and as one
 mass without rebound, which is the model of the paper. The bed is in a body a thousand times as heavy, so that both
@@ -42,9 +42,9 @@ SETTINGS = {
 }
 #: Number of grains, and diameter of the cavity in m, for each number of layers.
 BEDS = {2: (70, 14.2e-3), 4: (100, 11.3e-3), 6: (120, 10e-3), 20: (400, 10e-3)}
-#: Seeds of the packings of a bed.
+#: Seeds of the random packings of a bed.
 SEEDS = (1, 2, 3)
-#: Number of layers for which only some settings and seeds are simulated, because of the computing time.
+#: Number of layers for which only `SETTINGS_OF_MAX_LAYERS` and two seeds are simulated, to save computing time.
 MAX_LAYERS = 20
 SETTINGS_OF_MAX_LAYERS = (
     (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
@@ -104,7 +104,7 @@ class Setting(NamedTuple):
 
 
 def settings() -> list[Setting]:
-    """List all settings, seed by seed and in random order, so that the first settings are spread over all of them."""
+    """List all settings; within a seed in random order, so that the first settings are spread over all of them."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     listed = []
     for seed in SEEDS:
@@ -172,9 +172,9 @@ def follow(path: Path, points: int | None, print_line: Callable[[str], None], cl
 def table(path: Path | None = None) -> Arrays:
     """Read a table of settings, averaged over seeds.
 
-    Returns ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number), ``depth``, each
-    (settings,); and ``grains_NAME``, ``mass_NAME``, ``error_NAME`` (the standard error of the mean over the seeds,
-    infinite for a single seed) for each NAME of `MEASURES`, with ``grains_type`` and ``mass_type``.
+    Returns columns of shape (settings,): ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number)
+    and ``depth``; ``grains_type`` and ``mass_type``; and for each NAME of `MEASURES` ``mass_NAME``, ``grains_NAME``
+    (mean over the seeds) and ``error_NAME`` (standard error of this mean, infinite for a single seed).
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):
@@ -218,9 +218,9 @@ def _mass_summary(frequency: float, level: float, clearance: float) -> list[str]
 def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     """Return the dimensionless measures of a motion, and its type.
 
-    Compliance is relative to the compliance of the body's spring, impulses to the bed's weight times a period,
-    energy to its weight times 1 mm. Landings are in degrees, flight is a share of the period. The compliance is the
-    peak value, where the force balances the dissipation of body and bed: k X / F = 1 / (2 zeta + E / (pi M omega^2
+    Impulses are relative to the bed's weight times a period, energy to its weight times 1 mm. Landings are in degrees,
+    flight is a share of the period. The compliance is that of a body with `DAMPING` and `DAMPED_MASS_RATIO` at its
+    peak, relative to its spring's. There the force balances the dissipation: k X / F = 1 / (2 zeta + E / (pi M omega^2
     X^2)).
     """
     mass, test = scene.dampers[0].mass, scene.test
@@ -242,7 +242,7 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
 
 
 def compliance_at_peak(level: Array, energy: Array) -> Array:
-    """Compute the compliance as in `summary_row` from dissipated energy and level in g; any shape."""
+    """Compute the compliance of `summary_row` from the acceleration [g] and the relative energy; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     vibration_energy = math.pi / DAMPED_MASS_RATIO * speed**2
     return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / vibration_energy))

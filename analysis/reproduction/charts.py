@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 
-def region(parts: Parts) -> Figure:
+def region_of_c2(parts: Parts) -> Figure:
     """Draw the region in which three dampers reduce the single damper's peak by a factor of 2.5 to 4."""
     from matplotlib.patches import Rectangle
 
@@ -33,16 +33,16 @@ def region(parts: Parts) -> Figure:
 
 
 def holds_c2(parts: Parts) -> np.ndarray:
-    """Return the cells in which all parts of C2 are true.
+    """Return the cells in which all parts of claim C2 are true.
 
-    These are the ratio, Type III with one damper, and Types I and II with three dampers, also at the peak. Type III
-    and motion with a longer period must not occur with three dampers.
+    The peak ratio is 2.5 to 4. One damper shows Type III. Three dampers show Types I and II, and no other type than
+    these or rest at the peak.
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]
     has_types_i_and_ii = np.vectorize(lambda text: {"I", "II"} <= set(text.split()))(three["types"])
-    only_both_at_peak = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_there"])
-    return (ratio >= 2.5) & (ratio <= 4.0) & has_type_iii(single) & has_types_i_and_ii & only_both_at_peak
+    only_these_at_peak = np.vectorize(lambda text: set(text.split("/")) <= {"I", "II", "riding"})(three["type_at_peak"])
+    return (ratio >= 2.5) & (ratio <= 4.0) & has_type_iii(single) & has_types_i_and_ii & only_these_at_peak
 
 
 def has_type_iii(scan: Columns) -> np.ndarray:
@@ -60,7 +60,7 @@ def design(parts: Parts) -> Figure:
         ):  # fmt: skip
             data = parts[name]
             # A tilde marks peaks of irregular motion, which are simulated and averaged; all others are exact orbits.
-            cells = zip(data["peak"].flat, abbreviate_types(data["type_there"]).flat, data["exact"].flat, strict=True)
+            cells = zip(data["peak"].flat, abbreviate_types(data["type_at_peak"]).flat, data["exact"].flat, strict=True)
             labels = [f"{'' if exact else '~'}{1e6 * peak:.0f}\n{kind}" for peak, kind, exact in cells]
             texts, peak = np.array(labels).reshape(data["peak"].shape), data["peak"]
             image = _draw_map(axes, data, 1e6 * peak, "magma_r", 40.0, 450.0, texts, peak > 2.4e-4, 7)
@@ -81,9 +81,9 @@ def abbreviate_types(types: np.ndarray) -> np.ndarray:
     return np.vectorize(abbreviate)(types)
 
 
-def trust(parts: Parts) -> Figure:
-    """Draw the error of the approximate method: its peak compared with the full simulation."""
-    error = trust_error(parts)
+def approximation_error_chart(parts: Parts) -> Figure:
+    """Draw the error of the peak of the approximate method, relative to exact orbits or simulation."""
+    error = approximation_error(parts)
     with new_figure(3.8) as figure:
         axes = figure.subplots()
         texts = np.where(np.isfinite(error), np.vectorize("{:+.0f} %".format)(error), "none")
@@ -93,7 +93,7 @@ def trust(parts: Parts) -> Figure:
     return figure
 
 
-def trust_error(parts: Parts) -> np.ndarray:
+def approximation_error(parts: Parts) -> np.ndarray:
     """Compute the error of the approximate peak in % of the simulated peak, (forces, clearances)."""
     return np.asarray(100 * (parts["approx-peaks"]["peak"] / parts["scan-single"]["peak"] - 1))
 

@@ -9,14 +9,14 @@ from analysis.reproduction.charts import has_type_iii, holds_c2
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.fig9_claim import fig9_claim
 from analysis.reproduction.figures import Columns, Parts
-from analysis.reproduction.parts import FIGURE_5, NOISES
+from analysis.reproduction.parts import FIGURE_5_SETTING, NOISES
 from rig.scene.scene import STANDARD_GRAVITY
 
-# Natural frequencies of the paper, rad/s.
+# Natural frequencies stated in the paper, rad/s.
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6
-# Smallest relative difference between curves that differ.
+# Smallest relative difference at antiresonances for which simulation and experiment count as different.
 MIN_DIFFERENCE = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
 MIN_DIFFERENCE_RATIO = 5.0
@@ -38,28 +38,29 @@ def _c1(parts: Parts) -> Claim:
     identified_shape_error = np.abs(measured["shapes"] - theory["shapes"]).max()
     peaks = []
     for low, high in ((10, 16), (30, 40), (46, 55)):
-        inside = (measured["frequency"] > low) & (measured["frequency"] < high)
-        highest = np.abs(measured["transfer"]).sum(axis=0)[inside].argmax()
-        peaks.append(2 * np.pi * measured["frequency"][inside][highest])
+        in_band = (measured["frequency"] > low) & (measured["frequency"] < high)
+        highest = np.abs(measured["transfer"]).sum(axis=0)[in_band].argmax()
+        peaks.append(2 * np.pi * measured["frequency"][in_band][highest])
     holds = omega_error < 2e-3 and identified_error < 1e-3 and shape_error < 0.02
     return Claim(
         "C1",
         "Natural frequencies 81.9, 218.8, 312.4 rad/s and their shapes; responses of the three masses without dampers.",
         (
             Evidence(
-                f"The chain of the paper's masses and springs has {_list(theory['omega'], 3)} rad/s, within "
+                f"The chain of the paper's masses and springs has {_format_list(theory['omega'], 3)} rad/s, within "
                 f"{100 * omega_error:.2f} % of the paper's; shapes differ by at most {shape_error:.3f}.",
                 ("structure",),
             ),
             Evidence(
-                f"Modes identified in the recording: {_list(measured['omega'], 3)} rad/s, within "
+                f"Modes identified in the recording: {_format_list(measured['omega'], 3)} rad/s, within "
                 f"{100 * identified_error:.3f} % of the chain's; shapes within {identified_shape_error:.3f}; damping "
-                f"{_list(100 * measured['damping'], 2)} % (ours: 0.5 %, as the paper gives none).",
+                f"{_format_list(100 * measured['damping'], 2)} % (ours: 0.5 %, as the paper gives none).",
                 ("rec-bare", "structure"),
             ),
             Evidence(
-                f"Per table motion the same recording peaks at {_list(np.array(peaks), 0)} rad/s: the coil spring "
-                "is then part of the vibrating system, but not of the structure whose compliance the paper reports.",
+                f"Per table motion the same recording peaks at {_format_list(np.array(peaks), 0)} rad/s: the coil "
+                "spring then belongs to the vibrating system, but not to the structure of which the paper reports the "
+                "compliance.",
                 ("rec-bare",),
             ),
         ),
@@ -81,7 +82,9 @@ def _c2(parts: Parts) -> Claim:
         if len(median_clearance) > 1 and (np.diff(median_clearance) > 0).all()
         else ""
     )
-    figure_cell = [int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5, strict=True)]
+    cell_of_figure_5 = [
+        int(np.abs(grid - value).argmin()) for grid, value in zip((force, clearance), FIGURE_5_SETTING, strict=True)
+    ]
     verdict = (
         f"holds for these parameters: {int(holds.sum())} of {holds.size} combinations of force and clearance"
         if holds.any()
@@ -102,8 +105,8 @@ def _c2(parts: Parts) -> Claim:
             Evidence(
                 "The whole claim, with only Types I and II at the peak with three dampers, is true for "
                 f"{', '.join(settings) or 'no cell'}{trend}. Figs 5 and 6 use "
-                f"{'one of these settings' if figure_cell in np.argwhere(holds).tolist() else 'another setting'}: "
-                f"{FIGURE_5[0]:g} N with {1e3 * FIGURE_5[1]:g} mm.",
+                f"{'one of these settings' if cell_of_figure_5 in np.argwhere(holds).tolist() else 'another setting'}: "
+                f"{FIGURE_5_SETTING[0]:g} N with {1e3 * FIGURE_5_SETTING[1]:g} mm.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
@@ -123,7 +126,7 @@ def _c2(parts: Parts) -> Claim:
 def _describe_type_iii(single: Columns) -> str:
     """Compare peaks of Type III with those of other types at the same force (paper: Type III enhances the motion)."""
     factors = []
-    for peak, kind in zip(single["peak"], single["type_there"], strict=True):
+    for peak, kind in zip(single["peak"], single["type_at_peak"], strict=True):
         is_type_iii = kind == "III"
         if is_type_iii.any() and not is_type_iii.all():
             factors.append(np.median(peak[is_type_iii]) / np.median(peak[~is_type_iii]))
@@ -155,7 +158,7 @@ def _c3(parts: Parts) -> Claim:
         for label, row in zip(("one damper", "two", "three"), ratios_to_bare[1:], strict=True)
     ]
     scanned = parts["least-affected"]
-    first_is_least = scanned["share"][..., 0] > scanned["share"][..., 1:].max(axis=-1)
+    first_is_least = scanned["peak_ratio"][..., 0] > scanned["peak_ratio"][..., 1:].max(axis=-1)
     at_level = first_is_least[:, :, int(np.abs(scanned["force"] - FORCE_C3_N).argmin())]
     up_to_force = np.logical_and.accumulate(first_is_least.all(axis=(0, 1)))
     force_range = (
@@ -273,5 +276,5 @@ def _c6(parts: Parts) -> Claim:
     )
 
 
-def _list(values: np.ndarray, digits: int) -> str:
+def _format_list(values: np.ndarray, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)

@@ -46,20 +46,20 @@ TABLE = Table(
 
 
 class Contact(NamedTuple):
-    """A point of the study: acceleration in g, clearance in m, restitution, duration in s."""
+    """A point of the study."""
 
-    level: float
-    clearance: float
+    level: float  # acceleration of the body, g
+    clearance: float  # m
     restitution: float
-    duration: float
+    duration: float  # s
 
 
 class FittedContact(NamedTuple):
-    """A contact fitted to beds: restitution, duration in s, share of the bed's mass that moves."""
+    """A contact fitted to beds."""
 
     restitution: float
-    duration: float
-    share: float
+    duration: float  # s
+    share: float  # of the bed's mass that moves; the rest is fixed to the body
 
 
 def contacts() -> list[Contact]:
@@ -126,7 +126,7 @@ def table(path: Path | None = None) -> Arrays:
 
 
 def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> FittedContact:
-    """Fit a contact to beds: smallest mean logarithmic ratio of the compliances.
+    """Fit a contact to beds: smallest mean magnitude of the logarithmic ratio of the compliances.
 
     `beds`: as returned by `analysis.reproduction.bed_study.table`, or a selection of its settings; `contacts`: as
     returned by `table`.
@@ -211,5 +211,5 @@ def _describe_row(row: Row) -> str:
     level, clearance, restitution, duration = _contact_of(row)
     return (
         f"{level:g} g, clearance {1e3 * clearance:g} mm, restitution {restitution:g}, {1e3 * duration:g} ms: "
-        f"{row['energy']} times the weight times 1 mm dissipated per period"
+        f"energy dissipated per period: {row['energy']} times the bed's weight times 1 mm"
     )

@@ -23,7 +23,7 @@ BODIES = ("body1", "body2", "body3")
 
 
 def open_or_record(scene: Scene, path: Path) -> Recording:
-    """Open the recording of a scene; make it unless a complete recording of the same scene exists."""
+    """Open the recording of a scene; record it first unless a complete recording of the same scene exists."""
     try:
         recording = daq.open(path)
         if recording.scene == scene and not recording.gaps:
@@ -45,7 +45,7 @@ def open_or_record(scene: Scene, path: Path) -> Recording:
 def sweep(scene: Scene, path: Path) -> Arrays:
     """Estimate the compliances of the bodies, X_j / F_1, from a stepped-sine recording.
 
-    Returns frequency (points,) Hz, compliance, error and coherence (bodies, points).
+    Returns `frequency` [Hz] (points,), and `compliance`, `error` [m/N] and `coherence` (bodies, points).
     """
     with open_or_record(scene, path) as recording:
         curves = frequency_responses(recording, BODIES)[0]
@@ -60,8 +60,8 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 def bare_sweep(scene: Scene, path: Path) -> Arrays:
     """Estimate compliances as `sweep`, transmissibilities X_j / X_0, and modal parameters from a recording.
 
-    Returns the entries of `sweep`, and transfer (bodies, points), omega and omega_error (modes,) in rad/s, damping
-    (modes,), and mode shapes (bodies, modes) with largest element 1.
+    Returns the entries of `sweep`; `transfer` (bodies, points), the transmissibilities; `omega` and `omega_error`
+    [rad/s], and `damping` (modes,); and mode `shapes` (bodies, modes) with largest element 1.
     """
     with open_or_record(scene, path) as recording:
         arrays = sweep(scene, path)
@@ -85,10 +85,10 @@ def damper_sweep(scene: Scene, path: Path) -> Arrays:
 def impact_phases(scene: Scene, path: Path) -> Arrays:
     """Estimate impact phases of the damper in body 2 over frequency, from the channel on it and the spring force.
 
-    Returns frequency (points,) Hz; phi (points,), lag of the force with respect to the floor impact; tau_1
-    (points,), ceiling impact after the floor impact [rad]; floor and ceiling (points,), impacts per period. NaN
-    unless there is exactly one impact of that kind in every period. Take-off causes no velocity jump, so tau_0
-    cannot be measured.
+    Returns arrays of shape (points,): `frequency` [Hz]; `phi`, phase lag of the force at the floor impact [rad];
+    `tau_1`, phase of the ceiling impact after the floor impact [rad]; `floor` and `ceiling`, impacts per period. A
+    phase is NaN unless there is about one impact per period, with small scatter. Take-off causes no velocity jump, so
+    tau_0 cannot be measured.
     """
     frequencies, phis, taus, floors, ceilings = [], [], [], [], []
     with open_or_record(scene, path) as recording:
@@ -125,9 +125,9 @@ def _impact_phases(
         detected = impacts(recording, channel, first, stop)
     except RecordingError:
         return np.zeros(0), np.zeros(0)
-    inside = (detected.time >= first / recording.rate) & (detected.time < stop / recording.rate)
+    in_section = (detected.time >= first / recording.rate) & (detected.time < stop / recording.rate)
     phases = (2 * np.pi * frequency * detected.time) % (2 * np.pi)
-    return phases[inside & (detected.wall == "floor")], phases[inside & (detected.wall == "ceiling")]
+    return phases[in_section & (detected.wall == "floor")], phases[in_section & (detected.wall == "ceiling")]
 
 
 def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
@@ -149,8 +149,8 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 def ring_down(scene: Scene, path: Path) -> Arrays:
     """Compute the free decay of body 3's acceleration after the first hit.
 
-    Returns time [s], acceleration, envelope [m/s²] (samples,); time_of_6_db (): time in which the energy falls by 6 dB
-    [s]; time_below_1_g (): time from which the acceleration stays below 1 g [s].
+    Returns `time` [s], `acceleration` and `envelope` [m/s²] (samples,); `time_of_6_db`, in which the energy falls by
+    6 dB [s]; `time_below_1_g`, from which the acceleration stays below 1 g [s].
     """
     with open_or_record(scene, path) as recording:
         measured = decay(recording, "body3")

@@ -28,7 +28,7 @@ def fig9_claim(parts: Parts) -> Claim:
     only_type_2 = not ((exact["type"] == "III") & exact["stable"]).any()
     over_damping = parts["fig9-damping"]
     column = int(np.abs(over_damping["clearance"] - 0.98e-3).argmin())
-    dampings_without_iii = over_damping["damping"][~over_damping["third"][:, column]]
+    dampings_without_iii = over_damping["damping"][~over_damping["has_type_iii"][:, column]]
     absent_for = (
         f"damping of {100 * dampings_without_iii.min():g} % and more"
         if dampings_without_iii.size
@@ -104,7 +104,7 @@ def compare_directions(up: Columns, down: Columns) -> str:
 def _without_type_iii(over_damping: Columns) -> str:
     """Report the clearances without Type III, by damping ratio."""
     rows = []
-    for damping, third in zip(over_damping["damping"], over_damping["third"], strict=True):
+    for damping, third in zip(over_damping["damping"], over_damping["has_type_iii"], strict=True):
         clearances = [f"{1e3 * c:g}" for c in over_damping["clearance"][~third]]
         rows.append(
             f"{100 * damping:g} %: {'/'.join(clearances) + ' mm' if clearances else 'none of the clearances tried'}"

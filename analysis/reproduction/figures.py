@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.decays.free_decay import upper_bound
-from analysis.reproduction.parts import FIGURE_5, NOISES
+from analysis.reproduction.parts import FIGURE_5_SETTING, NOISES
 from rig.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
 from rig.scene.scene import STANDARD_GRAVITY
 
@@ -21,7 +21,7 @@ Columns = Mapping[str, np.ndarray]
 Parts = Mapping[str, Columns]
 
 BLUE, RED, GREEN, PINK, SKY, ORANGE, GRAY, BLACK = COLORS
-# Natural frequency of the first mode, Hz; it determines the window of the envelope.
+# Natural frequency of the first mode, Hz; the envelope is computed over its period.
 LOWEST_MODE_HZ = 12.4
 _WAVEFORM_LABEL = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
 COMPLIANCE_LABEL = "compliance |X/F₁| / (µm/N)"
@@ -86,7 +86,7 @@ def figure_5(parts: Parts) -> Figure:
         axes.set_xlabel("frequency / Hz")
         set_log_scale(axes.yaxis, factor=1e6)
         axes.set_ylabel("compliance of body 2 |X₂/F₁| / (µm/N)")
-        force, clearance = FIGURE_5
+        force, clearance = FIGURE_5_SETTING
         axes.set_title(
             f"Fig 5: third mode; mass ratio 10 %, clearance {1e3 * clearance:g} mm, force {force:g} N (our choice)"
         )
@@ -119,7 +119,7 @@ def figure_6(parts: Parts) -> Figure:
 def _draw_waveforms(axes: Axes, wave: Columns) -> None:
     """Draw the displacements of bodies and damper masses over time."""
     t = 1e3 * wave["time"]
-    for k, body in enumerate(wave["at"]):
+    for k, body in enumerate(wave["damper_body"]):
         floor = 1e3 * wave["body"][body]
         shade = COLORS[int(body)]
         axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
@@ -157,7 +157,7 @@ def figure_9(parts: Parts) -> Figure:
     with new_figure(7.6) as figure:
         upper, lower = figure.subplots(2, 1, height_ratios=[1.1, 1], sharex=True)
         for name, mark, label in (("bare", "--", "no damper"), ("riding", ":", "mⱼ + mdⱼ")):
-            upper.plot(approximate["line"], abs(approximate[name]), mark, color=GRAY, lw=0.8, label=label)
+            upper.plot(approximate["dense_frequency"], abs(approximate[name]), mark, color=GRAY, lw=0.8, label=label)
         magnitude = abs(approximate["compliance"])
         _draw_branches(upper, approximate, magnitude, ORANGE, "approximate method", approximate["valid"])
         magnitude = abs(exact["compliance"][:, 1])
@@ -226,8 +226,8 @@ def figure_10b(parts: Parts) -> Figure:
             data = parts[f"rec-hit-{name}"]
             axes.plot(data["time"], data["acceleration"], color=shade, lw=0.5)
             envelope = upper_bound(data["acceleration"], 1.0 / (LOWEST_MODE_HZ * (data["time"][1] - data["time"][0])))
-            for side, entry in ((envelope, label), (-envelope, "")):
-                axes.plot(data["time"], side, color=shade, lw=1.4, label=entry)
+            for bound, entry in ((envelope, label), (-envelope, "")):
+                axes.plot(data["time"], bound, color=shade, lw=1.4, label=entry)
         limits: dict[str, Any] = {"color": ORANGE, "alpha": 0.2, "lw": 0, "label": "within 1 g: dampers rest"}
         axes.axhspan(-STANDARD_GRAVITY, STANDARD_GRAVITY, **limits)
         axes.set(xlim=(0, 2.0), xlabel="time / s", ylabel="acceleration of body 3 / (m/s²)")

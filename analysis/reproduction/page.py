@@ -85,8 +85,8 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
     lines = [
         Evidence(
             "Best clearance of a damper in body 2 for the third mode, robust for 0.8 to 1.25 times 3.3 N, by mass "
-            f"ratio: {optima}. Over exact orbits at {100 * np.mean([b['orbits'] for b in best_by_ratio]):.0f} % of the "
-            "frequencies; at the others the motion is irregular, and its average was taken.",
+            f"ratio: {optima}. Over exact orbits at {100 * np.mean([b['orbit_share'] for b in best_by_ratio]):.0f} % "
+            "of the frequencies; at the others the motion is irregular, and its average was taken.",
             clearances,
         ),
         Evidence(

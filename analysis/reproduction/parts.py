@@ -12,14 +12,14 @@ from analysis.reproduction import bed_study, contact_study, experiment, scan, si
 from analysis.reproduction.store import PaperPart
 from rig.scene.scene import Scene
 
-# Band around the third mode.
+# Frequency band around the third mode.
 THIRD_MODE_BAND_HZ = (45.0, 54.0)
 # Forces of the scans, N.
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 # Clearances of the scans, m.
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
-# Force [N] and clearance [m] of Figs 5 and 6.
-FIGURE_5 = (3.3, 0.5e-3)
+# Force [N] and clearance [m] of Figs 5 and 6: our choice, as the paper does not state them.
+FIGURE_5_SETTING = (3.3, 0.5e-3)
 # Frequency band around each mode, Hz.
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 # Damping ratios for Fig 9.
@@ -30,11 +30,11 @@ FIGURE_9_CLEARANCES = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
 # Mass ratios of the search for the best damper.
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
-# Damping ratios of each mode in Fig 8, which the paper does not state.
-UNSTATED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
-# Force levels of Fig 8, which the paper does not state, N.
-UNSTATED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
-UNSTATED_MASS_RATIOS = np.array([0.05, 0.10])
+# Damping ratios of each mode for Fig 8; the paper states none.
+SCANNED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
+# Forces for Fig 8 (there 2.6 N), N, and mass ratios (there 10 %).
+SCANNED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
+SCANNED_MASS_RATIOS = np.array([0.05, 0.10])
 # Noise densities of the accelerometers in Fig 10a, ug/sqrt(Hz).
 NOISES = (20, 200, 2000)
 # Frequency grid that resolves the peaks and antiresonances of bodies 1 and 2 with three dampers, Hz.
@@ -95,10 +95,10 @@ def all_parts(folder: Path) -> list[PaperPart]:
         ),
         ("orbit-fig9", "exact orbits of Fig 9", simulation.exact_orbits, fig9, wide_band),
         (
-            "approx-fig9", "approximate method, Fig 9", simulation.approximated, fig9,
+            "approx-fig9", "approximate method, Fig 9", simulation.approximate_branches, fig9,
             wide_band | {"mode": 3, "weighting": "printed"},
         ),
-        ("sim-three", "simulation of Fig 10a", simulation.simulated, fig10a, {"frequencies": SWEEP_GRID}),
+        ("sim-three", "simulation of Fig 10a", simulation.simulate_response, fig10a, {"frequencies": SWEEP_GRID}),
         (
             "fig9-damping", "Fig 9 over damping and clearance", scan.type_iii_over_damping, fig9,
             {"dampings": DAMPINGS, "clearances": FIGURE_9_CLEARANCES, "frequencies": THIRD_RESONANCE_GRID},
@@ -112,8 +112,8 @@ def all_parts(folder: Path) -> list[PaperPart]:
         ),
         *(
             (
-                f"weights-{count}", f"both weights of the mass ratio, {count.replace('-', ' ')}",
-                simulation.weightings, rig.load(f"fig8-{count}"), {"bands": MODE_BANDS},
+                f"weights-{count}", f"both weightings of the mass ratio, {count.replace('-', ' ')}",
+                simulation.peaks_by_weighting, rig.load(f"fig8-{count}"), {"bands": MODE_BANDS},
             )
             for count in ("one-damper", "two-dampers", "three-dampers")
         ),
@@ -121,16 +121,16 @@ def all_parts(folder: Path) -> list[PaperPart]:
             "least-affected", "Fig 8 over damping, mass ratio and force", scan.least_affected,
             rig.load("fig8-three-dampers"),
             {
-                "dampings": UNSTATED_DAMPINGS, "mass_ratios": UNSTATED_MASS_RATIOS, "forces": UNSTATED_FORCES,
+                "dampings": SCANNED_DAMPINGS, "mass_ratios": SCANNED_MASS_RATIOS, "forces": SCANNED_FORCES,
                 "bands": MODE_BANDS,
             },
         ),
         (
-            "sim-noise", "Fig 10a where noise matters", simulation.simulated, fig10a,
+            "sim-noise", "Fig 10a where noise matters", simulation.simulate_response, fig10a,
             {"frequencies": np.sort(NOISE_GRID)},
         ),
-        ("sim-fig5-single", "simulation of Fig 5", simulation.simulated, single, dense_grid),
-        ("sim-fig5-three", "simulation of Fig 5", simulation.simulated, three, dense_grid),
+        ("sim-fig5-single", "simulation of Fig 5", simulation.simulate_response, single, dense_grid),
+        ("sim-fig5-three", "simulation of Fig 5", simulation.simulate_response, three, dense_grid),
         *(
             (
                 f"wave-{letter}", f"waveform {letter} of Fig 6", simulation.waveforms, rig.load(name),
@@ -139,7 +139,7 @@ def all_parts(folder: Path) -> list[PaperPart]:
             for letter, (name, frequency) in WAVES.items()
         ),
         (
-            "structure", "the structure", simulation.structure_numbers, fig10a,
+            "structure", "linear properties of the structure", simulation.linear_properties, fig10a,
             {"frequencies": np.linspace(8.0, 60.0, 2001)},
         ),
     ]  # fmt: skip
@@ -203,12 +203,12 @@ def _with_noise(scene: Scene, density: float) -> Scene:
 def _part(
     name: str, title: str, compute: Any, scene: Scene, arguments: dict[str, Any], folder: Path | None = None
 ) -> PaperPart:
-    """Return a part; `folder`: of the recording that the part makes, on which its results do not depend."""
+    """Return a part; `folder`: output folder, if the part makes a recording; it does not affect the results."""
     serialized = {
         key: value if isinstance(value, dict) else np.asarray(value).tolist() for key, value in arguments.items()
     }
-    depends = f"{name}\n{scene.to_si_yaml()}\n{serialized}"
+    all_inputs = f"{name}\n{scene.to_si_yaml()}\n{serialized}"
     inputs = {"scene": scene, **arguments}
     if folder is not None:
         inputs["path"] = folder / "recordings" / f"{name.removeprefix('rec-')}.mcap"
-    return PaperPart(name, depends, compute, inputs, title, EFFORT.get(name, 1.0))
+    return PaperPart(name, all_inputs, compute, inputs, title, EFFORT.get(name, 1.0))

@@ -31,10 +31,10 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
     "fig9": paper_figures.figure_9,
     "fig10a": paper_figures.figure_10a,
     "fig10b": paper_figures.figure_10b,
-    "c2-region": paper_charts.region,
+    "c2-region": paper_charts.region_of_c2,
     "design": paper_charts.design,
     "optimum": paper_charts.optimum,
-    "trust": paper_charts.trust,
+    "trust": paper_charts.approximation_error_chart,
     "c7-beds": bed_chart.beds,
     "c7-modes": bed_chart.modes,
 }
@@ -56,7 +56,8 @@ def reproduce(
     unknown = set(fresh) - {part.name for part in parts}
     if unknown:
         raise SceneError(
-            f"--fresh: no part {', '.join(sorted(unknown))}. Choose among {', '.join(part.name for part in parts)}."
+            f"--fresh: unknown part {', '.join(sorted(unknown))}. "
+            f"Choose among {', '.join(part.name for part in parts)}."
         )
     remove_partial(folder)
     stored: dict[str, Arrays] = {}
@@ -67,10 +68,14 @@ def reproduce(
             missing.append(part)
         else:
             stored[part.name] = results
-    effort = sum(part.effort for part in missing) / cores()
+    duration = sum(part.effort for part in missing) / cores()
     print_line(
-        f"{len(stored)} of {len(parts)} parts are stored, {len(missing)} are to be computed"
-        + (f": about {_format_duration(effort)} on {cores()} free cores, the longest parts first." if missing else ".")
+        f"{len(stored)} of {len(parts)} parts are stored; {len(missing)} are computed now"
+        + (
+            f": about {_format_duration(duration)} on {cores()} free cores, the longest parts first."
+            if missing
+            else "."
+        )
     )
     if missing:
         total_effort, finished_effort, compute_start = sum(part.effort for part in missing), 0.0, time.monotonic()

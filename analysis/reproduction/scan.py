@@ -18,13 +18,13 @@ from rig.steady_response.motion_type import combined_type
 from rig.system.structural_model import receptance
 
 # Body whose peak compliance is scanned, from 1.
-BODY = 2
-# Force levels of the robust optimum, relative to the nominal force.
+REPORTED_BODY = 2
+# Force levels of which the worst peak counts, relative to the nominal force.
 LEVELS = np.array([0.8, 1.0, 1.25])
 
 
 def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProblem:
-    """Set up a scene with a common clearance and mass ratio for all its dampers."""
+    """Return the orbit problem of a scene with a common clearance and mass ratio for all its dampers."""
     dampers = [d.replace(clearance=float(clearance), mass=None, mass_ratio=mass_ratio) for d in scene.dampers]
     return OrbitProblem(scene.replace(dampers=dampers))
 
@@ -32,12 +32,12 @@ def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProb
 def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mass_ratio: float) -> Arrays:
     """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
 
-    Returns peak (forces, clearances): largest |X| / F_1 of `BODY`, m/N; where (same): its frequency; type_there: the
-    motion type at the peak; types: all types of any damper, joined by spaces; orbits: share of the frequencies with
-    an exact stable orbit; exact: whether the peak is an exact stable orbit.
+    Returns `force`, `clearance`, and in shape (forces, clearances): `peak`, largest |X| / F_1 of `REPORTED_BODY` [m/N];
+    `peak_frequency` [Hz]; `type_at_peak`, the motion type there; `types`, all motion types of the dampers, joined by
+    spaces; `orbit_share`, share of the frequencies with an exact stable orbit; `exact`, whether the peak is one.
     """
     shape = (len(forces), len(clearances))
-    peak, peak_frequency, orbits = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    peak, peak_frequency, orbit_share = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     type_at_peak, types = np.empty(shape, dtype="U24"), np.empty(shape, dtype="U400")
     exact = np.zeros(shape, dtype=bool)
     for column, clearance in enumerate(clearances):
@@ -45,19 +45,19 @@ def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mas
         for row, force in enumerate(forces):
             response = response_at_level(problem, float(force), frequencies)
             cell = row, column
-            peak[cell], peak_frequency[cell] = refined_peak(problem, response, BODY)
-            i = int(np.abs(response.compliance[BODY - 1]).argmax())
+            peak[cell], peak_frequency[cell] = refined_peak(problem, response, REPORTED_BODY)
+            i = int(np.abs(response.compliance[REPORTED_BODY - 1]).argmax())
             type_at_peak[cell] = combined_type(response.damper_motion[:, i].tolist())
             types[cell] = " ".join(sorted(set(response.damper_motion.ravel().tolist())))
-            orbits[cell], exact[cell] = 1 - response.simulated.mean(), not response.simulated[i]
+            orbit_share[cell], exact[cell] = 1 - response.simulated.mean(), not response.simulated[i]
     return {
         "force": forces,
         "clearance": clearances,
         "peak": peak,
-        "where": peak_frequency,
-        "type_there": type_at_peak,
+        "peak_frequency": peak_frequency,
+        "type_at_peak": type_at_peak,
         "types": types,
-        "orbits": orbits,
+        "orbit_share": orbit_share,
         "exact": exact,
     }
 
@@ -65,7 +65,8 @@ def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mas
 def type_iii_over_damping(scene: Scene, dampings: Array, clearances: Array, frequencies: Array) -> Arrays:
     """Compute whether Type III occurs near the resonance, over damping ratio (rows) and clearance (columns).
 
-    Returns third (dampings, clearances): whether Type III occurs; peak (same): largest compliance of `BODY` [m/N].
+    Returns `damping`, `clearance`, and in shape (dampings, clearances): `has_type_iii`, and `peak`, the largest
+    compliance of `REPORTED_BODY` [m/N].
     """
     shape = (len(dampings), len(clearances))
     has_type_iii, peak = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -76,8 +77,8 @@ def type_iii_over_damping(scene: Scene, dampings: Array, clearances: Array, freq
             problem = OrbitProblem(scene.replace(structure=structure, dampers=dampers))
             response = response_at_level(problem, problem.level, frequencies)
             has_type_iii[row, column] = bool((response.damper_motion == "III").any())
-            peak[row, column] = refined_peak(problem, response, BODY)[0]
-    return {"damping": dampings, "clearance": clearances, "third": has_type_iii, "peak": peak}
+            peak[row, column] = refined_peak(problem, response, REPORTED_BODY)[0]
+    return {"damping": dampings, "clearance": clearances, "has_type_iii": has_type_iii, "peak": peak}
 
 
 def least_affected(
@@ -88,10 +89,10 @@ def least_affected(
     bands: dict[int, tuple[float, float]],
     points: int = 40,
 ) -> Arrays:
-    """Compute the peak ratio with and without dampers at each mode, over parameters that the paper does not state.
+    """Compute the ratio of the peaks of body 3 with and without dampers, over damping, mass ratio, force and mode.
 
-    Returns share (dampings, mass_ratios, forces, modes): largest compliance of body 3 near a mode, relative to the
-    bare structure; dampings, mass_ratios, forces.
+    `bands`: frequency band [Hz] around each mode. Returns `peak_ratio` (dampings, mass_ratios, forces, modes), and
+    `damping`, `mass_ratio` and `force`.
     """
     ratios = np.empty((len(dampings), len(mass_ratios), len(forces), len(bands)))
     for i, damping in enumerate(dampings):
@@ -105,16 +106,16 @@ def least_affected(
                 for n, force in enumerate(forces):
                     peak = refined_peak(problem, response_at_level(problem, float(force), frequency), 3)[0]
                     ratios[i, j, n, k] = peak / abs(without_dampers).max()
-    return {"share": ratios, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
+    return {"peak_ratio": ratios, "damping": dampings, "mass_ratio": mass_ratios, "force": forces}
 
 
 class _WorstPeak:
-    """Function of clearance and mass ratio: the largest peak over the force levels; results are cached."""
+    """Function of clearance and mass ratio: the largest peak over `LEVELS` times the force; results are cached."""
 
     def __init__(self, scene: Scene, force: float, frequencies: Array) -> None:
         self.scene, self.force, self.frequencies = scene, force, frequencies
         self.trials: dict[tuple[float, float], float] = {}  # results by clearance in m and mass ratio
-        self.orbits: list[float] = []  # share of the frequencies with an exact orbit, for each response
+        self.orbit_shares: list[float] = []  # share of the frequencies with an exact stable orbit, for each response
 
     def __call__(self, clearance: float, mass_ratio: float) -> float:
         key = (float(clearance), float(mass_ratio))
@@ -123,8 +124,8 @@ class _WorstPeak:
             peaks = []
             for level in LEVELS:
                 response = response_at_level(problem, float(self.force * level), self.frequencies)
-                peaks.append(refined_peak(problem, response, BODY)[0])
-                self.orbits.append(1 - float(response.simulated.mean()))
+                peaks.append(refined_peak(problem, response, REPORTED_BODY)[0])
+                self.orbit_shares.append(1 - float(response.simulated.mean()))
             self.trials[key] = max(peaks)
         return self.trials[key]
 
@@ -138,18 +139,19 @@ class _WorstPeak:
             "best": np.array(best[0]),
             "mass_ratio": np.array(best[1]),
             "peak": np.array(self.trials[best]),
-            "orbits": np.array(np.mean(self.orbits)),
+            "orbit_share": np.array(np.mean(self.orbit_shares)),
         }
 
 
 def best_clearance(scene: Scene, force: float, mass_ratio: float, clearances: Array, frequencies: Array) -> Arrays:
     """Compute the clearance with the smallest peak compliance over a range of forces.
 
-    A coarse search over the given clearances is refined by golden sections around the best. The robust criterion is
-    the worst peak at `LEVELS` times the force.
+    A grid of the given clearances is refined around the best by Brent's method. The criterion is the worst peak at
+    `LEVELS` times the force.
 
-    Returns clearance, mass_ratios, worst (trials,) in the order of the search; best, mass_ratio, peak (): the
-    optimum and its worst peak; orbits (): share of all frequencies with an exact stable orbit.
+    Returns `clearance`, `mass_ratios` and `worst` (trials,) in the order of the search; `best`, `mass_ratio` and
+    `peak`: the best clearance, its mass ratio and worst peak; `orbit_share`: share of all frequencies with an exact
+    stable orbit.
     """
     worst = _WorstPeak(scene, force, frequencies)
     grid = np.log(clearances)
@@ -167,7 +169,7 @@ def best_clearance(scene: Scene, force: float, mass_ratio: float, clearances: Ar
 def best_damper(
     scene: Scene, force: float, mass_ratios: Array, clearances: Array, frequencies: Array, trials: int = 30
 ) -> Arrays:
-    """Compute the clearance and mass ratio with the smallest worst peak; as `best_clearance`.
+    """Compute the clearance and mass ratio with the smallest worst peak; returns as `best_clearance`.
 
     The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
     the grid.

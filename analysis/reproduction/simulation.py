@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.reproduction.scan import BODY
+from analysis.reproduction.scan import REPORTED_BODY
 from analysis.reproduction.store import Arrays
 from rig.arrays import Array
 from rig.damper_design.worst_peak import refined_peak, response_at_level
@@ -22,10 +22,10 @@ from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance, structural_model
 
 
-def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
+def linear_properties(scene: Scene, frequencies: Array) -> Arrays:
     """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and exact compliances (bodies, frequencies).
 
-    They are those without dampers (compliance), and with dampers at rest on their floors (riding), in m/N.
+    Compliances [m/N]: `compliance` without dampers, `riding` with the dampers' masses fixed to their bodies.
     """
     modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
@@ -38,7 +38,7 @@ def structure_numbers(scene: Scene, frequencies: Array) -> Arrays:
     }
 
 
-def simulated(scene: Scene, frequencies: Array) -> Arrays:
+def simulate_response(scene: Scene, frequencies: Array) -> Arrays:
     """Compute the steady response to a purely sinusoidal force at rising frequencies, as `rig.frequency_response`."""
     response = frequency_response(with_ideal_force(scene), frequencies, tolerance=1e-6, longest=4000)
     return {
@@ -60,7 +60,7 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
     rows = []
     for number, branch in enumerate(curve.branches):
         omega = 2 * np.pi * branch.value
-        instants = np.array([_fig9_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
+        instants = np.array([_contact_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
         rows.append(
             {
                 "branch": np.full(branch.value.size, number),
@@ -68,8 +68,9 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
                 "compliance": branch.compliance.T,
                 "stable": branch.stable,
                 "type": np.full(branch.value.size, branch.motion_type, dtype="U24"),
-                # The force is sin(w t), and sin(-phi) at the floor impact.
+                # Phase by which the force lags the floor impact: the force is sin(w t), and sin(-phi) at the impact.
                 "phi": (-instants[:, 0]) % (2 * np.pi),
+                # Phases of take-off, ceiling impact and ceiling take-off after the floor impact.
                 "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
             }
         )
@@ -86,8 +87,8 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
     }
 
 
-def _fig9_instants(orbit: Orbit) -> list[float]:
-    """Return the instants of floor impact, take-off, ceiling impact and ceiling take-off in Types I to III [s]."""
+def _contact_instants(orbit: Orbit) -> list[float]:
+    """Return the instants [s] of floor impact, take-off, ceiling impact and ceiling take-off; NaN for those absent."""
     if orbit.motion_type not in ("I", "II", "III"):
         return [np.nan] * 4
     floor, ceiling, separations = (
@@ -98,12 +99,12 @@ def _fig9_instants(orbit: Orbit) -> list[float]:
     return [floor[0], take_offs[0], ceiling[0] if len(ceiling) else np.nan, ceiling_take_off]
 
 
-def approximated(
+def approximate_branches(
     scene: Scene, mode: int, band: tuple[float, float], weighting: Weighting, searches: int = 13
 ) -> Arrays:
     """Compute the branches of the approximate method in one table, with the compliances of all bodies."""
     reduced = single_mode(with_ideal_force(scene), mode, weighting=weighting)
-    response, line = follow_mode(reduced, band, searches), np.linspace(*band, 801)
+    response, dense_frequency = follow_mode(reduced, band, searches), np.linspace(*band, 801)
     rows = [
         {
             "branch": np.full(branch.frequency.size, number),
@@ -120,15 +121,15 @@ def approximated(
     return join_columns(rows) | {
         "shape": reduced.shape,
         "mass_ratio": np.array(reduced.mass_ratio),
-        "line": line,
-        "bare": reduced.receptance(line),
-        "riding": reduced.receptance(line, riding=True),
+        "dense_frequency": dense_frequency,
+        "bare": reduced.receptance(dense_frequency),
+        "riding": reduced.receptance(dense_frequency, riding=True),
         "failures": np.array(response.failures, dtype=np.str_),
     }
 
 
 def waveforms(scene: Scene, frequency: float) -> Arrays:
-    """Compute displacements of bodies and damper masses over two periods of the orbit at a frequency."""
+    """Compute displacements of bodies and gaps of dampers [m] over two periods of the drive."""
     orbit = periodic_orbit(scene, frequency)
     orbit_time, *motion = orbit.columns().values()
     time = np.concatenate([orbit_time + k * orbit.repetition / frequency for k in range(-1, 3)])
@@ -139,7 +140,7 @@ def waveforms(scene: Scene, frequency: float) -> Arrays:
         "time": time[shown],
         "body": displacement[:bodies],
         "gap": displacement[bodies:],
-        "at": system.damper_coordinate,
+        "damper_body": system.damper_coordinate,
         "clearance": system.clearance,
         "type": np.array(orbit.motion_type),
         "types": np.array(orbit.damper_motion),
@@ -147,12 +148,13 @@ def waveforms(scene: Scene, frequency: float) -> Arrays:
     }
 
 
-def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
-    """Compute peaks of the approximate method with both weightings of the mass ratio, and of the simulation.
+def peaks_by_weighting(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
+    """Compute the peaks of each mode by exact orbits, and by the approximate method with both weightings of the mass.
 
-    `bands`: frequency band [Hz] around each mode (from 1). Returns mode (modes,), and rows all modes (exact orbits),
-    printed, energy: peak (3, modes) of the body that moves most in the mode [m/N], frequency (3, modes) Hz,
-    mass_ratio (3, modes); NaN where the printed sum is not a valid mass.
+    `bands`: frequency band [Hz] around each mode (from 1). Returns the modes, and in shape (3, modes) the peak of the
+    body that moves most in the mode [m/N], its frequency [Hz], and the mass ratio. Row 0: exact orbits, without a mass
+    ratio. Row 1: weighting by Eq 13 as printed in the paper; NaN where its sum is not a valid mass. Row 2:
+    energy-consistent weighting.
     """
     peak, peak_frequency, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)
@@ -181,7 +183,10 @@ def weightings(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
 
 
 def approximate_peaks(scene: Scene, forces: Array, clearances: Array, band: tuple[float, float]) -> Arrays:
-    """Compute the peak compliance of `BODY` by the approximate method, over force (rows) and clearance (columns)."""
+    """Compute the peak of `REPORTED_BODY` around mode 3 over force (rows) and clearance, by the approximate method.
+
+    The mass ratio has the energy-consistent weighting.
+    """
     peak = np.full((len(forces), len(clearances)), np.nan)
     types = np.empty(peak.shape, dtype="U4")
     for column, clearance in enumerate(clearances):
@@ -193,7 +198,7 @@ def approximate_peaks(scene: Scene, forces: Array, clearances: Array, band: tupl
                 admissible = branch.valid & branch.stable
                 if not admissible.any():
                     continue
-                largest = np.abs(reduced.shape[BODY - 1] * branch.compliance[admissible]).max()
+                largest = np.abs(reduced.shape[REPORTED_BODY - 1] * branch.compliance[admissible]).max()
                 if not peak[row, column] >= largest:
                     peak[row, column], types[row, column] = largest, branch.motion_type
     return {"force": forces, "clearance": clearances, "peak": peak, "type": types}

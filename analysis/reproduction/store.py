@@ -22,7 +22,7 @@ Arrays = dict[str, np.ndarray]
 
 
 def partial_name(target: Path) -> Path:
-    """Return a temporary file name with the process number, because a killed run may leave a worker running."""
+    """Return a temporary file name with the process number, as workers of a killed run may still write."""
     return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
 
 
@@ -38,7 +38,7 @@ class PaperPart:
     """A part of the reproduction: a simulation, or a recording with its evaluation, that needs no other part."""
 
     name: str  # file stem of its results
-    depends: str  # text that contains all inputs of the results: scenes, grids, options
+    all_inputs: str  # text that contains all inputs of the results: scenes, grids, options
     compute: Callable[..., Arrays]
     """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
     arguments: Mapping[str, Any]  # arguments of `compute`
@@ -50,7 +50,7 @@ class PaperPart:
     def digest(self) -> str:
         """Digest of the inputs and of the program."""
         code = code_digest("rig", "daq", "analysis")
-        return hashlib.sha256(f"{code}\n{self.depends}".encode()).hexdigest()
+        return hashlib.sha256(f"{code}\n{self.all_inputs}".encode()).hexdigest()
 
     def path(self, folder: Path) -> Path:
         """Return the file of the results."""
@@ -81,5 +81,5 @@ class PaperPart:
             partial.replace(target)
         except OSError as error:
             raise RunError(
-                f"{target}: cannot write these results ({error.strerror}). Choose another place with --output."
+                f"{target}: cannot write the results of a part ({error.strerror}). Choose another folder with --output."
             ) from None

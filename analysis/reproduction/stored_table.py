@@ -34,7 +34,7 @@ class Table(NamedTuple):
     def study(self, compute: Callable[[Case], Row], case_of: Callable[[Row], Case]) -> Study[Case, Row]:
         """Return the study whose results are the rows of this table.
 
-        `compute`: returns the row of a case; `case_of`: returns the case of a row.
+        `compute`: computes the row of a case; `case_of`: returns the case of a row.
         """
         return Study(
             self.content,

@@ -1,6 +1,7 @@
 """Steady motion of beds of grains over frequency, compared with the same beds as one mass, for `rig grains`.
 
-A *bed* is the particles of one damper. Worker processes compute the frequencies and store each in a table.
+A *bed* is the particles of one damper; LAMMPS moves its grains by the discrete element method. Worker processes compute
+the frequencies and store each in a table.
 """
 
 from __future__ import annotations
@@ -45,14 +46,14 @@ class _Case(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class BedResponse(Result):
-    """Steady motion over frequency, of grains and of one mass.
+    """Steady motion over frequency, with beds of grains and with each bed as one mass.
 
     Attributes
     ----------
     frequency : ndarray, shape (frequencies,)
         Hz.
     grains, mass : tuple of SteadyBed
-        At each frequency.
+        Motion with beds of grains, and with each bed as one mass, at each frequency.
     """
 
     frequency: NDArray[np.float64]
@@ -60,16 +61,15 @@ class BedResponse(Result):
     mass: tuple[SteadyBed, ...]
 
     def summary(self) -> str:
-        """Return the largest difference of the compliances with grains and with one mass, in words."""
+        """Describe the largest deviation of the compliance with one mass from that with grains."""
         grains, mass = (np.abs([each.compliance for each in motions]) for motions in (self.grains, self.mass))
         deviation = mass / grains - 1.0
         k, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
         n_steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(deviation)} frequencies, steady at {n_steady[0]} of them with grains and at {n_steady[1]} as one "
-            f"mass; as one mass the compliance is at most {100 * abs(deviation[k, body]):.3g} % "
-            f"{'below' if deviation[k, body] < 0 else 'above'} that with grains (body {body + 1}, "
-            f"{self.frequency[k]:.6g} Hz)"
+            f"{len(deviation)} frequencies; steady motion at {n_steady[0]} with grains, at {n_steady[1]} as one mass. "
+            f"Largest deviation of the compliance as one mass from that with grains: {100 * deviation[k, body]:+.3g} % "
+            f"(body {body + 1}, {self.frequency[k]:.6g} Hz)"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -113,12 +113,28 @@ def bed_response(
 ) -> BedResponse:
     """Simulate beds of grains at each frequency until their motion is steady, and the same beds as one mass.
 
-    `scene`: with a bed of grains that can move, and a test that gives the level; `frequencies`: Hz, or text with
-    units; `periods`: of a block; the motion is steady when the compliances of two blocks agree within 1 %. The
-    result is their mean; `table`: CSV file to which each frequency is added when it is computed; frequencies of the
-    same scene in this file are not recomputed; `cluster`: see `rig.workers.Workers`. Raises `SceneError` if no damper
-    is a bed of grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read or
-    written.
+    The motion is steady when the compliances of two successive blocks of periods agree within 1 %. The result is the
+    mean of these blocks.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        With a bed of grains that can move; its test gives the level.
+    frequencies : sequence of float or str
+        Hz, or texts with units.
+    periods : int
+        Drive periods in a block.
+    table : Path, optional
+        CSV file to which each computed frequency is added; frequencies of the same scene in it are not recomputed.
+    cluster, progress : optional
+        As for `rig.design`.
+
+    Raises
+    ------
+    SceneError
+        If no damper is a bed of grains that can move, or LAMMPS is not installed.
+    RunError
+        If the table cannot be read or written.
     """
     scene, periods = scene_of(scene), count(periods, 1, "periods")
     requested = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
@@ -137,20 +153,26 @@ def bed_response(
     return BedResponse(requested, tuple(grains for grains, _ in motions), tuple(mass for _, mass in motions))
 
 
-def text(response: BedResponse) -> str:
-    """Return a response as text: two lines for each frequency, with grains and with one mass."""
-    titles = ("floor N s", 12), ("ceiling N s", 12), ("J/period", 11), ("landing", 9), ("flies", 7)
+def format_table(response: BedResponse) -> str:
+    """Format a response as a table with two rows for each frequency, with grains and with one mass."""
+    titles = ("floor N s", 12), ("ceiling N s", 12), ("loss J", 11), ("landing", 9), ("flight", 8)
     lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"]
     for frequency, *motions in zip(response.frequency, response.grains, response.mass, strict=True):
-        for name, motion in zip(("grains", "mass"), motions, strict=True):
+        for model, motion in zip(("grains", "mass"), motions, strict=True):
             largest = np.abs(motion.compliance).max()
             lines.append(
-                f"{frequency:9.4f}  {name:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
+                f"{frequency:9.4f}  {model:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
-                f"{100 * motion.flight[0]:6.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
+                f"{100 * motion.flight[0]:7.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
             )
     return "\n".join(
-        [*lines, "m/N: of the body with the largest motion; other columns: of the first bed", "", response.summary()]
+        [
+            *lines,
+            "m/N: of the body with the largest motion; other columns: of the first bed, per period of the drive",
+            "landing: mean phase of the floor impulse after the rising zero of the force; flight: share of the time",
+            "",
+            response.summary(),
+        ]
     )
 
 
@@ -177,11 +199,19 @@ def _parse_motion(stored: str) -> SteadyBed:
     return SteadyBed(**(values | lists))
 
 
+def _to_row(key: tuple[str, float], motions: tuple[SteadyBed, SteadyBed]) -> list[str]:
+    return [key[0], repr(key[1]), *(json.dumps(_to_json_types(motion)) for motion in motions)]
+
+
+def _parse_row(row: list[str]) -> tuple[tuple[str, float], tuple[SteadyBed, SteadyBed]]:
+    return (row[0], float(row[1])), (_parse_motion(row[2]), _parse_motion(row[3]))
+
+
 _STUDY: Study[_Case, tuple[SteadyBed, SteadyBed]] = Study(
     "beds",
-    ("question", "frequency_hz", "grains", "mass"),
+    ("question", "frequency_hz", "grains", "mass"),  # question: digest of all inputs
     _compute,
     _key,
-    lambda key, both: [key[0], repr(key[1]), *(json.dumps(_to_json_types(each)) for each in both)],
-    lambda row: ((row[0], float(row[1])), (_parse_motion(row[2]), _parse_motion(row[3]))),
+    _to_row,
+    _parse_row,
 )

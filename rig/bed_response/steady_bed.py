@@ -1,6 +1,6 @@
-"""Steady motion of beds under a tone, and of the structure with them: with grains, and with each bed as one mass.
+"""Steady motion of a structure and its beds under a tone: with beds of grains, and with each bed as one mass.
 
-A *bed* is the particles of one damper. Grains are simulated in blocks of periods until two blocks agree.
+A *bed* is the particles of one damper. Grains are simulated in blocks of periods until two successive blocks agree.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
-#: Sample intervals in a period of the drive.
+#: Sample intervals in a period of the drive, for grains and for one mass.
 _SAMPLES_PER_PERIOD = 50
+_ONE_MASS_SAMPLES_PER_PERIOD = 400
 #: Largest relative difference of the compliances of two blocks of periods in steady motion.
 MAX_STEADY_CHANGE = 0.01
 #: Periods in which the transient decays, for beds as one mass.
@@ -36,8 +37,8 @@ _MIN_SIGNIFICANT_RATIO = 0.01
 class SteadyBed:
     """Steady motion at one frequency; impulses and energy per period of the drive.
 
-    `landing`: phase of the drive at which the floor receives its impulse (mean over the impulse), degrees from the
-    force's rising zero, shape (beds,).
+    `landing`: mean phase of the floor's impulse, weighted by the impulse, in degrees after the rising zero of the
+    force; shape (beds,).
     """
 
     # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
@@ -114,43 +115,47 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
     run = simulate(
         scene,
         (_SETTLING_PERIODS + _AVERAGED_PERIODS) / frequency,
-        rate=8.0 * _SAMPLES_PER_PERIOD * frequency,
+        rate=_ONE_MASS_SAMPLES_PER_PERIOD * frequency,
         frequency=frequency,
     )
-    averaged = slice(-_AVERAGED_PERIODS * 8 * _SAMPLES_PER_PERIOD, None)
+    averaged = slice(-_AVERAGED_PERIODS * _ONE_MASS_SAMPLES_PER_PERIOD, None)
     phase_factor = np.exp(2j * np.pi * frequency * run.time[averaged])
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
-    mobility, rows = np.diag(np.linalg.inv(system.mass)), np.flatnonzero(grains)
-    impulse, energy, flight = np.zeros((2, len(rows))), np.zeros(len(rows)), np.empty(len(rows))
-    moment = np.zeros(len(rows), dtype=complex)
+    inverse_mass, bed_rows = np.diag(np.linalg.inv(system.mass)), np.flatnonzero(grains)
+    impulse, energy, flight = np.zeros((2, len(bed_rows))), np.zeros(len(bed_rows)), np.empty(len(bed_rows))
+    floor_phasor = np.zeros(len(bed_rows), dtype=complex)
     averaging_start = run.time[-1] - _AVERAGED_PERIODS / frequency
-    for k, row in enumerate(rows):
+    for k, row in enumerate(bed_rows):
         body, mass = system.damper_coordinate[row], system.damper_mass[row]
-        reduced_mass, restitution = 1.0 / (1.0 / mass + mobility[body]), system.restitution[row]
-        load = mass * (run.acceleration[body, averaged] + system.gravity) / (8.0 * _SAMPLES_PER_PERIOD * frequency)
+        reduced_mass, restitution = 1.0 / (1.0 / mass + inverse_mass[body]), system.restitution[row]
+        # Impulse of the bed on its wall in a sample interval, if the bed is at rest on it.
+        sample_impulse = (
+            mass * (run.acceleration[body, averaged] + system.gravity) / (_ONE_MASS_SAMPLES_PER_PERIOD * frequency)
+        )
         damper_events = run.events[
             (run.events["damper"] == system.damper_number[row]) & (run.events["time"] >= averaging_start)
         ]
         for wall, kind, sign in ((FLOOR, "floor", 1.0), (CEILING, "ceiling", -1.0)):
-            hits = damper_events[damper_events["kind"] == kind]
-            impacts = (1.0 + restitution) * reduced_mass * hits["speed"]
-            floor_force = np.where(run.contact[row, averaged] == wall + 1, load, 0.0)
-            impulse[wall, k] = (impacts.sum() + sign * floor_force.sum()) / _AVERAGED_PERIODS
+            impacts = damper_events[damper_events["kind"] == kind]
+            impact_impulses = (1.0 + restitution) * reduced_mass * impacts["speed"]
+            rest_impulses = np.where(run.contact[row, averaged] == wall + 1, sample_impulse, 0.0)
+            impulse[wall, k] = (impact_impulses.sum() + sign * rest_impulses.sum()) / _AVERAGED_PERIODS
             energy[k] += (
-                0.5 * reduced_mass * (1.0 - restitution**2) * float((hits["speed"] ** 2).sum()) / _AVERAGED_PERIODS
+                0.5 * reduced_mass * (1.0 - restitution**2) * float((impacts["speed"] ** 2).sum()) / _AVERAGED_PERIODS
             )
             if wall == FLOOR:
-                moment[k] = impacts @ np.exp(2j * np.pi * frequency * hits["time"]) + floor_force @ phase_factor
+                impact_factors = np.exp(2j * np.pi * frequency * impacts["time"])
+                floor_phasor[k] = impact_impulses @ impact_factors + rest_impulses @ phase_factor
         flight[k] = np.mean(run.contact[row, averaged] == 0)
     return SteadyBed(
         compliance=response.compliance[:, 0],
         floor_impulse=impulse[FLOOR],
         ceiling_impulse=impulse[CEILING],
         energy=energy,
-        landing=_phase(moment, tone.amplitudes),
+        landing=_phase(floor_phasor, tone.amplitudes),
         flight=flight,
-        motion_type=response.damper_motion[rows, 0],
+        motion_type=response.damper_motion[bed_rows, 0],
         spread=0.0 if response.converged[0] else np.inf,
         periods=_SETTLING_PERIODS + _AVERAGED_PERIODS,
     )
@@ -173,13 +178,14 @@ def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, 
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 
 
-def _phase(moment: ComplexArray, amplitudes: ComplexArray) -> Array:
+def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:
     """Return the mean phase of a force after the rising zero of the drive Re(A e^{i w t}), degrees.
 
-    `moment`: sum of the force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
+    `phasor`: sum of the force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
     """
+    # The force Re(A e^{i w t}) has its rising zero at the phase -arg(i A).
     zero_factor = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
-    return np.asarray(np.degrees(np.angle(moment * zero_factor)) % 360.0)
+    return np.asarray(np.degrees(np.angle(phasor * zero_factor)) % 360.0)
 
 
 def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
@@ -196,7 +202,7 @@ def _relative_change(previous: ComplexArray | None, current: ComplexArray) -> fl
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
-    """Average two blocks; motion types and counts are those of the second."""
+    """Average two blocks; landing phase, motion type, spread and number of periods are those of the second."""
     mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
         mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))

@@ -1,4 +1,4 @@
-"""The check of a design: a stepped-sine test on the rig around the largest peaks, and its expected results."""
+"""The check of a design: a stepped-sine test around the largest peaks, and its expected results."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arrays import Array
-from rig.damper_design.choice import Question, Trial
+from rig.damper_design.choice import Objective, Trial
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
 from rig.scene.measurement_chain import Channel, Hammer
@@ -18,7 +18,7 @@ from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers
 
-#: Number of test frequencies through which the motion is continued up to a peak.
+#: Number of test frequencies up to and including a peak at which the motion is computed in turn, each from the last.
 APPROACH_FREQUENCIES = 3
 #: Largest relative change of a motion that counts as steady.
 STEADY_TOLERANCE = 1e-4
@@ -34,26 +34,26 @@ PEAK_HALF_WIDTH = 0.04
 class Expected:
     """Expected measurement at a peak.
 
-    `sizes`: compliance under the scene's own shaker, m/N: minimum, nominal value and maximum over the tolerances of
-    force control and steady state. It differs from the design's, because the coil spring adds harmonics to the force.
-    None if no steady motion was reached within `MAX_WAIT_PERIODS` periods.
+    `compliances`: minimum, nominal value and maximum over the tolerances of force control and steady state, m/N. They
+    are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak` is for a purely
+    sinusoidal force. None if no steady motion was reached within `MAX_WAIT_PERIODS` periods.
     """
 
-    peak: Peak  # as computed by the design, under a purely sinusoidal force
-    sizes: tuple[float, float, float] | None
+    peak: Peak  # as computed by the design
+    compliances: tuple[float, float, float] | None
     closing_speed: tuple[float, ...]  # largest approach speed of each damper to a wall at the peak, m/s
 
 
-def scene_with_check(scene: Scene, trial: Trial, question: Question) -> Scene:
-    """Add dampers to a scene, with a test around the largest peaks with and without them at every level."""
-    peaks = [*(peak.frequency for peak in trial.peaks), question.bare.frequency]
+def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
+    """Return the scene with the dampers of a trial, and a test around the largest peaks with and without them."""
+    peaks = [*(peak.frequency for peak in trial.peaks), objective.undamped_peak.frequency]
     test = {
         "kind": "stepped_sine",
-        "frequencies": _frequencies_around(peaks, question.band).tolist(),
-        "force": list(question.levels),
+        "frequencies": _frequencies_around(peaks, objective.band).tolist(),
+        "force": list(objective.levels),
         "shaker": getattr(scene.test, "shaker", None),
     }
-    check_scene = scene.replace(dampers=trial.choice.dampers(question.impact_law), test=test)
+    check_scene = scene.replace(dampers=trial.choice.dampers(objective.impact_law), test=test)
     missing = missing_channels(check_scene, trial.peak.body)
     return check_scene.replace(channels=[*(check_scene.channels or ()), *missing]) if missing else check_scene
 
@@ -61,9 +61,9 @@ def scene_with_check(scene: Scene, trial: Trial, question: Question) -> Scene:
 def missing_channels(scene: Scene, body: int) -> list[Channel]:
     """Return channels that a check needs and the scene lacks: the force, and the body with the largest peak.
 
-    The force is measured directly, or from the displacements of both ends of the coil spring. New channels have the
-    sensor and amplifier of the scene's first accelerometer, or a force sensor whose output fills half of the
-    converter's range.
+    A shaker without a coil spring needs a force channel; its sensor fills half of the converter's range. With a coil
+    spring, the force follows from the displacements of both ends of the spring. New motion channels have the sensor and
+    amplifier of the scene's first accelerometer.
     """
     if scene.channels is None:
         return []
@@ -97,7 +97,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
 
 
 def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
-    """Return frequencies around each peak, rising; overlapping ranges are merged without a finer step."""
+    """Return rising frequencies around each peak; where ranges overlap, the frequencies are not closer together."""
     frequencies: list[float] = []
     for peak in sorted(peaks):
         low, high = max(peak * (1.0 - PEAK_HALF_WIDTH), band[0]), min(peak * (1.0 + PEAK_HALF_WIDTH), band[1])
@@ -108,7 +108,7 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
 
 
 def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expected, ...]:
-    """Describe what a check should measure at the largest peak of each level.
+    """Compute what a check should measure at the largest peak of each level.
 
     `scene`: as returned by `scene_with_check`; `trial`: the dampers of the scene, and their peaks.
     """
@@ -116,12 +116,12 @@ def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expe
     return tuple(results[number] for number in range(len(trial.peaks)))
 
 
-def _expected_result(piece: tuple[Scene, Peak]) -> Expected:
-    scene, peak = piece
+def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
+    scene, peak = scene_and_peak
     test = scene.test
     assert isinstance(test, SteppedSine)
     frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
-    sizes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
+    compliances, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
     for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
         controlled = scene.replace(channels=None, test=test.replace(force=force_ratio * peak.level))
         response = frequency_response(controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS)
@@ -129,7 +129,9 @@ def _expected_result(piece: tuple[Scene, Peak]) -> Expected:
         is_steady = bool(response.converged[-1])
         if not is_steady:
             break
-        sizes.append(float(abs(response.compliance[peak.body - 1, -1])))
+        compliances.append(float(abs(response.compliance[peak.body - 1, -1])))
     tolerance = test.settle.tolerance
-    limits = (min(sizes) * (1.0 - tolerance), sizes[0], max(sizes) * (1.0 + tolerance)) if is_steady else None
+    limits = None
+    if is_steady:
+        limits = min(compliances) * (1.0 - tolerance), compliances[0], max(compliances) * (1.0 + tolerance)
     return Expected(peak, limits, tuple(closing_speed.tolist()))

@@ -1,4 +1,4 @@
-"""Candidate designs, the impact law of their dampers, the search space, and the question that ranks the designs."""
+"""Candidate designs, the impact law of their dampers, the search space, and the objective."""
 
 from __future__ import annotations
 
@@ -20,21 +20,18 @@ from rig.scene.scene import Scene
 from rig.study import digest
 from rig.system.structural_model import structural_model
 
-#: Frequencies per natural frequency during the search.
+#: Number of frequencies per natural frequency during the search.
 COARSE_DENSITY = 20
-#: Frequencies per natural frequency in the comparison of the best designs.
+#: Number of frequencies per natural frequency in the comparison of the best designs.
 FINE_DENSITY = 60
 
 
 @dataclass(frozen=True)
 class ImpactLaw:
-    """Restitution and contact of all new dampers.
-
-    `contact`: floor and ceiling with finite-duration contact; None: instantaneous impact.
-    """
+    """Restitution and contact of all new dampers."""
 
     restitution: float = 0.0  # ratio of separation to approach speed
-    contact: Contact | None = None
+    contact: Contact | None = None  # finite-duration contact with floor and ceiling; None: instantaneous impact
     origin: str = "the scene has none to go by"  # where these values come from, for messages
 
     def __str__(self) -> str:
@@ -54,7 +51,7 @@ INSTANTANEOUS = ImpactLaw()
 def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
     """Return the impact law of the dampers of a scene; if these differ, that of the first damper.
 
-    Raises `SceneError` if the contact is given by stiffness and damping, which depend on the mass of the bed.
+    Raises `SceneError` if the contact is given by stiffness and damping, which suit one damper mass only.
     """
     if not dampers:
         return INSTANTANEOUS
@@ -62,7 +59,7 @@ def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
     contact = first.contact
     if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
         raise SceneError(
-            "dampers[1].contact: stiffness and damping are valid for the mass of this bed only. Give contact: "
+            "dampers[1].contact: stiffness and damping are valid for the mass of this damper only. Give contact: "
             "{duration: ...} and restitution, such as --set 'dampers[1].contact={duration: 4 ms}'"
         )
     identical = all(
@@ -83,7 +80,7 @@ def _format_contact(contact: Contact | None) -> str:
 
 
 def mass_unit(mass: float) -> tuple[float, str]:
-    """Return the number of display units in a kilogram, and the unit, for a mass in kg."""
+    """Return the unit in which a mass [kg] is displayed, preceded by the number of these units in a kilogram."""
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
@@ -158,7 +155,7 @@ class Trial:
     """A candidate design with its computed peaks."""
 
     choice: Choice  # the dampers
-    peaks: tuple[Peak, ...]  # worst peak at each level, in the order of the question's levels
+    peaks: tuple[Peak, ...]  # worst peak at each level, in the order of the objective's levels
 
     @property
     def peak(self) -> Peak:
@@ -168,23 +165,20 @@ class Trial:
     @property
     def mean_peak(self) -> float:
         """Geometric mean of the peaks over the levels (the mean in dB), m/N."""
-        return float(np.exp(np.mean(np.log([peak.size for peak in self.peaks]))))
+        return float(np.exp(np.mean(np.log([peak.compliance for peak in self.peaks]))))
 
 
 @dataclass(frozen=True)
-class Space:
-    """The space of candidate designs.
+class SearchSpace:
+    """The space of candidate designs."""
 
-    `locations`: allowed bodies of the dampers, a tuple for each arrangement, in order of the number of dampers.
-    """
-
-    locations: tuple[tuple[int, ...], ...]
-    mass: float  # largest added mass, kg
+    locations: tuple[tuple[int, ...], ...]  # bodies of the dampers in each allowed arrangement, fewest dampers first
+    max_mass: float  # largest added mass, kg
     clearance: tuple[float, float]  # smallest and largest, m
-    without_ceiling: bool = True  # whether dampers may have no ceiling
+    allows_no_ceiling: bool = True  # whether designs without ceilings belong to the space
 
     @property
-    def dampers(self) -> int:
+    def max_dampers(self) -> int:
         """Largest number of dampers."""
         return max(map(len, self.locations))
 
@@ -192,7 +186,7 @@ class Space:
     def locations_of(bodies: tuple[int, ...], dampers: int) -> tuple[tuple[int, ...], ...]:
         """List the arrangements of up to `dampers` dampers; a body that is named n times may carry n dampers.
 
-        >>> Space.locations_of((1, 2, 2), 2)
+        >>> SearchSpace.locations_of((1, 2, 2), 2)
         ((1,), (2,), (1, 2), (2, 2))
         """
         return tuple(
@@ -201,24 +195,24 @@ class Space:
 
 
 @dataclass(frozen=True)
-class Question:
-    """The objective: worst peak over structures, levels and frequencies."""
+class Objective:
+    """The objective of a design: its worst peak over structures, force levels, frequencies and bodies."""
 
-    scenes: tuple[Scene, ...]  # without dampers: the nominal structure first, then its variants
-    levels: tuple[float, ...]  # forces, N
+    scenes: tuple[Scene, ...]  # nominal structure without dampers first, then its variants
+    levels: tuple[float, ...]  # force amplitudes, N
     band: tuple[float, float]  # lowest and highest frequency, Hz
     bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
     impact_law: ImpactLaw = INSTANTANEOUS  # restitution and contact of the dampers
-    density: int = COARSE_DENSITY  # frequencies per natural frequency in the band
+    density: int = COARSE_DENSITY  # number of frequencies per natural frequency in the band
 
     @cached_property
-    def bare(self) -> Peak:
+    def undamped_peak(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
         return max(linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes)
 
     @cached_property
-    def parts(self) -> tuple[Question, ...]:
-        """Questions about one structure at one level each, by structure, then by level."""
+    def subproblems(self) -> tuple[Objective, ...]:
+        """Objectives for one structure at one level each, in the order of structures, then levels."""
         return tuple(
             replace(self, scenes=(scene,), levels=(level,)) for scene, level in product(self.scenes, self.levels)
         )
@@ -240,7 +234,7 @@ class Question:
         return max(peaks)
 
     def _frequencies(self, scene: Scene) -> Array:
-        """Return frequencies, closely spaced between the resonances without dampers and with all dampers riding."""
+        """Return frequencies, dense between the resonances without dampers and with all dampers at rest on floors."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)
         if not len(natural):
@@ -252,9 +246,9 @@ class Question:
 
 
 def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
-    """Return the nominal scene and the extreme combinations of its uncertain parameters.
+    """Return the nominal scene, then variants in which damping and stiffness have their extreme values.
 
-    `damping`, `stiffness`: relative uncertainty of each, in both directions.
+    `damping`, `stiffness`: largest relative deviation of each from its nominal value.
     """
     nominal = structural_model(scene)
     factors = product(*({1.0 - uncertainty, 1.0 + uncertainty} for uncertainty in (damping, stiffness)))

@@ -12,9 +12,9 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.damper_design.check import Expected, expected_results, scene_with_check
-from rig.damper_design.choice import FINE_DENSITY, Choice, Question, Space, Trial, mass_unit
+from rig.damper_design.choice import FINE_DENSITY, Choice, Objective, SearchSpace, Trial, mass_unit
 from rig.damper_design.evaluator import Evaluator
-from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, idle_levels
+from rig.damper_design.flight import Flight, compute_flight, describe_shortfall, ineffective_levels
 from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
 from rig.damper_design.ranking import is_equally_good, pareto_front
 from rig.damper_design.request import parse_request
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Clearances of the chart, relative to the best design.
+#: Clearances of the chart (worst peak over clearance and force), relative to those of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: Factor by which the chart extends beyond the requested levels.
 CHART_MARGIN = 2.0
-#: Smallest ratio of the outermost levels to the middle level.
+#: Smallest ratio of the highest level to the middle level of the chart, and of the middle level to the lowest.
 MIN_LEVEL_RATIO = 4.0
-#: Ratio of neighboring levels.
+#: Approximate ratio of neighboring levels of the chart.
 LEVEL_STEP_RATIO = 2.0**0.5
 
 
@@ -66,7 +66,7 @@ class Design(Result):
         Take-off level and flight height of the dampers.
     trials : tuple of Trial
         All designs computed; `front` is the Pareto front of peak against added mass.
-    question : Question
+    objective : Objective
         The objective; `space` is the space of candidate designs.
     levels : ndarray, shape (levels,)
         Forces of the chart, including the requested levels, N.
@@ -87,8 +87,8 @@ class Design(Result):
     modes: tuple[ModePeaks, ...]
     flight: Flight
     trials: tuple[Trial, ...]
-    question: Question
-    space: Space
+    question: Objective
+    space: SearchSpace
     levels: Array
     clearance_factors: Array
     charted: Choice
@@ -99,7 +99,7 @@ class Design(Result):
         reduction = self.reduction(self.best.peak)
         if not self.serves:
             return (
-                f"{self.scene.name}: no dampers reduce the peak at all levels ({self.best.choice}: "
+                f"{self.scene.name}: no dampers reduce the peak at each level ({self.best.choice}: "
                 f"{-reduction:+.1f} dB)"
             )
         return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {reduction:.1f} dB"
@@ -107,7 +107,7 @@ class Design(Result):
     @property
     def serves(self) -> bool:
         """Whether the best dampers fly at every level, and reduce the peak by more than the search resolves."""
-        return not idle_levels(self.best, self.bare, self.flight)
+        return not ineffective_levels(self.best, self.bare, self.flight)
 
     @property
     def shortfall(self) -> list[str]:
@@ -170,8 +170,8 @@ def design(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        Structure, shaker and level. Its dampers are replaced; new dampers have the restitution and contact of the
-        first of them.
+        Structure, shaker and level. Its dampers are replaced; the new dampers have the restitution and contact of its
+        first damper.
     budget : float or str, optional
         Largest added mass: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``, which is the
         default.
@@ -181,8 +181,8 @@ def design(
     dampers : int
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
-        Smallest and largest, m, or texts with units. The default range ends where a damper hardly moves and where it
-        hardly reaches its ceiling, and includes no ceiling.
+        Smallest and largest, m, or texts with units. By default, dampers hardly move at the smallest clearance and
+        hardly reach the ceiling at the largest, and dampers without a ceiling are tried too.
     levels : sequence of float or str, optional
         Force levels, N; default half, once and twice the level of the scene's test.
     band : (float, float) or (str, str), optional
@@ -194,21 +194,21 @@ def design(
     cluster : str, optional
         As for `rig.workers.Workers`.
     table : Path, optional
-        CSV file of all trials. Results of the same search in this file are reused.
+        CSV file of all trials. Results of the same search that are already in this file are reused.
     progress : callable, optional
-        Called with the number of pieces done and the total.
+        Called with the number of worst peaks computed (a design at a level on a structure) and the total.
     say : callable, optional
-        Called with a description of each later step.
+        Called with a description of the step after the search.
 
     Raises
     ------
     SceneError
-        If no candidate designs remain, or nothing drives the structure.
+        If an argument is invalid, or nothing drives the structure.
     RunError
         If a worker process ends unexpectedly.
     """
     scene = scene_of(scene)
-    question, space = parse_request(
+    objective, space = parse_request(
         scene,
         budget=budget,
         bodies=bodies,
@@ -219,24 +219,24 @@ def design(
         watched=watched,
         uncertain=uncertain,
     )
-    forces = chart_levels(question.levels)
+    forces = chart_levels(objective.levels)
     with Workers(cluster) as workers:
-        piece_count = estimate_piece_count(question, space) + CHART_CLEARANCES.size * forces.size
+        piece_count = estimate_piece_count(objective, space) + CHART_CLEARANCES.size * forces.size
         evaluator = Evaluator(workers, table, progress, piece_count)
-        best, trials = search(question, space, evaluator)
-        preferred = select_outside_band(question, trials, best, evaluator)
+        best, trials = search(objective, space, evaluator)
+        preferred = select_outside_band(objective, trials, best, evaluator)
         if preferred != best:
-            (refined,) = evaluator.compute(replace(question, density=FINE_DENSITY), [preferred.choice])
+            (refined,) = evaluator.compute(replace(objective, density=FINE_DENSITY), [preferred.choice])
             trials = [refined, *(trial for trial in trials if trial.choice != preferred.choice)]
             best = refined if is_equally_good(refined, best) else best
-        modes = mode_peaks(question, best, evaluator)
-        interval = clearance_tolerance(question, space, best, trials, evaluator)
+        modes = mode_peaks(objective, best, evaluator)
+        tolerance = clearance_tolerance(objective, space, best, trials, evaluator)
         charted = best.choice if best.choice.has_ceiling else best.choice.with_clearance(space.clearance[1])
-        chart_question = replace(question, scenes=question.scenes[:1], levels=tuple(forces.tolist()))
+        chart_objective = replace(objective, scenes=objective.scenes[:1], levels=tuple(forces.tolist()))
         chart = evaluator.compute(
-            chart_question, [charted.scale_clearances(factor) for factor in CHART_CLEARANCES.tolist()]
+            chart_objective, [charted.scale_clearances(factor) for factor in CHART_CLEARANCES.tolist()]
         )
-        nominal = replace(question, scenes=question.scenes[:1], density=FINE_DENSITY)
+        nominal = replace(objective, scenes=objective.scenes[:1], density=FINE_DENSITY)
         (nominal_trial,) = evaluator.compute(nominal, [best.choice])
         evaluator.sort()
         if say is not None:
@@ -250,12 +250,12 @@ def design(
         added_channels=added,
         expected=expected,
         best=best,
-        bare=question.bare,
-        tolerance=interval,
+        bare=objective.undamped_peak,
+        tolerance=tolerance,
         modes=modes,
-        flight=compute_flight(question, best, unreached=np.isinf(interval.high)),
+        flight=compute_flight(objective, best, is_ceiling_unreached=np.isinf(tolerance.high)),
         trials=tuple(trials),
-        question=question,
+        question=objective,
         space=space,
         levels=forces,
         clearance_factors=CHART_CLEARANCES,
@@ -271,11 +271,11 @@ def chart_levels(requested: Sequence[float]) -> Array:
     [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]
     """
     middle = (requested[0] * requested[-1]) ** 0.5
-    corners = [
+    anchors = [
         min(requested[0] / CHART_MARGIN, middle / MIN_LEVEL_RATIO),
         *requested,
         max(requested[-1] * CHART_MARGIN, middle * MIN_LEVEL_RATIO),
     ]
-    steps = [max(round(np.log(high / low) / np.log(LEVEL_STEP_RATIO)), 1) for low, high in pairwise(corners)]
-    inner = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(corners), steps, strict=True)]
-    return np.unique(np.concatenate([corners, *inner]))
+    steps = [max(round(np.log(high / low) / np.log(LEVEL_STEP_RATIO)), 1) for low, high in pairwise(anchors)]
+    inner = [np.geomspace(*ends, n + 1)[1:-1] for ends, n in zip(pairwise(anchors), steps, strict=True)]
+    return np.unique(np.concatenate([anchors, *inner]))

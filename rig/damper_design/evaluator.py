@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import astuple, fields
+from dataclasses import astuple
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from rig.damper_design.choice import Choice, Question, Trial
+from rig.damper_design.choice import Choice, Objective, Trial
 from rig.damper_design.worst_peak import Peak
 from rig.progress import CountProgress
 from rig.study import StoredValues, Study
 from rig.workers import Workers
 
-#: Returns the peaks of a candidate design, or None if they are not known yet.
+#: Function that returns the trial of a candidate design, or None if it is not computed yet.
 KnownTrials = Callable[[Choice], Trial | None]
-#: A question about one structure at one level (`Question.parts`), and a candidate design.
-Piece = tuple[Question, Choice]
+#: An objective for one structure at one level (`Objective.subproblems`), and a candidate design.
+Piece = tuple[Objective, Choice]
 
 
 class Evaluator:
     """Provider of the worst peaks of candidate designs, from a table or from workers.
 
-    `workers`: compute the designs that are not in the table; `table`: CSV file to which each result is added at once,
-    a row for each structure and level; `total`: approximate number of pieces, for `progress`. Raises `RunError` if
-    the table cannot be written.
+    Workers compute the peaks that are missing in `table`, a CSV file with a row for each design, structure and level.
+    Each result is added to it at once. `total`: approximate number of pieces, for `progress`. Raises `RunError` if the
+    table cannot be written.
     """
 
     def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:
@@ -34,38 +34,38 @@ class Evaluator:
         self._finished, self._total = 0, total
         self._stored = StoredValues(STUDY, table)
 
-    def trial(self, question: Question, choice: Choice) -> Trial | None:
-        """Return the worst peaks of a design if they are known."""
-        peaks = [self._stored.values.get((part.digest, choice)) for part in question.parts]
-        known, levels = [peak for peak in peaks if peak is not None], len(question.levels)
+    def trial(self, objective: Objective, choice: Choice) -> Trial | None:
+        """Return the worst peaks of a design, or None if one of them is not computed yet."""
+        peaks = [self._stored.values.get((part.digest, choice)) for part in objective.subproblems]
+        known, levels = [peak for peak in peaks if peak is not None], len(objective.levels)
         if len(known) < len(peaks):
             return None
-        # The parts are ordered by structure, then by level.
+        # The subproblems are in the order of structures, then levels.
         return Trial(choice, tuple(max(known[level::levels]) for level in range(levels)))
 
-    def compute(self, question: Question, choices: Sequence[Choice]) -> list[Trial]:
+    def compute(self, objective: Objective, choices: Sequence[Choice]) -> list[Trial]:
         """Compute the worst peaks of each design."""
-        trials = self.run_searches(question, [lambda _: choices])
+        trials = self.run_searches(objective, [lambda _: choices])
         return [trials[choice] for choice in choices]
 
     def run_searches(
-        self, question: Question, searches: Sequence[Callable[[KnownTrials], Iterable[Choice]]]
+        self, objective: Objective, searches: Sequence[Callable[[KnownTrials], Iterable[Choice]]]
     ) -> dict[Choice, Trial]:
         """Compute the designs that several searches need, until all searches are finished.
 
-        `searches`: functions that return the designs they need, given the known results. A search returns the designs
-        that it has used, and those for which it waits. It is called again after every new result, so that no worker is
-        idle while a search needs a design. Returns the trials, in the order of the designs.
+        `searches`: functions of the known results. Each returns the designs that it has used, and those for which it
+        waits. It is called again after every new result, so that no worker is idle while a search needs a design.
+        Returns the trials, sorted by design.
         """
         requested: set[Choice] = set()
         pieces: list[Piece] = []
 
         def request_designs() -> None:
-            for choice in chain.from_iterable(search(partial(self.trial, question)) for search in searches):
+            for choice in chain.from_iterable(search(partial(self.trial, objective)) for search in searches):
                 if choice not in requested:
                     requested.add(choice)
-                    missing = [(part, choice) for part in question.parts if (part, choice) not in self._stored]
-                    self._finished += len(question.parts) - len(missing)
+                    missing = [(part, choice) for part in objective.subproblems if (part, choice) not in self._stored]
+                    self._finished += len(objective.subproblems) - len(missing)
                     pieces.extend(missing)
 
         request_designs()
@@ -74,9 +74,9 @@ class Evaluator:
             self._finished += 1
             if self._progress is not None:
                 self._progress(self._finished, max(self._total, self._finished + 1))
-            if self.trial(question, pieces[number][1]) is not None:
+            if self.trial(objective, pieces[number][1]) is not None:
                 request_designs()
-        trials = [self.trial(question, choice) for choice in sorted(requested)]
+        trials = [self.trial(objective, choice) for choice in sorted(requested)]
         return {trial.choice: trial for trial in trials if trial is not None}
 
     def sort(self) -> None:
@@ -85,8 +85,8 @@ class Evaluator:
 
 
 def _compute(piece: Piece) -> Peak:
-    question, choice = piece
-    return question.worst(choice)
+    objective, choice = piece
+    return objective.worst(choice)
 
 
 def _to_row(key: tuple[str, Choice], peak: Peak) -> list[Any]:
@@ -98,16 +98,22 @@ def _to_row(key: tuple[str, Choice], peak: Peak) -> list[Any]:
 def _parse_row(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
     bodies, masses, clearances = (row_values.split() for row_values in row[1:4])
     choice = Choice(tuple(map(int, bodies)), tuple(map(float, masses)), tuple(map(float, clearances)))
-    size, frequency, level, body, acceleration, simulated = row[5:]
-    peak = Peak(float(size), float(frequency), float(level), int(body), float(acceleration), float(simulated))
+    compliance, frequency, level, body, acceleration, irregular_share = row[5:]
+    peak = Peak(
+        float(compliance), float(frequency), float(level), int(body), float(acceleration), float(irregular_share)
+    )
     return (row[0], choice), peak
 
 
 STUDY: Study[Piece, Peak] = Study(
     "designs",
-    ("question", "bodies", "masses_kg", "clearances_m", "mass_kg", *(field.name for field in fields(Peak))),
+    # The digest of the objective, the choice, its total mass, and the fields of its `Peak`.
+    (
+        "question", "bodies", "masses_kg", "clearances_m", "mass_kg",
+        "size", "frequency", "level", "body", "acceleration", "simulated",
+    ),
     _compute,
     lambda piece: (piece[0].digest, piece[1]),
     _to_row,
     _parse_row,
-)
+)  # fmt: skip

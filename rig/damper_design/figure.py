@@ -33,23 +33,23 @@ LIMIT_TOLERANCE = 0.02
 
 def summary(design: Design) -> str:
     """Summarize the best dampers, their effect on every mode, and the best lighter designs."""
-    best, question, space = design.best, design.question, design.space
-    levels = ", ".join(format_number(level) for level in question.levels)
+    best, objective, space = design.best, design.question, design.space
+    levels = ", ".join(format_number(level) for level in objective.levels)
     smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
     lines = [
-        f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {question.band[0]:.4g} to "
-        f"{question.band[1]:.4g} Hz" + (f", {len(question.scenes)} structures" if len(question.scenes) > 1 else ""),
-        f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.without_ceiling else ''}",
+        f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {objective.band[0]:.4g} to "
+        f"{objective.band[1]:.4g} Hz" + (f", {len(objective.scenes)} structures" if len(objective.scenes) > 1 else ""),
+        f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.allows_no_ceiling else ''}",
         "",
-        str(question.impact_law),
+        str(objective.impact_law),
         "",
         *_verdict(design),
         "",
         *_tables(design),
     ]
-    if best.peak.simulated > 0.0:
-        share = f"{best.peak.simulated:.0%} of that curve is irregular motion"
-        lines += ["", f"{share}, averaged over periods, accurate to a few percent"]
+    if best.peak.irregular_share > 0.0:
+        share = f"at {format_number(best.peak.level)} N, {best.peak.irregular_share:.0%} of the frequencies"
+        lines += ["", f"{share} have irregular motion: their compliance is averaged, accurate to a few percent"]
     for limit, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / limit)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
             lines += ["", f"the chosen clearance is the {name} allowed. Widen the range with --clearance."]
@@ -57,16 +57,16 @@ def summary(design: Design) -> str:
 
 
 def _verdict(design: Design) -> list[str]:
-    """Report the dampers, their worst peak and the tolerance of the clearance, or that no dampers help."""
-    peak, bare = design.best.peak, design.bare
+    """Report the dampers, their worst peak and the tolerance of the clearance, or that no dampers are effective."""
+    peak = design.best.peak
     reduction = design.reduction(peak)
-    side = "below" if reduction > 0.0 else "above"
-    heading = "best" if design.serves else "no dampers reduce the worst peak at all of these levels; the closest"
+    below_or_above = "below" if reduction > 0.0 else "above"
+    heading = "best" if design.serves else "no dampers reduce the worst peak at each of these levels; the closest"
     lines = [
         f"{heading}: {design.best.choice}",
-        f"worst peak {1e6 * peak.size:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
-        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {side} the bare structure's "
-        f"{1e6 * bare.size:.4g} µm/N",
+        f"worst peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
+        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {below_or_above} the bare structure's "
+        f"{1e6 * design.bare.compliance:.4g} µm/N",
         *design.shortfall,
     ]
     if design.serves:
@@ -84,7 +84,7 @@ def _verdict(design: Design) -> list[str]:
 
 
 def _tables(design: Design) -> list[str]:
-    """Write the reductions of the best dampers of each mass, and the peaks of each mode, at each level."""
+    """Return two tables over the levels: reductions by the best dampers of each mass, and the peaks of each mode."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
     forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
     lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{forces}  dampers"]
@@ -93,9 +93,9 @@ def _tables(design: Design) -> list[str]:
         lines.append(f"{factor * trial.choice.mass:14.1f}{reductions}  {trial.choice}")
     lines += ["", f"{'':14}  largest peak in µm/N", f"{'mode, Hz':>14}{'without':>10}{forces}"]
     for mode in design.modes:
-        peaks = "".join(f"{1e6 * peak.size:9.4g}" for peak in mode.damped)
-        place = "" if mode.inside else "  outside the band"
-        lines.append(f"{mode.frequency:14.2f}{1e6 * mode.bare.size:10.4g}{peaks}{place}")
+        peaks = "".join(f"{1e6 * peak.compliance:9.4g}" for peak in mode.damped)
+        remark = "" if mode.in_band else "  outside the band"
+        lines.append(f"{mode.frequency:14.2f}{1e6 * mode.undamped.compliance:10.4g}{peaks}{remark}")
     return lines
 
 
@@ -106,8 +106,8 @@ def write(design: Design, folder: Path) -> list[Path]:
     """
     name = folder / file_stem("design", design.scene.name)
     scene = name.with_suffix(".yaml")
-    with atomic_write(scene) as part:
-        part.write_text(design.scene.to_yaml(), encoding="utf-8")
+    with atomic_write(scene) as temporary:
+        temporary.write_text(design.scene.to_yaml(), encoding="utf-8")
     return [scene, *save_figure(_draw(design), name)]
 
 
@@ -155,27 +155,27 @@ def describe_check(design: Design, scene: Path) -> str:
 def _expected_line(expected: Expected) -> str:
     peak = expected.peak
     through_shaker = "no steady motion: values scatter"
-    if expected.sizes is not None:
-        low, nominal, high = (f"{1e6 * size:.4g}" for size in expected.sizes)
+    if expected.compliances is not None:
+        low, nominal, high = (f"{1e6 * size:.4g}" for size in expected.compliances)
         through_shaker = f"{nominal} ({low} to {high})"
     operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
-    return f"{operating_point}{1e6 * peak.size:15.4g}  {through_shaker}"
+    return f"{operating_point}{1e6 * peak.compliance:15.4g}  {through_shaker}"
 
 
 def _draw(design: Design) -> Figure:
     with new_figure(7.0, 10.0) as figure:
-        (front, chart), (curves, backbone) = figure.subplots(2, 2)
+        (front, chart), (reductions, backbone) = figure.subplots(2, 2)
         design.draw(front)
         front.legend()
         _draw_chart(chart, design)
-        _draw_curves(curves, design)
+        _draw_reductions(reductions, design)
         _draw_backbone(backbone, design)
         figure.suptitle(f"{escape_figure(design.scene.name)}: {design.best.choice}")
         return figure
 
 
 def _draw_chart(axes: Axes, design: Design) -> None:
-    """Draw the reduction of the worst peak over force and clearance."""
+    """Draw the reduction of the worst peak over force and clearance (the chart of the design)."""
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
     choice = design.charted
     chosen = choice.clearances[choice.heaviest_index]
@@ -199,26 +199,25 @@ def _draw_chart(axes: Axes, design: Design) -> None:
 
 
 def clearance_label(choice: Choice) -> str:
-    """Label the axis of the clearances: those of the heaviest damper."""
+    """Return the label of the clearance axis, which shows the clearance of the heaviest damper."""
     if len(choice.bodies) == 1:
         return "clearance / mm"
     return f"clearance in body {choice.bodies[choice.heaviest_index]} / mm\n(others in proportion)"
 
 
-def _draw_curves(axes: Axes, design: Design) -> None:
+def _draw_reductions(axes: Axes, design: Design) -> None:
     """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
-    # The horizontal axis is the acceleration without dampers. The acceleration with dampers would not be monotonic
-    # where another peak becomes the largest.
+    # Over the acceleration without dampers, because that with dampers jumps where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
-    plotted = (chosen - 1, chosen, chosen + 1)
-    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
-    for number, color, marker in zip(plotted, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
-        row = design.chart[number]
+    plotted_rows = (chosen - 1, chosen, chosen + 1)
+    undamped_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
+    for row_number, color, marker in zip(plotted_rows, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
+        row = design.chart[row_number]
         choice = design.charted
-        clearance = 1e3 * design.clearance_factors[number] * choice.clearances[choice.heaviest_index]
+        clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
         axes.plot(
-            bare_acceleration, [design.bare.size / peak.size for peak in row], f"{marker}-", ms=4, color=color,
-            lw=1.6 if number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
+            undamped_acceleration, [design.bare.compliance / peak.compliance for peak in row], f"{marker}-", ms=4,
+            color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
     axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="largest peak without / with dampers")
     set_log_scale(axes.xaxis)
@@ -230,8 +229,8 @@ def _draw_curves(axes: Axes, design: Design) -> None:
 
 def _draw_backbone(axes: Axes, design: Design) -> None:
     """Draw the frequency of the largest peak over force, with and without dampers."""
-    nominal = int(np.argmin(np.abs(np.log(design.clearance_factors))))
-    row = design.chart[nominal]
+    chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
+    row = design.chart[chosen]
     axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
     axes.axhline(design.bare.frequency, color=GRAY, ls="--", label="without")
     axes.set(xlabel="force / N", ylabel="frequency / Hz")
@@ -241,16 +240,16 @@ def _draw_backbone(axes: Axes, design: Design) -> None:
 
 
 class Agreement(NamedTuple):
-    """Number of settings of a study in which one mass agreed with grains within 10 %."""
+    """Number of settings in which a bed as one mass agreed with a bed of grains within 10 % of the compliance."""
 
     agreeing: int
     settings: int
 
 
-# Agreement of grains with one mass, from the table of `analysis beds`; a test compares these figures with the table.
+# Agreement from the table of `analysis beds`; a test compares these figures with the table.
 WITHOUT_CEILING = Agreement(21, 36)
 BELOW_CEILING = Agreement(6, 61)
-#: Interquartile range of the deviation below a ceiling, percent.
+#: Interquartile range of the deviation of grains from one mass below a ceiling, percent.
 INTERQUARTILE_RANGE = (-50, -16)
 #: Diameter of the shot in the grain simulation, m.
 _SHOT_DIAMETER = 2e-3
@@ -261,7 +260,7 @@ _BAND_POINTS = 3
 
 
 def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
-    """Report how well one mass agrees with grains, and the command that simulates these dampers as grains.
+    """Report how well a bed as one mass agrees with grains, and the command that simulates these dampers as grains.
 
     `dampers`: the dampers of the design; `expected`: expected results of the check, of which the command uses the
     largest peak; `scene`: file of the check.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.damper_design.choice import COARSE_DENSITY, Question, Trial
+from rig.damper_design.choice import COARSE_DENSITY, Objective, Trial
 from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
@@ -17,7 +17,7 @@ from rig.scene.scene import Scene
 
 #: Smallest peak reduction at which dampers count as effective, dB.
 EFFECTIVE_DB = 1.0
-#: Body acceleration from which dampers are usually effective, computed with the damper at rest on its floor, g.
+#: Body acceleration above which dampers are usually effective, computed with the dampers at rest on their floors, g.
 _EFFECTIVE_G = 3.0
 
 
@@ -25,7 +25,7 @@ _EFFECTIVE_G = 3.0
 class Flight:
     """Take-off and flight height of the dampers of a design.
 
-    `height`: largest height above the floor without a ceiling, over the band and the levels of the question, m; NaN
+    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective, m; NaN
     where part of the motion is irregular, or where the dampers reach their ceiling.
     """
 
@@ -38,30 +38,27 @@ class Flight:
         return level / self.take_off
 
 
-def compute_flight(question: Question, trial: Trial, unreached: bool) -> Flight:
-    """Compute where the dampers of a trial take off, and how high they fly.
-
-    `unreached`: whether the dampers do not reach their ceiling, so that the height is computed.
-    """
-    scene = _damped_scene(question, trial)
-    accelerations = damper_accelerations(scene, _frequencies(question, trial)).max(axis=1)
+def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: bool) -> Flight:
+    """Compute the take-off level of the dampers of a trial, and their flight height if the ceiling is unreached."""
+    scene = _damped_scene(objective, trial)
+    accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
     first = int(accelerations.argmax())
     take_off = float(scene.gravity / accelerations[first])
-    return Flight(take_off, trial.choice.bodies[first], _height(question, trial) if unreached else np.nan)
+    return Flight(take_off, trial.choice.bodies[first], _height(objective, trial) if is_ceiling_unreached else np.nan)
 
 
-def _damped_scene(question: Question, trial: Trial) -> Scene:
-    return question.scenes[0].replace(dampers=trial.choice.dampers(question.impact_law))
+def _damped_scene(objective: Objective, trial: Trial) -> Scene:
+    return objective.scenes[0].replace(dampers=trial.choice.dampers(objective.impact_law))
 
 
-def _height(question: Question, trial: Trial) -> float:
+def _height(objective: Objective, trial: Trial) -> float:
     """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
-    dampers = trial.choice.without_ceiling().dampers(question.impact_law)
+    dampers = trial.choice.without_ceiling().dampers(objective.impact_law)
     highest = 0.0
-    for scene in question.scenes:
+    for scene in objective.scenes:
         problem = OrbitProblem(scene.replace(dampers=dampers))
-        for level in question.levels:
-            for orbit in response_at_level(problem, level, _frequencies(question, trial)).orbits:
+        for level in objective.levels:
+            for orbit in response_at_level(problem, level, _frequencies(objective, trial)).orbits:
                 if orbit is None:
                     return np.nan
                 gaps = [values.max() for name, values in orbit.columns().items() if name.startswith("gap")]
@@ -69,16 +66,16 @@ def _height(question: Question, trial: Trial) -> float:
     return highest
 
 
-def _frequencies(question: Question, trial: Trial) -> np.ndarray:
-    scene = _damped_scene(question, trial)
-    low, high = question.band
+def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
+    scene = _damped_scene(objective, trial)
+    low, high = objective.band
     natural = natural_frequencies(scene, low, high)
     peaks = [peak.frequency for peak in trial.peaks]
     return np.unique(np.concatenate([select_frequencies(scene, low, high, COARSE_DENSITY), natural, peaks]))
 
 
-def idle_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:
-    """Return the levels at which the dampers do not fly, or the peak reduction is not resolved."""
+def ineffective_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:
+    """Return the levels at which the dampers do not fly, or do not reduce the peak by more than the search resolves."""
     return sorted(
         peak.level
         for peak in trial.peaks
@@ -89,41 +86,41 @@ def idle_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:
 def describe_shortfall(
     trial: Trial, undamped: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
-    """Report levels without effect, the reason, and effective levels; empty if the dampers are effective everywhere.
+    """Report ineffective levels, the reason, and effective levels; empty if the dampers are effective at all levels.
 
-    `charted`: peak of these dampers by level, N; `trials`: all designs computed.
+    `charted`: peak of these dampers at each level of the chart, N; `trials`: all designs computed.
     """
-    idle = idle_levels(trial, undamped, flight)
-    if not idle:
+    ineffective = ineffective_levels(trial, undamped, flight)
+    if not ineffective:
         return []
-    reductions = {peak.level: peak.reduction_from(undamped) for peak in trial.peaks}
+    reductions_db = {peak.level: peak.reduction_from(undamped) for peak in trial.peaks}
     lines = []
-    for level in idle:
+    for level in ineffective:
         acceleration = flight.acceleration_g(level)
-        motion = "cannot fly" if acceleration <= 1.0 else "hardly fly"
+        state = "cannot fly" if acceleration <= 1.0 else "are not effective"
         lines.append(
-            f"at {format_number(level)} N the dampers {motion}: take-off needs more than 1 g, and body "
+            f"at {format_number(level)} N the dampers {state}: take-off needs more than 1 g, and body "
             f"{flight.body} reaches {format_number(acceleration)} g; "
-            f"they change the peak by {-reductions[level]:+.1f} dB"
+            f"they change the peak by {-reductions_db[level]:+.1f} dB"
         )
-    largest_reductions = {
+    largest_reductions_db = {
         level: max(
             (p.reduction_from(undamped) for other in trials for p in other.peaks if p.level == level), default=0.0
         )
-        for level in sorted(reductions)
-        if level > max(idle)
+        for level in sorted(reductions_db)
+        if level > max(ineffective)
     }
-    effective_levels = [level for level in largest_reductions if largest_reductions[level] >= EFFECTIVE_DB]
+    effective_levels = [level for level in largest_reductions_db if largest_reductions_db[level] >= EFFECTIVE_DB]
     charted_levels = [
         level
         for level in charted
-        if level > max(idle)
+        if level > max(ineffective)
         and flight.acceleration_g(level) > 1.0
         and charted[level].reduction_from(undamped) >= EFFECTIVE_DB
     ]
     if effective_levels:
         forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
-        reductions_text = ", ".join(f"{largest_reductions[level]:.1f} dB" for level in effective_levels)
+        reductions_text = ", ".join(f"{largest_reductions_db[level]:.1f} dB" for level in effective_levels)
         lines.append(f"at {forces}, dampers reduce the peak by up to {reductions_text}. Give --levels {forces}.")
     elif charted_levels:
         lines.append(
@@ -133,6 +130,6 @@ def describe_shortfall(
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
         lines.append(
-            f"dampers are usually effective from {_EFFECTIVE_G:g} g. Give levels from {suggested} N with --levels."
+            f"dampers are usually effective above {_EFFECTIVE_G:g} g. Give levels above {suggested} N with --levels."
         )
     return lines

@@ -27,10 +27,10 @@ _STEP_OVERSHOOT = 2.0
 
 @dataclass(frozen=True)
 class Overload:
-    """A part of the bench that a check overloads."""
+    """An overload of an accelerometer or a converter input by a check."""
 
-    reason: str  # name of the part, size of the overload, and its levels
-    changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the overload
+    reason: str  # channel, largest value, its force levels, and the limit that it exceeds
+    changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the limit
 
 
 def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak) -> list[Overload]:
@@ -41,17 +41,19 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak
     """
     system = assemble(scene)
     lowest = min(result.peak.level for result in expected)
-    motions = [(result.peak, result.peak.level) for result in expected] + [(undamped, lowest)]
+    peaks_and_levels = [(result.peak, result.peak.level) for result in expected] + [(undamped, lowest)]
     overloaded: list[Overload] = []
     max_voltage, max_channel = 0.0, ""
     for number, channel in enumerate(scene.channels or (), 1):
         sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
         if sensor is None:
             continue
-        steady_accelerations = [_steady_acceleration(scene, channel.at, peak, level) for peak, level in motions]
+        steady_accelerations = [
+            _steady_acceleration(scene, channel.at, peak, level) for peak, level in peaks_and_levels
+        ]
         voltage = max(
-            _voltage(sensor, channel.integrator, size, peak.frequency)
-            for size, (peak, _) in zip(steady_accelerations, motions, strict=True)
+            _voltage(sensor, channel.integrator, acceleration, peak.frequency)
+            for acceleration, (peak, _) in zip(steady_accelerations, peaks_and_levels, strict=True)
         )
         if voltage > max_voltage:
             max_voltage, max_channel = voltage, channel.name
@@ -61,12 +63,11 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak
         impact_accelerations = [
             impact_acceleration(system, row, result.closing_speed, sensor.resonance) for result in expected
         ]
-        largest = [
-            max(pair) for pair in zip(impact_accelerations, steady_accelerations, strict=False)
-        ] + steady_accelerations[-1:]
-        exceeded = [k for k, size in enumerate(largest) if size > sensor.saturation]
+        # The last motion is without dampers, so without impacts.
+        largest = [*map(max, impact_accelerations, steady_accelerations), steady_accelerations[-1]]
+        exceeded = [k for k, acceleration in enumerate(largest) if acceleration > sensor.saturation]
         if exceeded:
-            levels = ", ".join(dict.fromkeys(format_number(motions[k][1]) for k in exceeded))
+            levels = ", ".join(dict.fromkeys(format_number(peaks_and_levels[k][1]) for k in exceeded))
             fastest = max(max(result.closing_speed, default=0.0) for result in expected)
             cause = (
                 f", from landings of up to {fastest:.2g} m/s"
@@ -74,8 +75,8 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak
                 else ""
             )
             reason = (
-                f"{channel.name}: up to {_format_acceleration(max(largest))} at {levels} N, where its accelerometer "
-                f"saturates at {_format_acceleration(sensor.saturation)}{cause}"
+                f"{channel.name}: up to {_format_acceleration(max(largest))} at {levels} N{cause}; its accelerometer "
+                f"saturates at {_format_acceleration(sensor.saturation)}"
             )
             overloaded.append(Overload(reason, _remedies(number, channel.accelerometer, max(largest))))
     converter = None if scene.converter is None else complete_from_preset(scene.converter)
@@ -83,7 +84,7 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak
         voltage = float(f"{1.5 * max_voltage:.2g}")
         overloaded.append(
             Overload(
-                f"{max_channel}: up to {format_number(max_voltage)} V, where the range of the converter is "
+                f"{max_channel}: up to {format_number(max_voltage)} V; the range of the converter is "
                 f"{format_number(converter.range)} V",
                 (f"converter.range={format_number(voltage)}V",),
             )
@@ -92,7 +93,7 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak
 
 
 def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[str]:
-    """Format overloads as text lines with the remedies on a test bench; empty without overloads."""
+    """Format overloads as text lines with their remedies; empty without overloads."""
     if not overloads:
         return []
     remedy = "on a real bench, use sensors with a larger range, or lower levels"
@@ -112,7 +113,7 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
 
 def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> float:
     """Estimate an upper bound of the steady acceleration at a point, m/s^2, from the largest displacement of a body."""
-    displacement = peak.size * level
+    displacement = peak.compliance * level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
     # The displacement of the shaker table includes the elongation of the spring.
     if not at.startswith("body") and spring:
@@ -146,22 +147,23 @@ def impact_acceleration(
     """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s^2.
 
     An instantaneous impact causes a velocity jump of the body. The sensor then indicates that jump times 2 pi times
-    its resonance frequency; without a resonance the value is unbounded. A finite-duration contact begins with a
-    step of the dashpot force; if the dashpot is weak, the peak of the spring force is larger.
+    its resonance frequency; without a resonance the value is unbounded. In a finite-duration
+    contact, the force is estimated as the larger of the initial dashpot force, v c, and the peak of the spring force
+    without damping, v sqrt(k m).
 
     `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
     (dampers,): approach speed of each damper to a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
     None without a resonance.
 
     >>> import rig
-    >>> jump = 0.1 * 0.71 / 0.781  # of a tenth of the body's mass at 1 m/s
+    >>> jump = 0.1 * 0.71 / 0.781  # plastic impact of a tenth of the body's mass at 1 m/s: velocity jump, m/s
     >>> system = assemble(rig.load("fig9", {"dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}]}))
     >>> round(impact_acceleration(system, 1, [1.0], 1000.0) / (2 * np.pi * 1000.0 * jump), 9)
     1.0
     >>> impact_acceleration(system, 0, [1.0], None)
     0.0
     """
-    mobility = np.linalg.inv(system.mass)
+    inverse_mass = np.linalg.inv(system.mass)
     accelerations = [0.0]
     for j, speed in enumerate(closing_speed):
         body = system.damper_coordinate[j]
@@ -169,10 +171,10 @@ def impact_acceleration(
             dashpot = system.wall_damping[j]
             spring = np.sqrt(system.reduced_mass[j] * system.wall_stiffness[j])
             force = speed * float(np.maximum(dashpot, spring).max())
-            accelerations.append((1.0 if resonance is None else _STEP_OVERSHOOT) * abs(mobility[row, body]) * force)
+            accelerations.append((1.0 if resonance is None else _STEP_OVERSHOOT) * abs(inverse_mass[row, body]) * force)
             continue
-        impulse = (1.0 + system.restitution[j]) * speed / (1.0 / system.damper_mass[j] + mobility[body, body])
-        jump = abs(mobility[row, body]) * impulse
+        impulse = (1.0 + system.restitution[j]) * speed / (1.0 / system.damper_mass[j] + inverse_mass[body, body])
+        jump = abs(inverse_mass[row, body]) * impulse
         angular_frequency = np.inf if resonance is None else 2.0 * np.pi * resonance
         accelerations.append(float(jump * angular_frequency) if jump else 0.0)
     return float(max(accelerations))

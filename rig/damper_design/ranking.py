@@ -8,12 +8,12 @@ import numpy as np
 
 from rig.damper_design.choice import Trial
 
-#: Reductions that differ by less than this, dB, are equal: grids and averages resolve no smaller difference.
+#: Largest difference of equal peaks, dB: frequency grids and averages resolve no smaller difference.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
 EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
-#: Ratio of equal peaks where part of the motion is irregular. Averages of irregular motion are uncertain by some
-#: percent: a change of the clearance by 1 % changes them by up to 6 %.
+#: Largest ratio of equal peaks where part of the motion is irregular. Averages of irregular motion scatter: a change of
+#: the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
 #: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
@@ -24,22 +24,22 @@ _MEAN_WEIGHT = 0.01
 def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     """Sort trials, best first.
 
-    Each criterion decides between trials that are equal within `EQUAL_DB` by the previous criteria:
+    Each criterion decides between trials that are equal by the previous criteria; peaks within `EQUAL_DB` are equal:
 
     1. smallest worst peak, 2. smallest mean peak over the levels in dB, 3. smallest mass, 4. fewest dampers,
-    5. clearances that can be built, 6. no ceiling, 7. smallest distance from the middle of the equal clearances,
-    because the worst peak changes near their ends.
+    5. clearances that can be built, 6. no ceiling, 7. clearance nearest to the middle of the remaining clearances, as
+    the worst peak changes near their ends.
 
     A design with fewer dampers becomes the first if it equals the best design within the scatter of irregular motion.
     """
     trials = list(trials)
-    worst_limit = EQUAL_RATIO * min(trial.peak.size for trial in trials)
-    mean_limit = EQUAL_RATIO * min(trial.mean_peak for trial in trials if trial.peak.size <= worst_limit)
+    worst_limit = EQUAL_RATIO * min(trial.peak.compliance for trial in trials)
+    mean_limit = EQUAL_RATIO * min(trial.mean_peak for trial in trials if trial.peak.compliance <= worst_limit)
 
     def criteria(trial: Trial) -> tuple[float, ...]:
         choice = trial.choice
         return (
-            max(trial.peak.size, worst_limit),
+            max(trial.peak.compliance, worst_limit),
             max(trial.mean_peak, mean_limit),
             round(choice.mass, 9),
             len(choice.bodies),
@@ -64,7 +64,9 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
 
 def is_equally_good(trial: Trial, best: Trial) -> bool:
     """Return whether a trial equals the best trial at the worst level and in the mean over levels."""
-    return trial.peak.size <= EQUAL_RATIO * best.peak.size and trial.mean_peak <= EQUAL_RATIO * best.mean_peak
+    return (
+        trial.peak.compliance <= EQUAL_RATIO * best.peak.compliance and trial.mean_peak <= EQUAL_RATIO * best.mean_peak
+    )
 
 
 def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
@@ -81,18 +83,18 @@ def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
 def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
     """Return whether fewer dampers that are not heavier equal the best design within the resolution of the search."""
     choice, best_choice = trial.choice, best.choice
-    ratio = IRREGULAR_RATIO if any(peak.simulated for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
+    ratio = IRREGULAR_RATIO if any(peak.irregular_share for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
     return (
         len(choice.bodies) < len(best_choice.bodies)
         and round(choice.mass, 9) <= round(best_choice.mass, 9)
-        and trial.peak.size <= ratio * best.peak.size
+        and trial.peak.compliance <= ratio * best.peak.compliance
         and trial.mean_peak <= ratio * best.mean_peak
     )
 
 
-def objective(trial: Trial) -> float:
-    """Return the objective to be minimized; all levels contribute, for a gradient where the worst peak is flat."""
-    return float(np.log(trial.peak.size) + _MEAN_WEIGHT * np.log(trial.mean_peak))
+def search_cost(trial: Trial) -> float:
+    """Return the cost that local searches minimize; its mean over levels has a slope where the worst peak is flat."""
+    return float(np.log(trial.peak.compliance) + _MEAN_WEIGHT * np.log(trial.mean_peak))
 
 
 def pareto_front(trials: Sequence[Trial]) -> list[Trial]:

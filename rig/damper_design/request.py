@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rig.damper_design.choice import Question, Space, impact_law_of, variants
+from rig.damper_design.choice import Objective, SearchSpace, impact_law_of, variants
 from rig.errors import SceneError
 from rig.motion_map.grid import select_frequencies
 from rig.scene.body_names import body_number
@@ -34,14 +34,14 @@ MIN_CLEARANCE_RATIO = 0.03
 #: Default largest clearance, relative to the largest displacement without dampers at the largest level. Effective
 #: dampers reduce the displacement to a tenth to a third of that, and need about twice as much clearance.
 MAX_CLEARANCE_RATIO = 1.5
-#: Default limit of the added mass, as a share of the structure's mass.
+#: Default limit of the added mass (`budget`), as a share of the structure's mass.
 DEFAULT_MASS_RATIO = 0.05
 
 
-def mass_of(budget: float | str | None, scene: Scene) -> float:
-    """Return the mass limit [kg] from a mass, a share of the structure's mass, or the default.
+def mass_limit(budget: float | str | None, scene: Scene) -> float:
+    """Return the limit of the added mass, kg, from a mass or a share of the structure's mass; None for the default.
 
-    Raises `SceneError` if it is not one of these.
+    Raises `SceneError` if the budget is neither a mass nor a share.
     """
     if budget is None:
         return DEFAULT_MASS_RATIO * total_mass(scene)
@@ -61,7 +61,7 @@ def mass_of(budget: float | str | None, scene: Scene) -> float:
 
 
 def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
-    """Return body numbers from numbers or names, sorted; all bodies by default. `name`: argument, for messages."""
+    """Return body numbers from numbers or names, sorted; all bodies by default. `name`: the argument."""
     all_bodies = range(1, scene.structure.bodies + 1)
     names = [requested] if isinstance(requested, int | str) else requested
     try:
@@ -71,12 +71,12 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
 
 
 def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
-    """Replace a drive level of the test by a controlled force, because the levels are forces."""
+    """Replace a drive level of the test (V or m) by a controlled force, because the levels of a design are forces."""
     if getattr(scene.test, "drive", None) is None or isinstance(scene.driven_shaker, ForceShaker):
         return scene
     if levels is None:
         raise SceneError(
-            "levels: not given, and the test of the scene states a drive, not a force. Give forces, as in --levels 3N."
+            "levels: not given, and the scene's test states a drive level, not a force. Give forces, as in --levels 3N."
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
@@ -98,25 +98,28 @@ def parse_request(
     band: Sequence[float | str] | None = None,
     watched: Sequence[int | str] | None = None,
     uncertain: Sequence[float | str] = (0.0, 0.0),
-) -> tuple[Question, Space]:
-    """Fill in defaults and check the request; parameters as of `rig.design`.
+) -> tuple[Objective, SearchSpace]:
+    """Check the arguments of `rig.design`, and fill in their defaults.
 
-    Raises `SceneError` if no candidate designs remain, or nothing drives the structure.
+    Raises `SceneError` if an argument is invalid, or nothing drives the structure.
     """
-    carriers = _bodies(bodies, scene, "bodies")
-    evaluated = tuple(sorted({*_bodies(watched, scene, "watched")}))
-    if count(dampers, 1, "dampers") > len(carriers):
+    damper_bodies = _bodies(bodies, scene, "bodies")
+    evaluated_bodies = tuple(sorted({*_bodies(watched, scene, "watched")}))
+    if count(dampers, 1, "dampers") > len(damper_bodies):
         raise SceneError(
-            f"dampers: got {dampers}; expected 1 to {len(carriers)}, one for each body that may carry "
-            "one. Name a body twice for two dampers in it."
+            f"dampers: got {dampers}; expected 1 to {len(damper_bodies)}, at most one for each body listed in bodies. "
+            "List a body twice for two dampers in it."
         )
     uncertainties = tuple(number(uncertainty, RATIO, "uncertain") for uncertainty in uncertain)
     if len(uncertainties) != 2 or not all(0.0 <= uncertainty < 0.9 for uncertainty in uncertainties):
-        raise SceneError(f"uncertain: got {uncertainties}; expected two shares from 0 to below 90 %")
-    total, max_mass = total_mass(scene), mass_of(budget, scene)
-    if not 0.0 < max_mass < total:
         raise SceneError(
-            f"budget: got {max_mass:g} kg; expected more than 0 and less than the structure's mass of {total:g} kg"
+            f"uncertain: got {uncertainties}; expected two relative uncertainties, each from 0 to below 90 %"
+        )
+    structure_mass, max_mass = total_mass(scene), mass_limit(budget, scene)
+    if not 0.0 < max_mass < structure_mass:
+        raise SceneError(
+            f"budget: got {max_mass:g} kg; expected more than 0 and less than the structure's mass, "
+            f"{structure_mass:g} kg"
         )
     if scene.gravity == 0.0:
         raise SceneError(
@@ -126,16 +129,16 @@ def parse_request(
     undamped = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
     default_levels = [level_of(undamped) * factor for factor in DEFAULT_LEVEL_RATIOS]
     forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
-    band_ends = ascending_pair(band or select_frequencies(undamped, points=2), FREQUENCY, "band")
-    locations = Space.locations_of(carriers, dampers)
-    question = Question(variants(undamped, *uncertainties), forces, band_ends, evaluated, impact_law)
+    band_limits = ascending_pair(band or select_frequencies(undamped, points=2), FREQUENCY, "band")
+    locations = SearchSpace.locations_of(damper_bodies, dampers)
+    objective = Objective(variants(undamped, *uncertainties), forces, band_limits, evaluated_bodies, impact_law)
     if clearance is not None:
-        return question, Space(
-            locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), without_ceiling=False
+        return objective, SearchSpace(
+            locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), allows_no_ceiling=False
         )
-    displacement = question.bare.size
-    return question, Space(
+    compliance = objective.undamped_peak.compliance
+    return objective, SearchSpace(
         locations,
         max_mass,
-        (MIN_CLEARANCE_RATIO * displacement * forces[0], MAX_CLEARANCE_RATIO * displacement * forces[-1]),
+        (MIN_CLEARANCE_RATIO * compliance * forces[0], MAX_CLEARANCE_RATIO * compliance * forces[-1]),
     )

@@ -1,6 +1,6 @@
 """Search for the best dampers: a grid over locations, masses and clearances, then local refinement.
 
-The local searches start from the best designs of the grid. A search requests designs; workers compute them
+The local searches start from the best designs of the grid. A search requests designs. Workers compute them
 concurrently, and the search continues when their peaks are known.
 """
 
@@ -14,24 +14,24 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from rig.damper_design.choice import FINE_DENSITY, Choice, Question, Space, Trial
+from rig.damper_design.choice import FINE_DENSITY, Choice, Objective, SearchSpace, Trial
 from rig.damper_design.evaluator import Evaluator, KnownTrials
-from rig.damper_design.ranking import EQUAL_RATIO, objective, rank_trials
+from rig.damper_design.ranking import EQUAL_RATIO, rank_trials, search_cost
 from rig.damper_design.worst_peak import Peak
 
 #: Added masses of the grid, relative to the largest added mass.
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
 #: Number of clearances of the grid, from the smallest to the largest.
 GRID_CLEARANCES = 10
-#: Typical share of the grid that is computed at all levels.
+#: Typical share of the grid that is computed at all levels; the rest is excluded by a lower bound at one level.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Designs of each mass that are computed concurrently.
+#: Number of designs of each mass that are computed concurrently.
 LOOKAHEAD = 3
-#: Trials around the best clearance of a location and mass.
+#: Largest number of trials around the best clearance of a location and mass.
 MAX_REFINEMENT_TRIALS = 8
-#: Trials per unknown when all dampers differ.
+#: Largest number of trials per unknown of the simplex search, where mass and clearance of each damper are unknown.
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
-#: Locations whose best design is refined with all dampers different.
+#: Largest number of locations refined by the simplex search at the largest mass.
 MAX_SIMPLEX_LOCATIONS = 2
 #: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
@@ -49,34 +49,37 @@ CLEARANCE_RATIO = 1.1
 FINAL_DESIGNS = 3
 
 
-def estimate_piece_count(question: Question, space: Space) -> int:
+def estimate_piece_count(objective: Objective, space: SearchSpace) -> int:
     """Estimate the number of pieces (a design at one level, for one structure) that a search computes."""
-    grid, n_parts = len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1), len(question.parts)
+    grid_size, pieces_per_design = (
+        len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1),
+        len(objective.subproblems),
+    )
     refinements = (len(space.locations) + 2 * len(GRID_MASS_RATIOS)) * MAX_REFINEMENT_TRIALS
-    return grid + int(TYPICAL_COMPLETED_SHARE * grid * n_parts) + refinements * n_parts
+    return grid_size + int(TYPICAL_COMPLETED_SHARE * grid_size * pieces_per_design) + refinements * pieces_per_design
 
 
-def search(question: Question, space: Space, evaluator: Evaluator) -> tuple[Trial, list[Trial]]:
+def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tuple[Trial, list[Trial]]:
     """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `rank_trials`.
 
     Returns the best design, with its peaks on a finer grid of frequencies, and all computed designs.
     """
 
     def optimize_from(starts: Iterable[Choice], optimize: Callable[..., object]) -> dict[Choice, Trial]:
-        return evaluator.run_searches(question, [partial(_requested_designs, optimize, start) for start in starts])
+        return evaluator.run_searches(objective, [partial(_requested_designs, optimize, start) for start in starts])
 
     grid = [
         [choice for location in space.locations for choice in _grid_row(space, location, share)]
         for share in GRID_MASS_RATIOS
     ]
-    trials = _compute_grid(question, grid, evaluator)
+    trials = _compute_grid(objective, grid, evaluator)
     largest_mass, *smaller_masses = (rank_trials(trials[choice] for choice in row if choice in trials) for row in grid)
     starts = _best_of_locations(largest_mass, MAX_REFINED_PEAK_RATIO)
     for row in smaller_masses:
         starts += _best_of_locations(row, MAX_LIGHT_PEAK_RATIO)[:MAX_REFINED_LOCATIONS]
     optimize_common_factor = partial(_optimize_common_factor, step=_clearance_step(space), bounds=space.clearance)
     trials |= optimize_from(starts, optimize_common_factor)
-    if space.dampers > 1:
+    if space.max_dampers > 1:
         masses = [row[0].choice.mass for row in (largest_mass, *smaller_masses)]
         starts = []
         for mass, max_locations in zip(masses, (MAX_SIMPLEX_LOCATIONS, *[1] * len(smaller_masses)), strict=True):
@@ -86,30 +89,28 @@ def search(question: Question, space: Space, evaluator: Evaluator) -> tuple[Tria
         finalists = [_ranked_at_mass(trials, mass)[0].choice for mass in masses]
         starts = [choice.without_lightest() for choice in _with_several_dampers(finalists) if choice.has_ceiling]
         trials |= optimize_from(starts, optimize_common_factor)
-    # A coarse frequency grid may miss a peak, so the first three designs are compared on a fine grid. The first
-    # design without its lightest damper, whose mass may be negligible, and the best of each smaller mass are
-    # compared too.
-    fine_question, compared = replace(question, density=FINE_DENSITY), set[Choice]()
+    # A coarse frequency grid may miss a peak, so the finalists are compared on a fine grid.
+    fine_objective, compared = replace(objective, density=FINE_DENSITY), set[Choice]()
     while finalists := [choice for choice in _finalists(trials.values(), space) if choice not in compared]:
-        trials |= {trial.choice: trial for trial in evaluator.compute(fine_question, finalists)}
+        trials |= {trial.choice: trial for trial in evaluator.compute(fine_objective, finalists)}
         compared |= set(finalists)
     return rank_trials(trials.values())[0], list(trials.values())
 
 
-def _finalists(trials: Iterable[Trial], space: Space) -> list[Choice]:
-    """Return the best designs, the first of them without its lightest damper, and the best of each smaller mass."""
+def _finalists(trials: Iterable[Trial], space: SearchSpace) -> list[Choice]:
+    """Return the best designs, the best without its lightest damper, and the best of each smaller mass."""
     trials = list(trials)
     finalists = [trial.choice for trial in rank_trials(trials)[:FINAL_DESIGNS]]
     if len(finalists[0].bodies) > 1:
         finalists.append(finalists[0].without_lightest())
     for share in GRID_MASS_RATIOS[1:]:
-        light = [trial for trial in trials if trial.choice.mass <= (1.0 + MASS_ROUNDING) * share * space.mass]
+        light = [trial for trial in trials if trial.choice.mass <= (1.0 + MASS_ROUNDING) * share * space.max_mass]
         finalists += [trial.choice for trial in rank_trials(light)[:1]]
     return list(dict.fromkeys(finalists))
 
 
 def _ranked_at_mass(trials: Mapping[Choice, Trial], mass: float) -> list[Trial]:
-    """Return the trials with a total mass, kg, best first."""
+    """Return the trials with a total mass [kg], best first."""
     return rank_trials(trial for choice, trial in trials.items() if abs(choice.mass - mass) <= MASS_ROUNDING * mass)
 
 
@@ -118,23 +119,23 @@ def _with_several_dampers(choices: Iterable[Choice]) -> list[Choice]:
     return [choice for choice in choices if len(choice.bodies) > 1]
 
 
-def _clearance_step(space: Space) -> float:
+def _clearance_step(space: SearchSpace) -> float:
     """Return the logarithmic spacing of the clearances of the grid."""
     return float(np.log(space.clearance[1] / space.clearance[0])) / (GRID_CLEARANCES - 1)
 
 
-def _grid_row(space: Space, location: tuple[int, ...], share: float) -> list[Choice]:
-    """Return the designs with all clearances of the grid, equal in each body, and the design without ceilings."""
+def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> list[Choice]:
+    """Return the designs of a location with all clearances of the grid, and the design without ceilings."""
     count, (low, high) = len(location), space.clearance
     # Identical dampers in one body would move identically until rounding errors separate them.
     ratios = [CLEARANCE_RATIO ** location[:k].count(body) for k, body in enumerate(location)]
-    first = Choice(location, (share * space.mass / count,) * count, tuple(ratios))
+    first = Choice(location, (share * space.max_mass / count,) * count, tuple(ratios))
     row = [
         first.scale_clearances(clearance)
         for clearance in np.geomspace(low, high / max(ratios), GRID_CLEARANCES).tolist()
     ]
     # Two dampers without ceilings in one body move as one damper of their total mass.
-    return row if len(set(location)) < count or not space.without_ceiling else [*row, first.without_ceiling()]
+    return row if len(set(location)) < count or not space.allows_no_ceiling else [*row, first.without_ceiling()]
 
 
 def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
@@ -144,33 +145,33 @@ def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
     """
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
-        if trial.choice.has_ceiling and trial.peak.size <= max_ratio * row[0].peak.size:
+        if trial.choice.has_ceiling and trial.peak.compliance <= max_ratio * row[0].peak.compliance:
             best.setdefault(trial.choice.bodies, trial.choice)
     return list(best.values())
 
 
-def _compute_grid(question: Question, grid: Sequence[list[Choice]], evaluator: Evaluator) -> dict[Choice, Trial]:
-    """Compute designs that may be the best of their row; the peak at one level is a lower bound of the worst peak."""
-    middle_level = question.parts[len(question.levels) // 2]
+def _compute_grid(objective: Objective, grid: Sequence[list[Choice]], evaluator: Evaluator) -> dict[Choice, Trial]:
+    """Compute the designs that may be the best of their row; the peak at the middle level is a lower bound."""
+    at_middle_level = objective.subproblems[len(objective.levels) // 2]
     choices = [choice for row in grid for choice in row]
-    lower_bounds = {trial.choice: trial.peak for trial in evaluator.compute(middle_level, choices)}
+    lower_bounds = {trial.choice: trial.peak for trial in evaluator.compute(at_middle_level, choices)}
     rows = [sorted(row, key=lower_bounds.__getitem__) for row in grid]
-    return evaluator.run_searches(question, [partial(_branch_and_bound, row, lower_bounds) for row in rows])
+    return evaluator.run_searches(objective, [partial(_branch_and_bound, row, lower_bounds) for row in rows])
 
 
 def _branch_and_bound(
     row: Sequence[Choice], lower_bounds: Mapping[Choice, Peak], known_trials: KnownTrials
 ) -> Iterator[Choice]:
-    """Yield designs that may be the best of a row sorted by lower bound (branch and bound)."""
+    """Yield the designs of a row, sorted by lower bound, until none of the rest can be the best (branch and bound)."""
     # Results are used `LOOKAHEAD` designs later, so that the set of computed designs does not depend on worker speed.
-    best = np.inf
+    smallest_peak = np.inf
     for number, choice in enumerate(row):
         if number >= LOOKAHEAD:
             trial = known_trials(row[number - LOOKAHEAD])
             if trial is None:
                 return
-            best = min(best, trial.peak.size)
-        if lower_bounds[choice].size >= EQUAL_RATIO * best:
+            smallest_peak = min(smallest_peak, trial.peak.compliance)
+        if lower_bounds[choice].compliance >= EQUAL_RATIO * smallest_peak:
             return
         yield choice
 
@@ -189,7 +190,7 @@ def _requested_designs(search: Callable[..., object], start: Choice, known_trial
         trial = known_trials(choice)
         if trial is None:
             raise _NotComputed
-        return objective(trial)
+        return search_cost(trial)
 
     with suppress(_NotComputed):
         search(start, cost)
@@ -209,8 +210,10 @@ def _optimize_common_factor(
         return cost(start.scale_clearances(float(np.exp(log_clearance - middle))))
 
     limits = np.log([bounds[0], bounds[1] * start.clearances[0] / max(start.clearances)])
-    ends = np.clip([middle - step, middle + step], *limits)
-    minimize_scalar(cost_at, bounds=ends, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3})
+    interval = np.clip([middle - step, middle + step], *limits)
+    minimize_scalar(
+        cost_at, bounds=interval, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3}
+    )
 
 
 def _optimize_each_damper(start: Choice, cost: Callable[[Choice], float], bounds: tuple[float, float]) -> None:

@@ -1,4 +1,4 @@
-"""The interval of clearances in which the worst peak of a design stays nearly the same."""
+"""The interval of clearances in which the worst peak of a design stays nearly the same: the tolerance of a design."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.damper_design.choice import Question, Space, Trial
+from rig.damper_design.choice import Objective, SearchSpace, Trial
 from rig.damper_design.evaluator import Evaluator
 from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
 MAX_RISE_DB = 0.5
-#: Ratio of clearances to which the ends are bisected.
+#: Ratio of clearances at which the bisection of an end stops.
 _RESOLUTION_RATIO = 1.06
-#: Ratio of clearances per outward step where no trial is available.
+#: Largest ratio of clearances per outward step.
 _STEP_RATIO = 1.6
 #: Smallest distance of a clearance from the ends of the interval, as a share of its logarithmic width. Otherwise the
 #: middle is recommended.
@@ -26,12 +26,13 @@ _MIN_END_DISTANCE = 0.15
 class Tolerance:
     """Clearances of the heaviest damper for which the worst peak rises by at most `MAX_RISE_DB`; others in proportion.
 
-    `low`, `high`: ends of the interval, m; `high` is infinite if a ceiling is not required.
+    `low`, `high`: ends of the interval, m. `high` is infinite if the peak stays low without a ceiling; both are
+    infinite if it does so only without a ceiling.
     """
 
     low: float
     high: float
-    limited: tuple[bool, bool]  # whether each end is a limit of the search, so that the interval may be wider
+    at_limit: tuple[bool, bool]  # whether each end is a limit of the search, so that the interval may be wider
     chosen: float  # clearance of the chosen design, m
 
     def __str__(self) -> str:
@@ -50,8 +51,8 @@ class Tolerance:
             return f"the worst peak stays within {MAX_RISE_DB:g} dB for every clearance above {low} mm"
         high = format_number(1e3 * self.high)
         text = f"the worst peak stays within {MAX_RISE_DB:g} dB for clearances from {low} to {high} mm"
-        if any(self.limited):
-            ends = " and ".join(name for name, end in zip(("smallest", "largest"), self.limited, strict=True) if end)
+        if any(self.at_limit):
+            ends = " and ".join(name for name, end in zip(("smallest", "largest"), self.at_limit, strict=True) if end)
             text += f" ({ends} searched)"
         width, position = np.log(self.high / self.low), np.log(self.chosen / self.low)
         if width > 0.0 and min(position, width - position) < _MIN_END_DISTANCE * width:
@@ -61,13 +62,13 @@ class Tolerance:
 
 
 def clearance_tolerance(
-    question: Question, space: Space, best: Trial, trials: Iterable[Trial], evaluator: Evaluator
+    objective: Objective, space: SearchSpace, best: Trial, trials: Iterable[Trial], evaluator: Evaluator
 ) -> Tolerance:
-    """Compute the interval: outward through the trials with the same dampers, then by bisection.
+    """Compute the interval: outward steps of the clearances until the peak is too high, then bisection.
 
     `best`: the design whose interval is computed; `trials`: all designs computed.
     """
-    max_peak = best.peak.size * 10.0 ** (MAX_RISE_DB / 20.0)
+    max_peak = best.peak.compliance * 10.0 ** (MAX_RISE_DB / 20.0)
     choice, heaviest_index = best.choice, best.choice.heaviest_index
     unscaled = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
     acceptable = {1.0: True} if choice.has_ceiling else {}
@@ -78,12 +79,12 @@ def clearance_tolerance(
             same_dampers and np.isfinite(factor)
             and np.allclose(trial.choice.clearances, unscaled.scale_clearances(factor).clearances, rtol=1e-6)
         ):  # fmt: skip
-            acceptable.setdefault(factor, trial.peak.size <= max_peak)
+            acceptable.setdefault(factor, trial.peak.compliance <= max_peak)
 
     def is_acceptable(factor: float) -> bool:
         if factor not in acceptable:
-            (trial,) = evaluator.compute(question, [unscaled.scale_clearances(factor)])
-            acceptable[factor] = trial.peak.size <= max_peak
+            (trial,) = evaluator.compute(objective, [unscaled.scale_clearances(factor)])
+            acceptable[factor] = trial.peak.compliance <= max_peak
         return acceptable[factor]
 
     reference = unscaled.clearances[heaviest_index]
@@ -95,9 +96,9 @@ def clearance_tolerance(
     high, high_limited = _interval_end(
         is_acceptable, acceptable, max(space.clearance[1] / max(unscaled.clearances), 1.0)
     )
-    if high_limited and space.without_ceiling and len(set(choice.bodies)) == len(choice.bodies):
-        (unlimited,) = evaluator.compute(question, [choice.without_ceiling()])
-        if unlimited.peak.size <= max_peak:
+    if high_limited and space.allows_no_ceiling and len(set(choice.bodies)) == len(choice.bodies):
+        (unlimited,) = evaluator.compute(objective, [choice.without_ceiling()])
+        if unlimited.peak.compliance <= max_peak:
             high, high_limited = np.inf, False
     return Tolerance(reference * low, reference * high, (low_limited, high_limited), reference)
 
@@ -105,7 +106,10 @@ def clearance_tolerance(
 def _interval_end(
     is_acceptable: Callable[[float], bool], computed: Iterable[float], limit: float
 ) -> tuple[float, bool]:
-    """Return the last acceptable factor from 1 towards a limit, and whether it is the limit."""
+    """Return the last acceptable factor of the clearances from 1 towards a limit, and whether it is the limit.
+
+    `computed`: factors whose result is known; the steps include these.
+    """
     outwards = limit > 1.0
     between = {factor for factor in computed if (1.0 < factor < limit if outwards else limit < factor < 1.0)}
     points = sorted({*between, limit}, reverse=not outwards)

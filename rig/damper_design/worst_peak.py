@@ -16,24 +16,24 @@ from rig.orbits.sweep import OrbitResponse, sweep
 from rig.scene.scene import Scene
 from rig.system.structural_model import receptance
 
-#: Peaks are refined for bodies whose largest compliance on the grid exceeds this share of the largest peak.
+#: Smallest ratio of a body's compliance on the frequency grid to the largest refined peak at which it is refined too.
 MIN_REFINED_RATIO = 0.7
 
 
 @dataclass(frozen=True, order=True)
 class Peak:
-    """A peak of the compliance; peaks are ordered by size."""
+    """A peak of the compliance; peaks are ordered by compliance."""
 
-    size: float  # largest |X| / F, m/N
+    compliance: float  # largest |X| / F, m/N
     frequency: float  # frequency of the peak, Hz
     level: float  # force amplitude, N
     body: int  # number of the body, from 1
     acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
-    simulated: float  # share of frequencies with irregular motion, which is simulated and averaged
+    irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
     def reduction_from(self, undamped: Peak) -> float:
         """Return the reduction relative to the peak without dampers, dB."""
-        return 20.0 * float(np.log10(undamped.size / self.size))
+        return 20.0 * float(np.log10(undamped.compliance / self.compliance))
 
 
 def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -> OrbitResponse:
@@ -45,19 +45,19 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
 
     If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
-    events. It then does not depend on the grid. If the three points were simulated, a linear resonance is fitted to
-    them: 1 / |X|^2 is then a parabola.
+    events, so that it does not depend on the grid. If this point and both neighbors are irregular motion, a parabola is
+    fitted to their 1 / |compliance|^2, as at a linear resonance.
     """
-    size = np.abs(response.compliance[body - 1])
-    i = int(size.argmax())
-    largest, frequency = float(size[i]), float(response.value[i])
+    magnitude = np.abs(response.compliance[body - 1])
+    i = int(magnitude.argmax())
+    largest, frequency = float(magnitude[i]), float(response.value[i])
     orbit = response.orbits[i]
-    if i in (0, size.size - 1):
+    if i in (0, magnitude.size - 1):
         return largest, frequency
     three_points = slice(i - 1, i + 2)
     if response.simulated[three_points].all():
         curvature, slope, value_at_center = np.polyfit(
-            response.value[three_points] - frequency, size[three_points] ** -2.0, 2
+            response.value[three_points] - frequency, magnitude[three_points] ** -2.0, 2
         ).tolist()
         minimum = value_at_center - slope**2 / (4 * curvature) if curvature > 0.0 else 0.0
         if minimum > 0.0:
@@ -65,7 +65,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     if orbit is None:
         return largest, frequency
 
-    def negative_size(trial_frequency: float) -> float:
+    def negative_magnitude(trial_frequency: float) -> float:
         operating_point = OperatingPoint(float(trial_frequency), orbit.setting.force)
         try:
             solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
@@ -74,24 +74,24 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
         return 0.0 if solution.flaw or not solution.stable else -abs(solution.compliance[body - 1])
 
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
-    optimum = minimize_scalar(negative_size, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    optimum = minimize_scalar(negative_magnitude, bounds=bounds, method="bounded", options={"xatol": 1e-3})
     return (float(-optimum.fun), float(optimum.x)) if -optimum.fun > largest else (largest, frequency)
 
 
 def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
-    """Compute the largest peak of the given bodies without dampers."""
+    """Compute the largest peak of the given bodies of a scene without dampers."""
     rows = [body - 1 for body in bodies]
 
-    def largest_size(trial_frequency: float) -> float:
+    def largest_magnitude(trial_frequency: float) -> float:
         return float(abs(receptance(scene, [trial_frequency])[rows]).max())
 
-    size = abs(receptance(scene, frequencies)[rows]).max(axis=0)
-    i = int(size.argmax())
-    bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, size.size - 1)]
-    optimum = minimize_scalar(lambda f: -largest_size(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
-    frequency = max(float(optimum.x), float(frequencies[i]), key=largest_size)
-    sizes = abs(receptance(scene, [frequency])[rows, 0])
-    body, largest = bodies[int(sizes.argmax())], float(sizes.max())
+    magnitude = abs(receptance(scene, frequencies)[rows]).max(axis=0)
+    i = int(magnitude.argmax())
+    bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, magnitude.size - 1)]
+    optimum = minimize_scalar(lambda f: -largest_magnitude(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
+    frequency = max(float(optimum.x), float(frequencies[i]), key=largest_magnitude)
+    magnitudes = abs(receptance(scene, [frequency])[rows, 0])
+    body, largest = bodies[int(magnitudes.argmax())], float(magnitudes.max())
     return Peak(largest, frequency, level, body, largest * level * (2 * np.pi * frequency) ** 2, 0.0)
 
 
@@ -101,9 +101,9 @@ def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Ite
     on_grid = {body: float(np.abs(response.compliance[body - 1]).max()) for body in bodies}
     peaks: list[Peak] = []
     for body in sorted(on_grid, key=lambda body: -on_grid[body]):
-        if peaks and on_grid[body] < MIN_REFINED_RATIO * max(peaks).size:
+        if peaks and on_grid[body] < MIN_REFINED_RATIO * max(peaks).compliance:
             continue
-        size, frequency = refined_peak(problem, response, body)
-        acceleration = size * level * (2 * np.pi * frequency) ** 2
-        peaks.append(Peak(size, frequency, level, body, acceleration, float(response.simulated.mean())))
+        compliance, frequency = refined_peak(problem, response, body)
+        acceleration = compliance * level * (2 * np.pi * frequency) ** 2
+        peaks.append(Peak(compliance, frequency, level, body, acceleration, float(response.simulated.mean())))
     return max(peaks)

@@ -32,10 +32,10 @@ _ARRAY = 2
 
 
 class Bed:
-    """Grains in a cavity.
+    """Grains in a cavity, whose axis is z and whose floor is at z = 0.
 
-    `spheres`: their settings; `positions`, shape (grains, 3): m; the axis of the cavity is z, its floor at 0;
-    `ceiling`: height of the ceiling, m; may be infinite; `gravity`: m/s^2; `step`: time step, s.
+    `spheres`: properties of the grains; `positions`: of their centers, m, shape (grains, 3); `ceiling`: height of the
+    ceiling, m, infinite for no ceiling; `gravity`: m/s^2; `step`: time step, s.
     """
 
     def __init__(self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> None:
@@ -104,22 +104,22 @@ class Bed:
     def forces(self) -> Array:
         """Return the upward force of floor, ceiling and side on the grains, N; shape (3,)."""
         forces = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
-        return self._total(np.array(forces))
+        return self._sum_over_processes(np.array(forces))
 
     @property
     def momentum(self) -> float:
         """Upward momentum of the grains in the cavity, kg m/s."""
-        return float(self._total(self._masses @ self._velocity[:, 2]))
+        return float(self._sum_over_processes(self._masses @ self._velocity[:, 2]))
 
     @property
     def kinetic_energy(self) -> float:
         """Kinetic energy of the grains in the cavity without their rotation, J."""
-        return 0.5 * float(self._total(self._masses @ (self._velocity**2).sum(axis=1)))
+        return 0.5 * float(self._sum_over_processes(self._masses @ (self._velocity**2).sum(axis=1)))
 
     @property
     def center_of_mass(self) -> float:
         """Height of the center of mass above the floor, m."""
-        return float(self._total(self._masses @ self._position[:, 2])) / self.mass
+        return float(self._sum_over_processes(self._masses @ self._position[:, 2])) / self.mass
 
     @property
     def gap(self) -> float:
@@ -152,16 +152,16 @@ class Bed:
     def _initialize(self) -> None:
         """Compute neighbors and forces, and create views of LAMMPS's arrays."""
         self._command("run 0 post no")
-        self._view()
+        self._create_views()
 
     def _new_lammps(self) -> Any:
         return new_lammps()
 
-    def _total(self, local: Array) -> Array:
-        """Sum over all grains, from the sum over the grains of this process."""
+    def _sum_over_processes(self, local: Array) -> Array:
+        """Return the sum over all grains, from the sum over the grains of this process."""
         return local
 
-    def _view(self) -> None:
+    def _create_views(self) -> None:
         """Create views of LAMMPS's arrays of the grains, valid until the number or order of the grains changes."""
         count, arrays = self._lammps.extract_setting("nlocal"), self._lammps.numpy
         self._position, self._velocity, self._masses = (
@@ -182,7 +182,7 @@ class Bed:
             reason = str(error).strip().splitlines()[0][:200]
             raise RunError(
                 f"LAMMPS ended the motion of the grains: {reason}. If a grain has left the cavity, set a shorter "
-                "grains: time_step, or a larger grains: modulus."
+                "grains.time_step, or a larger grains.modulus."
             ) from None
 
 
@@ -197,10 +197,13 @@ def contact_law(grains: Grains, restitution: float) -> str:
 def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, tuple[str, ...]]:
     """Return the contact law of two grains, and the LAMMPS commands that create the walls."""
     grains, mass = spheres.settings, spheres.mass / spheres.count
-    radius, friction = 0.5 * grains.diameter, grains.side_friction
+    radius, side_friction = 0.5 * grains.diameter, grains.side_friction
     wall_restitution = restitution_at_step(grains, mass, radius, step)
-    end_law = contact_law(grains, wall_restitution)
-    side_law = end_law if friction is None else contact_law(grains.replace(friction=friction), wall_restitution)
+    floor_law = contact_law(grains, wall_restitution)
+    side_law = (
+        floor_law if side_friction is None else contact_law(grains.replace(friction=side_friction), wall_restitution)
+    )
+    # Two equal grains have half the mass and half the radius as reduced mass and radius.
     grain_law = contact_law(grains, restitution_at_step(grains, 0.5 * mass, 0.5 * radius, step))
     shapes = {"floor": "plane 0 0 0 0 0 1", "side": f"cylinder z 0 0 {0.5 * grains.cavity} INF INF"}
     if math.isfinite(ceiling):
@@ -208,7 +211,7 @@ def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, t
     commands = []
     for name in WALLS:
         if name in shapes:
-            law = side_law if name == "side" else end_law
+            law = side_law if name == "side" else floor_law
             commands += [
                 f"region {name} {shapes[name]}",
                 f"fix {name} all wall/gran/region granular {law} region {name} contacts",

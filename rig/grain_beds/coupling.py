@@ -35,25 +35,17 @@ from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 
 class BedStates(NamedTuple):
-    """Motion of the beds at the start and after each of a number of steps.
+    """Motion of the beds at the start and after each of a number of steps."""
 
-    force: upward force of floor, ceiling and side on the grains, N; shape (beds, walls, steps + 1).
-    gap: height of the center of mass above that of the settled bed, m; shape (beds, steps + 1).
-    """
-
-    force: Array
-    gap: Array
+    force: Array  # upward force of floor, ceiling and side on the grains, N; shape (beds, walls, steps + 1)
+    gap: Array  # height of the center of mass above that of the settled bed, m; shape (beds, steps + 1)
 
 
 class CoupledState(NamedTuple):
-    """State of a coupled system, for `CoupledPropagator.resume`.
+    """State of a coupled system, for `CoupledPropagator.resume`."""
 
-    structure: `Propagator.snapshot` of the structure.
-    beds: `Bed.state_bytes` of each bed.
-    """
-
-    structure: tuple[Array, ...]
-    beds: tuple[bytes, ...]
+    structure: tuple[Array, ...]  # `Propagator.snapshot` of the structure
+    beds: tuple[bytes, ...]  # `Bed.state_bytes` of each bed
 
 
 class CoupledPropagator:
@@ -61,9 +53,17 @@ class CoupledPropagator:
 
     `interval`: sample interval of the drive, s.
 
-    Attributes: `system`, the scene's system, in which each bed is one mass; `structure`, propagator of the structure
-    with the dampers without grains and with the beds' forces as additional inputs; `substeps`, number of the grains'
-    time steps in a sample interval; `step`, this time step, s; `bodies`, coordinate of each bed's body.
+    Attributes
+    ----------
+    system : HybridSystem
+        The scene's system, in which each bed is one mass.
+    structure : Propagator
+        Structure and dampers without grains; the beds' forces are additional inputs.
+    beds : list of Bed
+    bodies : ndarray of int, shape (beds,)
+        Coordinate of the body of each bed.
+    step, substeps : float, int
+        Time step of the grains, s, and number of these in a sample interval.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -98,8 +98,9 @@ class CoupledPropagator:
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; return the dampers that separate immediately."""
-        columns = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
-        separated = self.structure.set_state(state, np.concatenate([columns, np.zeros(len(columns))]))
+        inputs = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
+        # Drive states: the inputs and their rates, here zero.
+        separated = self.structure.set_state(state, np.concatenate([inputs, np.zeros(len(inputs))]))
         self._read_beds()
         return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
 
@@ -117,7 +118,7 @@ class CoupledPropagator:
         self._read_beds()
 
     def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Propagate through the grains' time steps; `drive`, shape (inputs, steps + 1): at their ends.
+        """Propagate through time steps of the grains; `drive`, shape (inputs, steps + 1): at start and end of each.
 
         Returns the trajectory of `structure`, whose segments are the steps, and the motion of the beds.
         """
@@ -125,8 +126,8 @@ class CoupledPropagator:
         forces = np.empty((len(self.beds), len(WALLS), steps + 1))
         gap = np.empty((len(self.beds), steps + 1))
         forces[:, :, 0], gap[:, 0] = self._force, [bed.gap for bed in self.beds]
-        columns = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
-        bed_inputs = columns[len(drive) :]
+        inputs = np.vstack([drive, np.zeros((len(self.beds), steps + 1))])
+        bed_inputs = inputs[len(drive) :]
         bed_inputs[:, 0] = -self._force.sum(axis=1)
         samples, sample = self.structure.state_samples(steps), self.structure.state_samples(1)
         event_logs: list[tuple[int, Trajectory]] = []
@@ -138,7 +139,7 @@ class CoupledPropagator:
                 forces[row, :, k + 1] = bed.forces()
                 gap[row, k + 1] = bed.gap
             bed_inputs[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
-            events = self.structure.propagate_interval(columns[:, k : k + 2], self._propagator_steps, sample)
+            events = self.structure.propagate_interval(inputs[:, k : k + 2], self._propagator_steps, sample)
             if events is not None:
                 event_logs.append((k, events))
             # Apply the remainder of the velocity change of the bodies to the grains.

@@ -24,18 +24,18 @@ from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 
-#: Time step of packing, relative to Rayleigh's time.
+#: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1
 #: Largest Young's modulus while grains fall and are leveled, Pa. With this limit the arrangement and its computing time
 #: do not depend on the modulus of stiff grains.
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains, s.
 _DRAG_TIME = 10e-3
-#: Largest deviation of the wall force of a fallen bed, relative to its weight.
+#: Largest deviation of the wall force of a fallen bed from its weight, relative.
 _FALLEN_FORCE_RATIO = 0.1
 #: Largest kinetic energy of a fallen bed, relative to weight times grain diameter.
 _FALLEN_ENERGY_RATIO = 1e-3
-#: Largest deviation of the floor force of a bed at rest, relative to its weight.
+#: Largest deviation of the floor force of a bed at rest from its weight, relative.
 _REST_FORCE_RATIO = 3e-4
 #: Largest peak of the kinetic energy of a bed at rest, relative to weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6
@@ -127,25 +127,25 @@ def _settle(spheres: Spheres, leveled: Array) -> Array:
     bed = _new_bed(spheres, leveled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
     max_energy = _REST_ENERGY_RATIO * weight * spheres.settings.diameter
-    peak = 0.0
+    peak_energy = 0.0
     for _ in range(_MAX_REST_CHECKS):
         bed.advance(_REST_STEPS)
         energy = bed.kinetic_energy
-        if energy >= peak:
-            peak = energy
+        if energy >= peak_energy:
+            peak_energy = energy
             continue
-        if peak < max_energy and abs(bed.forces()[FLOOR] / weight - 1.0) < _REST_FORCE_RATIO:
+        if peak_energy < max_energy and abs(bed.forces()[FLOOR] / weight - 1.0) < _REST_FORCE_RATIO:
             return bed.positions
         bed.stop_grains()
-        peak = 0.0
+        peak_energy = 0.0
     raise _not_at_rest(bed, _REST_STEPS * _MAX_REST_CHECKS)
 
 
 def _not_at_rest(bed: Bed, steps: int) -> RunError:
     """Return the error for a bed that still moves after a number of steps."""
     return RunError(
-        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s. Set another seed:, or a wider "
-        "grains: cavity"
+        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s. Set another seed, or a wider "
+        "grains.cavity."
     )
 
 
@@ -154,8 +154,8 @@ def _initial_positions(spheres: Spheres) -> Array:
     max_diameter = float(spheres.diameters().max())
     pitch = 1.06 * max_diameter
     radius = 0.5 * (spheres.settings.cavity - max_diameter)
-    row = pitch * np.arange(-np.floor(radius / pitch), np.floor(radius / pitch) + 1.0)
-    layer = np.array([(x, y) for x in row for y in row if np.hypot(x, y) <= radius])
+    coordinates = pitch * np.arange(-np.floor(radius / pitch), np.floor(radius / pitch) + 1.0)
+    layer = np.array([(x, y) for x in coordinates for y in coordinates if np.hypot(x, y) <= radius])
     n_layers = -(-spheres.count // len(layer))
     heights = pitch * (0.6 + np.arange(n_layers))
     grid = np.column_stack([np.tile(layer, (n_layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]

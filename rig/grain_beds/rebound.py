@@ -46,6 +46,7 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
 
 def _restitutions(grains: Grains, setting: float, mass: float, radius: float, step: float) -> Array:
     """Compute the restitutions of contacts that begin at different instants of a step, shape (_START_COUNT,)."""
+    # Contact law of LAMMPS: hertz/material with damping coeff_restitution.
     modulus = grains.modulus / (2.0 * (1.0 - grains.poisson_ratio**2))
     damping_ratio = -math.log(setting) / math.hypot(math.log(setting), math.pi)
     damping = 2.0 * math.sqrt(5.0 / 6.0) * damping_ratio * math.sqrt(2.0 * modulus * math.sqrt(radius) * mass)

@@ -53,7 +53,7 @@ class PartOfBed(Bed):
         super().advance(steps)
         # Grains may have moved to other ranks. LAMMPS changes the addresses of its arrays only to enlarge them.
         if self._array_sizes() != self._viewed_sizes:
-            self._view()
+            self._create_views()
 
     @property
     def positions(self) -> Array:
@@ -69,10 +69,10 @@ class PartOfBed(Bed):
         )
         super()._initialize()
 
-    def _view(self) -> None:
+    def _create_views(self) -> None:
         """Create the views again, and record the sizes for which they are valid."""
         self._viewed_sizes = self._array_sizes()
-        super()._view()
+        super()._create_views()
 
     def _array_sizes(self) -> tuple[int, int]:
         """Return the number of grains on this rank, and the capacity of its arrays."""
@@ -82,8 +82,8 @@ class PartOfBed(Bed):
         """Start the instance of LAMMPS that all ranks share."""
         return new_lammps(communicators().COMM_WORLD)
 
-    def _total(self, local: Array) -> Array:
-        """Sum over the grains of all ranks, from the sum over those of this rank."""
+    def _sum_over_processes(self, local: Array) -> Array:
+        """Return the sum over the grains of all ranks, from the sum over those of this rank."""
         return sum_over_ranks(np.asarray(local))
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:

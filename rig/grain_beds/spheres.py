@@ -16,9 +16,9 @@ from rig.system.structural_model import structural_model
 #: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; this
 #: step gives a rebound within 1 % of the restitution.
 STEP_RATIO = 0.03
-#: Restitution below which the time step is proportional to the restitution.
+#: Restitution below which the default time step is proportional to the restitution.
 _REDUCED_STEP_RESTITUTION = 0.2
-#: Restitution below which the time step is constant, because the rebound is negligible.
+#: Restitution below which the default time step is constant again, because the rebound is negligible.
 _MIN_STEP_RESTITUTION = 0.1
 #: Longest permitted time step, relative to Rayleigh's time: with a longer step a contact has too few steps.
 MAX_STEP_RATIO = 0.2
@@ -44,7 +44,7 @@ class Spheres:
         return self.mass / (math.pi / 6.0 * float((self.diameters() ** 3).sum()))
 
     def longest_step(self) -> float:
-        """Return the longest time step, s."""
+        """Return the longest time step of the simulation, s: the setting, or the default for this restitution."""
         if self.settings.time_step is not None:
             return self.settings.time_step
         reduction = min(1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION)
@@ -52,7 +52,7 @@ class Spheres:
 
 
 def spheres_of(scene: Scene) -> dict[int, Spheres]:
-    """Return the grains of each bed that can move, by the damper's position in the scene from 0.
+    """Return the grains of each bed that can move; key: the damper's position in the scene, from 0.
 
     Raises `SceneError` if a bed is lighter than half a grain, or the requested time step is too long for its grains.
     """
@@ -73,7 +73,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
         if spheres.longest_step() > longest:
             raise SceneError(
                 f"scene {scene.name!r}: dampers[{row + 1}].grains.time_step: got {spheres.longest_step():.3g} s; "
-                f"expected at most {longest:.3g} s, {MAX_STEP_RATIO:g} of Rayleigh's time of the smallest grain"
+                f"expected at most {longest:.3g} s, {MAX_STEP_RATIO:g} times the Rayleigh time of the smallest grain"
             )
         spheres_by_row[row] = spheres
     return spheres_by_row

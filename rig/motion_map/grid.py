@@ -22,14 +22,14 @@ DEFAULT_POINTS = 48
 DEFAULT_ROWS = 36
 #: Relative half-width of the finely spaced band around a natural frequency.
 RESONANCE_HALF_WIDTH = 0.02
-#: Smallest default range of levels, relative to the lowest take-off level.
-LEVELS_PER_TAKE_OFF = (0.5, 20.0)
-#: Smallest default range of levels, relative to the scene's own level.
-LEVELS_PER_OWN_LEVEL = (0.5, 4.0)
-#: Smallest default range of clearances, relative to the displacement of a damper on its floor.
-CLEARANCES_PER_DISPLACEMENT = (0.1, 3.0)
-#: Smallest default range of clearances, relative to the scene's own clearance.
-CLEARANCES_PER_OWN_CLEARANCE = (0.1, 5.0)
+#: The default range of levels includes at least these multiples of the lowest take-off level.
+LEVEL_TO_TAKE_OFF_RATIOS = (0.5, 20.0)
+#: The default range of levels includes at least these multiples of the scene's own level.
+LEVEL_TO_SCENE_LEVEL_RATIOS = (0.5, 4.0)
+#: The default range of clearances includes at least these multiples of the displacement of a damper on its floor.
+CLEARANCE_TO_DISPLACEMENT_RATIOS = (0.1, 3.0)
+#: The default range of clearances includes at least these multiples of the scene's own clearance.
+CLEARANCE_TO_SCENE_CLEARANCE_RATIOS = (0.1, 5.0)
 
 
 def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
@@ -68,10 +68,11 @@ def select_frequencies(
         raise SceneError(f"frequencies: got {low:g} to {high:g} Hz; expected a rising range above 0")
     natural = natural_frequencies(scene, low, high)
     grid = np.linspace(low, high, 20_001)
+    # Uniform density plus a Lorentzian at each natural frequency.
     density = np.full(grid.shape, 1.0 / (high - low))
-    for peak in natural:
-        width = RESONANCE_HALF_WIDTH * peak
-        density += 1.0 / (len(natural) * np.pi * width * (1.0 + ((grid - peak) / width) ** 2))
+    for center in natural:
+        half_width = RESONANCE_HALF_WIDTH * center
+        density += 1.0 / (len(natural) * np.pi * half_width * (1.0 + ((grid - center) / half_width) ** 2))
     cumulative_density = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
     frequencies = np.interp(np.linspace(0.0, cumulative_density[-1], points), cumulative_density, grid)
     frequencies[0], frequencies[-1] = low, high
@@ -79,7 +80,7 @@ def select_frequencies(
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
-    """Compute the natural frequencies in a range, Hz, without the moving dampers and with these riding.
+    """Compute the natural frequencies in a range, Hz, without the moving dampers and with these at rest on floors.
 
     With active dampers, each resonance is between these two values.
     """
@@ -131,9 +132,9 @@ def select_row_values(
     """Select levels or clearances, evenly spaced in the logarithm.
 
     `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
-    range of levels contains the lowest take-off level; that of clearances begins where a damper hardly moves, and ends
-    where it hardly reaches its ceiling. Unless both ends are given, one row is the scene's own value. Raises
-    `SceneError` if the ends are not a valid range.
+    range of levels contains the lowest take-off level. In the default range of clearances, a damper hardly moves at the
+    smallest and hardly reaches its ceiling at the largest. Unless both ends are given, one row is the scene's value.
+    Raises `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
     low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
@@ -149,14 +150,14 @@ def select_row_values(
 
 
 def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
-    """Return the scene's own level and the ends of the range."""
+    """Return the scene's own level and the ends of the default range."""
     level = level_of(scene)
     lowest_take_off = float(take_off_levels(scene, frequency).min()) or level
-    return level, _range_around(lowest_take_off, LEVELS_PER_TAKE_OFF, level, LEVELS_PER_OWN_LEVEL)
+    return level, _range_around(lowest_take_off, LEVEL_TO_TAKE_OFF_RATIOS, level, LEVEL_TO_SCENE_LEVEL_RATIOS)
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
-    """Return the scene's own clearance (mean of several) and the ends of the range, m."""
+    """Return the scene's own clearance (geometric mean of several) and the ends of the default range, m."""
     accelerations = damper_accelerations(scene, frequency).max(axis=0)
     peak = int(np.argmax(accelerations))
     displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
@@ -164,7 +165,7 @@ def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, flo
     clearances = clearances[np.isfinite(clearances)]
     scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
     return scene_clearance, _range_around(
-        displacement, CLEARANCES_PER_DISPLACEMENT, scene_clearance, CLEARANCES_PER_OWN_CLEARANCE
+        displacement, CLEARANCE_TO_DISPLACEMENT_RATIOS, scene_clearance, CLEARANCE_TO_SCENE_CLEARANCE_RATIOS
     )
 
 

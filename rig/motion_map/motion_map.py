@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 #: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: Distance from steady state at which the motion type is determined, relative to the motion.
+#: Largest distance from steady state, relative to the motion, at which the motion type is determined.
 STEADY_TOLERANCE = 1e-6
-#: Wait after which a motion without repetition counts as irregular, relative to the decay of the slowest mode to
-#: the tolerance.
+#: Wait after which a motion without repetition counts as irregular, relative to the time in which the slowest mode
+#: decays to the tolerance.
 MAX_WAIT_DECAY_TIMES = 3.0
-#: The longest wait is at least this, periods; a shorter limit would save little time.
+#: Smallest limit of the wait, periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000
-#: The longest wait is at most this, periods.
+#: Largest limit of the wait, periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
 #: Colors of `KINDS`: gray for riding, blue for the paper's types, warm colors for the other types.
 COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
@@ -49,7 +49,7 @@ LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 @dataclass(frozen=True, repr=False)
 class MotionMap(Result):
-    """Steady motion over a grid.
+    """Steady motion over a grid of levels or clearances (rows), and frequencies.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class MotionMap(Result):
     frequency : ndarray, shape (frequencies,)
         Hz, rising; each motion is continued from the previous frequency of its row.
     kind : ndarray of int, shape (rows, frequencies)
-        Position in `KINDS`.
+        Index in `KINDS` of the most complex motion type of the dampers.
     motion : ndarray of str, shape (rows, frequencies)
         Motion type of each damper, in order, joined by "/".
     impacts : ndarray, shape (rows, frequencies)
@@ -76,7 +76,7 @@ class MotionMap(Result):
     cpu : ndarray, shape (rows, frequencies)
         CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level above which a damper exceeds 1 g in the linear structure with all dampers riding.
+        Level above which a damper exceeds 1 g, computed for the linear structure with all dampers at rest on floors.
     """
 
     scene: Scene
@@ -94,7 +94,7 @@ class MotionMap(Result):
 
     def summary(self) -> str:
         """Summarize the map, and the share of each motion type."""
-        shares = [(kind, (self.kind == number).mean()) for number, kind in enumerate(KINDS)]
+        shares = [(kind, (self.kind == index).mean()) for index, kind in enumerate(KINDS)]
         return (
             f"{self.scene.name}: {self.over} {self.value[0]:.3g} to {self.value[-1]:.3g} {self.unit}, "
             f"{self.frequency[0]:.4g} to {self.frequency[-1]:.4g} Hz; "
@@ -129,8 +129,8 @@ class MotionMap(Result):
             "rasterized": True,
         }
         ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
-        for k in sorted(set(self.kind.ravel())):
-            ax.plot([], [], "s", color=COLORS[k], label=LEGEND[k])
+        for kind in sorted(set(self.kind.ravel())):
+            ax.plot([], [], "s", color=COLORS[kind], label=LEGEND[kind])
         self.draw_axes(ax)
 
     @property
@@ -140,7 +140,7 @@ class MotionMap(Result):
 
     @property
     def own_value(self) -> float | None:
-        """Return the scene's own value, if it is unique and within the map."""
+        """Return the level or clearance of the scene, if it is unique and within the map."""
         if self.over == "clearance":
             clearances = {d.clearance for d in self.scene.dampers if d.moves}
             value = clearances.pop() if len(clearances) == 1 else np.inf
@@ -149,7 +149,7 @@ class MotionMap(Result):
         return value if self.value[0] <= value <= self.value[-1] else None
 
     def draw_axes(self, ax: Axes) -> None:
-        """Draw axes, the take-off level, and the scene's own value."""
+        """Label the axes; draw the take-off level, and the level or clearance of the scene."""
         (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
         ax.grid(False)
         ax.set(xlim=(lowest_hz, highest_hz), xlabel="frequency / Hz")
@@ -208,10 +208,10 @@ def map_motion(
     frequency = np.unique(positive_values(requested, FREQUENCY, "frequencies"))
     levels = values if values is not None else select_row_values(scene, over, frequency)
     value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
-    max_wait, count = _max_wait_periods(scene, frequency), frequency.size
+    max_wait, row_points = _max_wait_periods(scene, frequency), frequency.size
     rows = [_Row(_scene_at(scene, over, float(each)), frequency, max_wait) for each in value]
     report_points = (
-        None if progress is None else lambda n_completed, total: progress(n_completed * count, total * count)
+        None if progress is None else lambda n_completed, total: progress(n_completed * row_points, total * row_points)
     )
     points = _STUDY.run(rows, table_path, cluster, report_points)
     return MotionMap(
@@ -251,13 +251,13 @@ class _Row(NamedTuple):
 
     scene: Scene
     frequency: Array
-    longest: int
+    max_wait: int  # periods
 
 
 class _Point(NamedTuple):
     """A point of the map: properties of a steady motion."""
 
-    types: list[str]
+    types: list[str]  # motion type of each damper
     impacts: float
     repetition: int
     periods: int
@@ -268,7 +268,7 @@ def _compute(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
     # Run once without measurement, so that compilation and loading are not included in the CPU time.
     SteadyContinuation(row.scene, STEADY_TOLERANCE, 1).point(float(row.frequency[0]), None)
-    computed, points = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.longest).points(row.frequency)
+    computed, points = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.max_wait).points(row.frequency)
     for _ in row.frequency:
         cpu_start = time.thread_time()
         point = next(points)
@@ -282,7 +282,7 @@ _STUDY: Study[_Row, list[_Point]] = Study(
     "rows of a map",
     ("row", "points"),
     _compute,
-    lambda row: digest((row.scene.to_yaml(), row.frequency.tolist(), row.longest)),
+    lambda row: digest((row.scene.to_yaml(), row.frequency.tolist(), row.max_wait)),
     lambda key, points: [key, json.dumps(points)],
     lambda row: (row[0], [_Point(*point) for point in json.loads(row[1])]),
 )
@@ -308,8 +308,8 @@ def summarize_map(map_: MotionMap) -> str:
         "",
         f"{'most active damper':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
     ]
-    for number, kind in enumerate(KINDS):
-        is_kind = map_.kind == number
+    for index, kind in enumerate(KINDS):
+        is_kind = map_.kind == index
         if is_kind.any():
             lines.append(
                 f"{kind:20}{is_kind.mean():7.1%}{map_.impacts[is_kind].mean():18.3g}"
@@ -318,9 +318,9 @@ def summarize_map(map_: MotionMap) -> str:
             )
     lines += [
         "",
-        f"CPU us, ms: time to compute one period, and all periods until the motion is steady within "
-        f"{STEADY_TOLERANCE:.0e} or irregular,\nstarting from the previous frequency; not a time on a bench",
-        f"CPU time in all: {map_.cpu.sum():.3g} s",
+        f"CPU us a period: time to compute a period. CPU ms a motion: time to compute it from the previous frequency "
+        f"until it is steady\nwithin {STEADY_TOLERANCE:.0e}, or irregular. It is not a time on a bench.",
+        f"total CPU time: {map_.cpu.sum():.3g} s",
     ]
     return "\n".join(lines)
 
@@ -332,8 +332,8 @@ def write_map(map_: MotionMap, folder: Path) -> list[Path]:
     """
     table = map_.columns()
     rows: list[list[object]] = [[name.lower() for name in table]]
-    for row in zip(*table.values(), strict=True):
-        rows.append([f"{cell:.9g}" if isinstance(cell, float) else cell for cell in row])
+    for cells in zip(*table.values(), strict=True):
+        rows.append([f"{cell:.9g}" if isinstance(cell, float) else cell for cell in cells])
     return save_with_table(_draw(map_), output_stem(map_.scene, map_.over, folder), rows)
 
 
@@ -361,7 +361,7 @@ def _draw(map_: MotionMap) -> Figure:
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
-            handles.append(Line2D([], [], color="black", lw=1.2, label="riding at 1 g: above, dampers fly"))
+            handles.append(Line2D([], [], color="black", lw=1.2, label="1 g: above, dampers fly"))
         if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,23 +17,27 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, ComputedMotion, FirstOrderForm
 
-#: Time for which a guard is disabled after its separation, s. Its value is then at rounding level.
+#: Time for which the guard of a wall is disabled after a damper leaves it, s. Its value is then at rounding level.
 GUARD_PAUSE_S = 2e-5
-#: Events per period after which a solver is stopped, because it separates and lands endlessly at one instant.
+#: Events per period after which a solver is stopped: a damper leaves its wall and lands endlessly (chattering).
 MAX_EVENTS_PER_PERIOD = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8
 #: Message about a solver with endless events at one instant.
-ENDLESS_EVENTS = (
-    "a damper separates and lands endlessly at {:.6g} s. Use a setting that disables its guard for a while."
-)
+ENDLESS_EVENTS = "a damper leaves its wall and lands endlessly at {:.6g} s. Use a setting with a guard pause."
 #: Message about a solver that stops before the end.
 SOLVER_STOPPED = "{} stops: {}. Use another tolerance."
 
 Guard = Callable[[float, Array], float]
-#: Integrates up to the first event: maps (M of z' = M z, guards, t, z, later sample times) to (t, z, index of the guard
-#: that is zero, or -1 at the end, and states at the sample times).
-SegmentSolver = Callable[[Array, list[Guard], float, Array, Array], tuple[float, Array, int, Array]]
+
+
+class SegmentSolver(Protocol):
+    """Integrates z' = M z up to the first root of a guard, or to the last sample time."""
+
+    def __call__(
+        self, matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
+    ) -> tuple[float, Array, int, Array]:
+        """Return time and state at the end, index of the guard (-1: none), and the states at the `times` until then."""
 
 
 class _Contacts:
@@ -41,37 +45,39 @@ class _Contacts:
 
     def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
         self.problem, self.guard_pause = problem, guard_pause
-        self.mode = [FLOOR] * len(problem.damper_coordinate)
+        self.contact_states = [FLOOR] * len(problem.damper_coordinate)
         self.events: list[tuple[float, int, str]] = []
         self._disabled_until: dict[tuple[int, int], float] = {}
         self._update()
 
     def _update(self) -> None:
         problem = self.problem
-        self.matrix: Array = problem.matrix(self.mode)
+        self.matrix: Array = problem.matrix(self.contact_states)
         self.changes: list[tuple[int, int]] = []  # damper and new contact state at the root of each guard
         self.guards: list[Guard] = []
-        for j, mode in enumerate(self.mode):
-            if mode != FLIGHT:
-                self._add_guard(j, FLIGHT, problem.contact_force_row(j, mode, self.matrix), -1.0)
+        for j, wall in enumerate(self.contact_states):
+            if wall != FLIGHT:
+                self._add_guard(j, FLIGHT, problem.contact_force_row(j, wall, self.matrix))
                 continue
-            for wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
-                self._add_guard(j, wall, problem.gap_row(j, wall), self._disabled_until.get((j, wall), -1.0))
+            for new_wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
+                disabled_until = self._disabled_until.get((j, new_wall), -np.inf)
+                self._add_guard(j, new_wall, problem.gap_row(j, new_wall), disabled_until)
 
-    def _add_guard(self, j: int, new_mode: int, row: Array, disabled_until: float) -> None:
-        self.changes.append((j, new_mode))
+    def _add_guard(self, j: int, new_state: int, row: Array, disabled_until: float = -np.inf) -> None:
+        """Add a guard with the value row @ z; while it is disabled, it is a positive constant, which has no root."""
+        self.changes.append((j, new_state))
         self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
 
     def change(self, z: Array, now: float, j: int, wall: int) -> None:
-        """Separate a damper from its wall (`wall` is `FLIGHT`), or apply an impact on a wall."""
-        problem, wall_before = self.problem, self.mode[j]
+        """Separate a damper from its wall if `wall` is `FLIGHT`; otherwise apply an impact on this wall."""
+        problem, wall_before = self.problem, self.contact_states[j]
         self.events.append((now, j, EVENT_KINDS[wall]))
         if wall == FLIGHT:
             problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.damper_coordinate[j]])
             self._disabled_until[j, wall_before] = now + self.guard_pause
-            self.mode[j] = FLIGHT
+            self.contact_states[j] = FLIGHT
         elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
-            self.mode[j] = wall
+            self.contact_states[j] = wall
         else:
             self._disabled_until[j, wall] = now + self.guard_pause
         self._update()
@@ -91,8 +97,8 @@ def integrate(
 ) -> ComputedMotion:
     """Compute the motion with an adaptive solver.
 
-    `guard_pause`: time for which a guard is disabled after its separation, s; `max_cpu`: CPU time limit, s. Raises
-    `RunError` if the solver makes no progress or takes too long.
+    `guard_pause`: time for which a guard is disabled after the damper leaves the wall, s; `max_cpu`: CPU time limit, s.
+    Raises `RunError` if events repeat endlessly, or the solver stops or takes too long.
     """
     n, contacts = problem.system.coordinates, _Contacts(problem, guard_pause)
     state, now, times = np.array(problem.start), 0.0, problem.times
@@ -111,12 +117,12 @@ def integrate(
         if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
             raise RunError(ENDLESS_EVENTS.format(now))
         if time.process_time() - cpu_start > max_cpu:
-            raise RunError(f"not done after {max_cpu:.0f} s. Use a larger tolerance.")
+            raise RunError(f"not done after {max_cpu:.0f} s of CPU time. Use a larger tolerance.")
     return ComputedMotion(np.array(samples).T, contacts.events)
 
 
 def scipy_solver(method: str, rtol: float, max_step: float) -> SegmentSolver:
-    """Return a solver of scipy, with its event detection; `method` and the other settings as of `solve_ivp`."""
+    """Return a solver of scipy, with its event detection; with the arguments of `solve_ivp`."""
 
     def solve_segment(
         matrix: Array, guards: list[Guard], t: float, z: Array, times: Array
@@ -156,17 +162,17 @@ def _event(guard: Guard, **attributes: Any) -> Any:
     return event
 
 
-def penalty(problem: FirstOrderForm, contacts: int) -> ComputedMotion:
+def penalty(problem: FirstOrderForm, contacts_per_period: int) -> ComputedMotion:
     """Compute the motion with a spring and dashpot at every wall, by scipy's LSODA.
 
-    The dashpot determines the restitution of a free impact. It acts during the whole penetration: without its tensile
-    force, plastic impacts would rebound by 13 % at any stiffness.
+    The damping ratio zeta of the contact follows from the restitution e = exp(-pi zeta / sqrt(1 - zeta^2)). The dashpot
+    also acts in tension, at the end of a contact: without tension, contacts for e = 0 would have a restitution of 0.13.
 
-    `contacts`: number of contact durations (half periods on the spring) in a period of the drive.
+    `contacts_per_period`: contact durations (half periods on the spring) in a period of the drive.
     """
     system, dampers = problem.system, len(problem.damper_coordinate)
     reduced_mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
-    omega = np.pi * contacts * problem.tone.frequency  # contact on the spring lasts half a period
+    omega = np.pi * contacts_per_period * problem.tone.frequency  # contact on the spring lasts half a period
     log_restitution = np.log(np.maximum(system.restitution, 1e-300))
     damping_ratio = np.where(system.restitution > 0.0, -log_restitution / np.hypot(np.pi, log_restitution), 1.0)
     stiffness, dashpot = reduced_mass * omega**2, 2.0 * damping_ratio * reduced_mass * omega
@@ -182,7 +188,7 @@ def penalty(problem: FirstOrderForm, contacts: int) -> ComputedMotion:
     def derivative_of(_: float, z: Array) -> Array:
         product = combined_matrix.dot(z)
         gap, gap_rate = product[problem.size : -dampers], product[-dampers:]
-        # Negative: penetration of the floor; positive: penetration of the ceiling.
+        # Negative at the floor, positive at the ceiling.
         penetration = gap - np.minimum(np.maximum(gap, 0.0), system.clearance)
         derivative = product[: problem.size]
         if penetration.any():

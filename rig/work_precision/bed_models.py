@@ -1,4 +1,4 @@
-"""Cost and error of models of a bed of grains: one mass, contacts of finite duration, and coarser grains.
+"""Cost and error of models of a bed of grains: one mass, contacts of finite duration, and simpler grains.
 
 The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
 another packing of the same grains is the smallest error that can be resolved.
@@ -27,11 +27,11 @@ from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 CONTACT_DURATIONS_S = (1e-3, 2e-3, 4e-3, 8e-3)
 #: Restitution of these contacts.
 CONTACT_RESTITUTION = 0.05
-#: Time steps of coarser simulations, relative to Rayleigh's time.
+#: Longer time steps of the grains, relative to Rayleigh's time (`rayleigh_time`).
 STEP_RATIOS = (0.1, 0.19)
 #: Ratio of the modulus of the grains to the modulus of softer grains.
 SOFTENING_RATIO = 10.0
-#: Periods in an averaging block of grains.
+#: Periods over which the motion of grains is averaged (a block).
 PERIODS = 20
 #: Largest number of blocks to reach steady motion.
 MAX_BLOCKS = 5
@@ -40,7 +40,7 @@ Compliance = NDArray[np.complex128]
 
 
 def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
-    """Measure models of a scene's beds of grains at one frequency.
+    """Measure cost and error of models of a scene's beds of grains at one frequency.
 
     `scene`: with beds of grains that can move. If its test controls the amplitude of the spring force, that force
     acts on the body as a pure sinusoid; `frequency`: drive frequency, Hz. Raises `SceneError` if LAMMPS is not
@@ -75,19 +75,19 @@ Models = Iterator[tuple[str, str, Callable[[], Compliance]]]
 
 def _models(scene: Scene, frequency: float) -> Models:
     mass = with_ideal_force(as_one_mass(scene))
-    yield "one mass", "lands at once", partial(_mass_compliance, mass, frequency)
+    yield "one mass", "lands at once", partial(_one_mass_compliance, mass, frequency)
     for duration in CONTACT_DURATIONS_S:
-        compute = partial(_mass_compliance, with_ideal_force(with_finite_contact(scene, duration)), frequency)
+        compute = partial(_one_mass_compliance, with_ideal_force(with_finite_contact(scene, duration)), frequency)
         yield "finite-duration contact", f"{1e3 * duration:g} ms", compute
     for step in STEP_RATIOS:
-        coarser = with_time_step(scene, step)
-        if coarser is not None:
-            yield "grains", f"step {step:g} Rayleigh", partial(_grains_compliance, coarser, frequency)
-    coarsest = with_time_step(scene, STEP_RATIOS[-1]) or scene
+        longer_step = with_time_step(scene, step)
+        if longer_step is not None:
+            yield "grains", f"step {step:g} Rayleigh", partial(_grains_compliance, longer_step, frequency)
+    longest_step_scene = with_time_step(scene, STEP_RATIOS[-1]) or scene
     yield (
         OTHER_PACKING,
         f"step {STEP_RATIOS[-1]:g} Rayleigh",
-        partial(_grains_compliance, with_other_packing(coarsest), frequency),
+        partial(_grains_compliance, with_other_packing(longest_step_scene), frequency),
     )
     softer = with_time_step(with_softer_grains(scene), STEP_RATIOS[-1])
     if softer is not None:
@@ -141,7 +141,7 @@ def _point(model: str, setting: str, compute: Callable[[], Compliance], referenc
     return Point(model, setting, cpu, error, np.nan, True)
 
 
-def _mass_compliance(scene: Scene, frequency: float) -> Compliance:
+def _one_mass_compliance(scene: Scene, frequency: float) -> Compliance:
     return np.asarray(frequency_response(scene, [frequency]).compliance[:, 0])
 
 

@@ -38,12 +38,9 @@ MAX_DAMPERS = 8
 
 
 class Tables(NamedTuple):
-    """Scene data of the compiled kernel, as in `FirstOrderForm`.
+    """Scene data of the compiled kernel, as in `FirstOrderForm`."""
 
-    matrix (configurations, size, size): M of z' = M z; bit j of the configuration's number is 1 if damper j is at rest
-    on a wall.
-    """
-
+    # M of z' = M z, (configurations, size, size); bit j of the configuration is 1 if damper j is at rest on a wall.
     matrix: Array
     damper_coordinate: NDArray[np.int64]
     inverse_mass: Array
@@ -57,18 +54,14 @@ class Tables(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """Contact state of the dampers, and the event log.
+    """Contact state of the dampers, and the event log."""
 
-    mode (dampers,): contact state; disabled_until (dampers, 3): time at which the guard of each wall is enabled again,
-    s; time [s], damper and kind of each event; logged_events: number of events in the log, in an array of one element.
-    """
-
-    mode: NDArray[np.int64]
-    disabled_until: Array
-    time: Array
-    damper: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    logged_events: NDArray[np.int64]
+    state: NDArray[np.int64]  # `FLIGHT`, `FLOOR` or `CEILING`, (dampers,)
+    disabled_until: Array  # time at which the guard of each wall is enabled again, s, (dampers, 3)
+    time: Array  # of each event in the log, s
+    damper: NDArray[np.int64]  # of each event
+    kind: NDArray[np.int64]  # of each event, an index of `EVENT_KINDS`
+    logged_events: NDArray[np.int64]  # number of events in the log, an array of one element
 
 
 class DormandPrince:
@@ -86,13 +79,13 @@ class DormandPrince:
         """Compute the motion.
 
         `rtol`: relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers;
-        `guard_pause`: time for which a guard is disabled after its separation, s; `max_step`: longest step, s. Raises
-        `RunError` if a damper takes off and lands endlessly at one instant.
+        `guard_pause`: time for which a guard is disabled after the damper leaves the wall, s; `max_step`: s. Raises
+        `RunError` if events repeat endlessly, or there are too many steps.
         """
         problem = self._problem
         dampers, max_events = len(problem.damper_coordinate), MAX_EVENTS_PER_PERIOD * problem.periods
         contacts = Contacts(
-            mode=np.full(dampers, FLOOR, dtype=np.int64),
+            state=np.full(dampers, FLOOR, dtype=np.int64),
             disabled_until=np.full((dampers, 3), -1.0),
             time=np.zeros(max_events),
             damper=np.zeros(max_events, dtype=np.int64),
@@ -117,11 +110,13 @@ def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.damper_coordinate)
     if dampers > MAX_DAMPERS:
         raise RunError(
-            f"{dampers} dampers have {2**dampers} configurations, with a matrix for each. Use at most {MAX_DAMPERS} "
-            "dampers."
+            f"{dampers} dampers have {2**dampers} combinations of contact, with a matrix for each. Use at most "
+            f"{MAX_DAMPERS} dampers."
         )
     return Tables(
-        matrix=np.array([problem.matrix([bits >> j & 1 for j in range(dampers)]) for bits in range(2**dampers)]),
+        matrix=np.array(
+            [problem.matrix([configuration >> j & 1 for j in range(dampers)]) for configuration in range(2**dampers)]
+        ),
         damper_coordinate=problem.damper_coordinate,
         inverse_mass=problem.inverse_mass,
         mass=np.asarray(system.damper_mass, dtype=np.float64),
@@ -179,13 +174,13 @@ def _interpolate(z: Array, stages: Array, h: float, theta: float, out: Array) ->
 
 @inlined_kernel
 def _guard(tables: Tables, contacts: Contacts, configuration: int, j: int, wall: int, t: float, z: Array) -> float:
-    """Return the gap of a damper in flight, or contact force over mass of a damper at rest; 1 if disabled."""
-    if contacts.mode[j] == FLIGHT:
+    """Return the gap of a damper in flight, or contact force over mass of a damper at rest; 1 if none or disabled."""
+    if contacts.state[j] == FLIGHT:
         if t <= contacts.disabled_until[j, wall]:
             return 1.0
         gap = z[tables.first_height + j] - z[tables.damper_coordinate[j]]
         return gap if wall == FLOOR else tables.clearance[j] - gap
-    if wall != contacts.mode[j]:
+    if wall != contacts.state[j]:
         return 1.0
     contact_acceleration = tables.gravity
     for k in range(z.shape[0]):
@@ -207,7 +202,7 @@ def _first_event(
 ) -> tuple[float, int, int]:
     """Locate the first guard that is negative at the end of a step: share of the step, damper (-1: none), wall."""
     first_share, first_damper, first_wall = 1.0, -1, FLIGHT
-    for j in range(contacts.mode.shape[0]):
+    for j in range(contacts.state.shape[0]):
         for wall in (FLOOR, CEILING):
             negative_value = _guard(tables, contacts, configuration, j, wall, t + h, new)
             if negative_value >= 0.0:
@@ -241,29 +236,29 @@ def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
 
 @inlined_kernel
 def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, guard_pause: float) -> None:
-    """Separate a damper from its wall; `speed`: its velocity after that, m/s."""
-    wall = contacts.mode[j]
+    """Separate a damper from its wall; `speed`: its velocity afterwards, m/s."""
+    wall = contacts.state[j]
     z[tables.first_height + j] = z[tables.damper_coordinate[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
-    z[tables.first_height + contacts.mode.shape[0] + j] = speed
+    z[tables.first_height + contacts.state.shape[0] + j] = speed
     contacts.disabled_until[j, wall] = t + guard_pause
-    contacts.mode[j] = FLIGHT
+    contacts.state[j] = FLIGHT
 
 
 @inlined_kernel
 def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall: int, guard_pause: float) -> None:
     """Separate a damper at rest from its wall, or apply an impact of a damper in flight (Newton's restitution)."""
     body_velocity = tables.coordinates + tables.damper_coordinate[j]
-    if contacts.mode[j] != FLIGHT:
+    if contacts.state[j] != FLIGHT:
         _log_event(contacts, t, j, FLIGHT)
         _separate(tables, contacts, t, z, j, z[body_velocity], guard_pause)
         return
     _log_event(contacts, t, j, wall)
-    damper_velocity = tables.first_height + contacts.mode.shape[0] + j
+    damper_velocity = tables.first_height + contacts.state.shape[0] + j
     closing_speed = z[damper_velocity] - z[body_velocity]
     restitution = tables.restitution[j]
     mass_factor = 1.0 + 1.0 / (tables.inverse_mass[j] * tables.mass[j])
     z[body_velocity] += (1.0 + restitution) * closing_speed / mass_factor
-    contacts.mode[j] = wall
+    contacts.state[j] = wall
     z[damper_velocity] = z[body_velocity]
     z[tables.first_height + j] = z[tables.damper_coordinate[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     if restitution > 0.0:
@@ -276,11 +271,11 @@ def _release(tables: Tables, contacts: Contacts, t: float, z: Array, guard_pause
     # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
     while contacts.logged_events[0] < contacts.time.shape[0]:
         configuration = 0
-        for j in range(contacts.mode.shape[0]):
-            configuration |= (contacts.mode[j] != FLIGHT) << j
+        for j in range(contacts.state.shape[0]):
+            configuration |= (contacts.state[j] != FLIGHT) << j
         tensile = -1
-        for j in range(contacts.mode.shape[0]):
-            wall = contacts.mode[j]
+        for j in range(contacts.state.shape[0]):
+            wall = contacts.state[j]
             if tensile < 0 and wall != FLIGHT and _guard(tables, contacts, configuration, j, wall, t, z) < 0.0:
                 tensile = j
         if tensile < 0:

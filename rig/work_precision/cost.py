@@ -67,7 +67,7 @@ class Cost(Result):
 
     @property
     def points(self) -> tuple[tuple[str, Point], ...]:
-        """Return all methods and settings, each with the computed quantity."""
+        """Results of all methods and settings, each with the name of the computed quantity."""
         motion_points = () if self.motion is None else self.motion.points
         studies = (("motion, a period", motion_points), ("steady state", self.steady.points))
         return tuple((quantity, point) for quantity, points in studies for point in points)
@@ -82,7 +82,7 @@ class Cost(Result):
             "cpu_s": np.array([point.cpu for point in points]),
             "error": np.array([point.error for point in points]),
             "event_time_error_s": np.array([point.event_error for point in points]),
-            "right": np.array([point.right for point in points], dtype=bool),
+            "right": np.array([point.is_correct for point in points], dtype=bool),
         }
 
     def summary(self) -> str:
@@ -98,7 +98,7 @@ class Cost(Result):
         rows = [("method", "setting", "ms a period", "relative error", "event times / s", "events", "note")]
         for point in study.points:
             times = f"{point.event_error:.0e}" if np.isfinite(point.event_error) else ""
-            events = ("right" if point.right else "wrong") if np.isfinite(point.error) else "-"
+            events = ("right" if point.is_correct else "wrong") if np.isfinite(point.error) else "-"
             rows.append((*_cells(point), times, events, point.note))
         lines = [
             f"{study.scene.name}: first {study.periods} periods at {study.frequency:.6g} Hz, {study.events} events",
@@ -130,13 +130,13 @@ class Cost(Result):
         ]
         for quantity, p in self.points:
             numbers = (f"{value:.6g}" for value in (p.cpu, p.error, p.event_error))
-            rows.append((quantity, p.method, p.setting, *numbers, str(p.right).lower(), p.note))
+            rows.append((quantity, p.method, p.setting, *numbers, str(p.is_correct).lower(), p.note))
         figure = _draw_models(self) if self.motion is None else _draw(self.motion, self.steady)
         return save_with_table(figure, folder / file_stem("cost", self.scene.name), rows)
 
 
 def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None) -> Cost:
-    """Measure every method on a scene; for a scene with moving beds of grains, every model of them.
+    """Measure error and CPU time of every method for a scene, or of every model of its moving beds of grains.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str
 
 def _compare_methods(points: Sequence[Point]) -> list[str]:
     """Compare the engine with the fastest other method within ten times the smallest error of the others."""
-    correct = [point for point in points if np.isfinite(point.error) and point.right]
+    correct = [point for point in points if np.isfinite(point.error) and point.is_correct]
     engine = [point for point in correct if point.method == "engine, tone"]
     others = [point for point in correct if not point.method.startswith("engine")]
     if not engine:
@@ -173,16 +173,16 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
             f"Best of the other methods, {fastest.method} ({fastest.setting}): {fastest.error:.0e} in "
-            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times as long."
+            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times the time of the engine."
         )
-    wrong = sum(np.isfinite(point.error) and not point.right for point in points)
+    wrong = sum(np.isfinite(point.error) and not point.is_correct for point in points)
     if wrong:
-        lines.append(f"Wrong events: {wrong} of {len(points)} settings.")
+        lines.append(f"Wrong events in {wrong} of {len(points)} settings.")
     return lines
 
 
 def _steady_table(steady: SteadyStudy) -> str:
-    rows = [("method", "setting", "ms in all", "relative error", "note")]
+    rows = [("method", "setting", "total ms", "relative error", "note")]
     rows += [(*_cells(point), point.note) for point in steady.points]
     table = [*table_lines(rows, "<<>><"), ""] if steady.points else []
     return "\n".join([_steady_title(steady), *table, f"Reference: {steady.reference}"])
@@ -190,8 +190,8 @@ def _steady_table(steady: SteadyStudy) -> str:
 
 def _steady_title(steady: SteadyStudy) -> str:
     kinds = steady.motion_type.split("/")
-    word = "type " if set(kinds) <= {"I", "II", "III"} else ""
-    motion = f": {word}{steady.motion_type}" if steady.motion_type else ""
+    prefix = "type " if set(kinds) <= {"I", "II", "III"} else ""
+    motion = f": {prefix}{steady.motion_type}" if steady.motion_type else ""
     return f"Steady state at {steady.frequency:.4g} Hz{motion}"
 
 
@@ -210,7 +210,7 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
         title = f"Motion: {study.periods} periods at {study.frequency:.4g} Hz, {study.events} events"
         panels[0].set(ylabel="error of the displacement, relative", title=title)
         if steady.points:
-            draw_points(panels[1], steady.points, "CPU time in all / s")
+            draw_points(panels[1], steady.points, "total CPU time / s")
             panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
         figure.suptitle(escape_figure(study.scene.name))
         return figure
@@ -219,7 +219,7 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
 def _draw_models(cost: Cost) -> Figure:
     with new_figure(5.2, 6.8) as figure:
         axes = figure.subplots()
-        draw_points(axes, cost.steady.points, "CPU time in all / s")
+        draw_points(axes, cost.steady.points, "total CPU time / s")
         axes.set(ylabel="relative deviation of the compliance from that with grains", title=_steady_title(cost.steady))
         for point in cost.steady.points:
             if not np.isfinite(point.error):
@@ -248,14 +248,14 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         if not method_points:
             continue
         color, marker = STYLE_OF_METHOD[method]
-        # A line connects settings of one kind; solvers with an error tolerance are a separate kind.
-        series = [point for point in method_points if point.setting != SHORT_STEP_SETTING]
-        errors = [_drawn_error(point) for point in series]
-        axes.plot([point.cpu for point in series], errors, "-", color=color, lw=1.0, alpha=0.6)
+        # A line connects the settings that differ in one parameter only.
+        connected = [point for point in method_points if point.setting != SHORT_STEP_SETTING]
+        errors = [_drawn_error(point) for point in connected]
+        axes.plot([point.cpu for point in connected], errors, "-", color=color, lw=1.0, alpha=0.6)
         for point in method_points:
-            size = 12 if marker == "*" else 6
-            face = color if point.right else "white"
-            axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=size, zorder=3, mfc=face, mew=1.3)
+            marker_size = 12 if marker == "*" else 6
+            face = color if point.is_correct else "white"
+            axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=marker_size, zorder=3, mfc=face, mew=1.3)
             if point.setting in (SHORT_STEP_SETTING, "as called", "warm"):
                 text = "guard pause" if point.setting == SHORT_STEP_SETTING else point.setting
                 axes.annotate(
@@ -263,7 +263,7 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
                     color=color, ha="center",
                 )  # fmt: skip
         axes.plot([], [], marker + "-", color=color, ms=7, lw=1.0, label=method)
-    if any(not point.right and np.isfinite(point.error) and point.method != "linear" for point in points):
+    if any(not point.is_correct and np.isfinite(point.error) and point.method != "linear" for point in points):
         axes.plot([], [], "o", color="#555555", mfc="white", mew=1.3, ms=6, label="wrong events")
     axes.set_xscale("log")
     axes.set_yscale("log")

@@ -20,7 +20,7 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive
 
 #: Contact state of each damper: `FLIGHT`, `FLOOR` or `CEILING`.
-Mode = Sequence[int]
+ContactStates = Sequence[int]
 
 #: Samples per period at which methods are compared.
 SAMPLES_PER_PERIOD = 16
@@ -44,10 +44,10 @@ class FirstOrderForm:
     ----------
     periods : int
         Length of the motion, in periods of the drive.
-    number : callable
+    number_type : callable
         Converts a float to the number type of the computation, such as `Decimal`.
     pi
-        Value in that type.
+        Value of pi in that type.
     integrals : bool
         Whether z ends with real and imaginary part of the integral of each coordinate times exp(-i w t).
 
@@ -69,7 +69,7 @@ class FirstOrderForm:
     """
 
     def __init__(
-        self, system: HybridSystem, tone: ToneDrive, periods: int, number: Callable[[float], Any] = float,
+        self, system: HybridSystem, tone: ToneDrive, periods: int, number_type: Callable[[float], Any] = float,
         pi: Any = math.pi, integrals: bool = False,
     ) -> None:  # fmt: skip
         if system.coupled:
@@ -81,13 +81,15 @@ class FirstOrderForm:
         self.first_height, self.constant_index = ns, ns + 2 * nd
         self._integrals = n if integrals else 0
         self.size = ns + 2 * nd + 3 + 2 * self._integrals
-        self.omega = 2 * pi * number(tone.frequency)
+        self.omega = 2 * pi * number_type(tone.frequency)
         self.samples = periods * SAMPLES_PER_PERIOD + 1
         self.damper_coordinate = np.asarray(system.damper_coordinate, dtype=np.int64)
-        exact = np.vectorize(lambda value: number(float(value)), otypes=[float if number is float else object])
+        exact = np.vectorize(
+            lambda value: number_type(float(value)), otypes=[float if number_type is float else object]
+        )
         self.mass, self.damper_mass, self.clearance = map(exact, (system.mass, system.damper_mass, system.clearance))
         self.inverse_mass = 1.0 / np.diag(system.mass)[self.damper_coordinate]
-        self.gravity, self._zero, self._unit = number(system.gravity), number(0.0), number(1.0)
+        self.gravity, self._zero, self._unit = number_type(system.gravity), number_type(0.0), number_type(1.0)
         self._wall_parameters = exact(system.wall_stiffness), exact(system.wall_damping)
         drive_columns = exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
         self._force, self._rate = (
@@ -97,7 +99,7 @@ class FirstOrderForm:
                 (system.rate_state, np.zeros(ns - 2 * n), system.rate_drive),
             )
         )
-        self.start = [number(float(value)) for value in tone.state]
+        self.start = [number_type(float(value)) for value in tone.state]
         self.start += [self.start[row] for row in self.damper_coordinate] + [
             self.start[n + row] for row in self.damper_coordinate
         ]
@@ -112,13 +114,13 @@ class FirstOrderForm:
         """Return the height of a wall above the floor, m."""
         return self.clearance[j] if wall == CEILING else self._zero
 
-    def matrix(self, mode: Mode) -> NDArray[Any]:
-        """Compute M (size, size); dampers at a wall move with it, or load its spring in finite-duration contact."""
+    def matrix(self, contact_states: ContactStates) -> NDArray[Any]:
+        """Compute M (size, size); a damper on a wall moves with it, or loads its spring in finite-duration contact."""
         n, ns, nd = self.system.coordinates, self.system.states, self.system.dampers
         mass, force = self.mass.copy(), self._force.copy()
         matrix = np.full((self.size, self.size), self._zero)
         constant = self.constant_index
-        for j, wall in enumerate(mode):
+        for j, wall in enumerate(contact_states):
             row = self.damper_coordinate[j]
             if self.system.finite_contact[j]:
                 if wall != FLIGHT:
@@ -179,7 +181,7 @@ class FirstOrderForm:
         z[self.first_height + self.system.dampers + j] = speed
 
     def impact(self, z: MutableSequence[Any] | Array, j: int, wall: int, restitution: Any) -> bool:
-        """Apply an impact by Newton's law; return whether the damper stays at the wall."""
+        """Apply an impact by Newton's impact law; return whether the damper stays on the wall."""
         coordinate = self.damper_coordinate[j]
         body_speed, damper_speed = self.system.coordinates + coordinate, self.first_height + self.system.dampers + j
         closing_speed = z[damper_speed] - z[body_speed]
@@ -189,15 +191,15 @@ class FirstOrderForm:
         return not restitution
 
 
-def solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+def solve(matrix: NDArray[Any], right_hand_side: NDArray[Any]) -> NDArray[Any]:
     """Solve linear equations; by Gauss-Jordan elimination for number types other than float.
 
     >>> solve(np.array([[0, 2], [4, 2]], dtype=object), np.array([[6], [10]], dtype=object)).tolist()
     [[1.0], [3.0]]
     """
     if matrix.dtype != object:
-        return np.linalg.solve(matrix, right)
-    rows, count = np.hstack([matrix, right]), len(matrix)
+        return np.linalg.solve(matrix, right_hand_side)
+    rows, count = np.hstack([matrix, right_hand_side]), len(matrix)
     for i in range(count):
         pivot = i + int(np.argmax(np.abs(rows[i:, i])))
         rows[[i, pivot]] = rows[[pivot, i]]

@@ -34,13 +34,13 @@ Vector = Any  # Decimals, as a list or an array of objects
 Event = tuple[float, int, str]
 
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
-#: Digits of the reference: 24 more than float64.
+#: Significant digits of the reference: 24 more than float64.
 DIGITS = 40
-#: Digits of the run that checks the reference.
+#: Significant digits of the run that checks the reference.
 CHECK_DIGITS = 30
 #: Largest product of rate and step for which the Taylor series loses a negligible number of digits.
 MAX_RATE_STEP = 3.0
-#: Penetration up to which finite-duration contact counts as first touch, m; float64 rounding is 1e-18 m.
+#: Largest penetration at which a touch counts as a landing rather than a resumed contact, m; rounding is 1e-18 m.
 MAX_TOUCH_PENETRATION_M = 1e-13
 #: Newton iterations for an event; they start within rounding of the engine, so that eight doublings of the digits
 #: suffice.
@@ -86,10 +86,10 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
     """Recompute a run under a sinusoidal drive to forty digits.
 
     `run`: run of the engine with `samples_per_period` samples in each period of the drive. Raises `RunError` if an
-    event of the run is not an event of the motion.
+    event of the run is not reproduced.
     """
     events = events_of(run.events, system)
-    resting = [bool(mode) for mode in run.contact[:, -1]]
+    resting = [bool(wall) for wall in run.contact[:, -1]]
 
     def integrate(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
         motion = DecimalMotion(system, tone, digits)
@@ -117,8 +117,8 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
     start, residual = fine.refine(start)
     real, imag = fine.compliance(start)
     deviation = np.hypot((real - coarse_real).astype(float), (imag - coarse_imag).astype(float)).max()
-    size = np.hypot(real.astype(float), imag.astype(float)).max()
-    return ExactOrbit(real, imag, residual, float(deviation / size))
+    largest = np.hypot(real.astype(float), imag.astype(float)).max()
+    return ExactOrbit(real, imag, residual, float(deviation / largest))
 
 
 def events_of(events: Any, system: HybridSystem) -> list[Event]:
@@ -130,7 +130,7 @@ def events_of(events: Any, system: HybridSystem) -> list[Event]:
 class DecimalMotion:
     """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
-    `z`: current state, as in `FirstOrderForm`; `mode`: contact state of each damper; `now`: current time, s;
+    `z`: current state, as in `FirstOrderForm`; `contact_states`: of each damper; `now`: current time, s;
     `samples`: states at the sample times; `times`: event times, s.
     """
 
@@ -143,16 +143,16 @@ class DecimalMotion:
         self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[Any]]] = {}
         self.begin(self.form.start, [FLOOR] * system.dampers)
 
-    def begin(self, z: Vector, mode: Sequence[int]) -> None:
+    def begin(self, z: Vector, contact_states: Sequence[int]) -> None:
         """Set the state at time 0."""
-        self.z, self.mode, self.now = list(z), list(mode), Decimal(0)
+        self.z, self.contact_states, self.now = list(z), list(contact_states), Decimal(0)
         self.samples: list[Vector] = []
         self.times: list[Decimal] = []
 
     def integrate(self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()) -> None:
         """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
 
-        Raises `RunError` if an event is not an event of the motion.
+        Raises `RunError` if an event is not reproduced.
         """
         later_samples, previous_time = list(samples)[::-1], -1.0
         with decimal.localcontext(self.context):
@@ -175,11 +175,11 @@ class DecimalMotion:
 
     def _restitutions(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
         """Return the restitution of each event; 0 for an impact after which the damper stays on the wall."""
-        stays = dict(enumerate(resting))
+        stays_on_wall = dict(enumerate(resting))
         restitutions: Vector = []
         for _, j, kind in reversed(events):
-            restitutions.append(Decimal(0) if stays[j] else Decimal(float(self.system.restitution[j])))
-            stays[j] = kind == "separation"
+            restitutions.append(Decimal(0) if stays_on_wall[j] else Decimal(float(self.system.restitution[j])))
+            stays_on_wall[j] = kind == "separation"
         return restitutions[::-1]
 
     def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, previous_time: float) -> None:
@@ -188,20 +188,22 @@ class DecimalMotion:
             # Separations caused by an impact or by the initial state have no root of their own.
             if guess not in (previous_time, 0.0):
                 matrix, _ = self._flow()
-                self._to_root(Decimal(guess), form.contact_force_row(j, self.mode[j], matrix), j, kind)
-            form.separate(self.z, j, self.mode[j], self.z[self.system.coordinates + form.damper_coordinate[j]])
-            self.mode[j] = FLIGHT
+                self._to_root(Decimal(guess), form.contact_force_row(j, self.contact_states[j], matrix), j, kind)
+            form.separate(
+                self.z, j, self.contact_states[j], self.z[self.system.coordinates + form.damper_coordinate[j]]
+            )
+            self.contact_states[j] = FLIGHT
             return
         self._to_root(Decimal(guess), form.gap_row(j, wall), j, kind)
         self.z = list(self.z)
-        self.mode[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
+        self.contact_states[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
 
     def _to_contact_change(self, guess: Decimal, j: int, kind: str) -> None:
         """Advance to a touch or release near `guess` in finite-duration contact, and change the contact state."""
         matrix, _ = self._flow()
         if kind != "touch":
-            self._to_root(guess, self.form.contact_force_row(j, self.mode[j], matrix), j, kind)
-            self.mode[j] = FLIGHT
+            self._to_root(guess, self.form.contact_force_row(j, self.contact_states[j], matrix), j, kind)
+            self.contact_states[j] = FLIGHT
             return
         self.advance(guess)
         gap = float(self.z[int(self.system.gap_coordinate[j])])
@@ -210,7 +212,7 @@ class DecimalMotion:
         # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.
         is_separated = float(np.dot(distance, self.z)) > -MAX_TOUCH_PENETRATION_M
         self._to_root(guess, distance if is_separated else self.form.contact_force_row(j, wall, matrix), j, kind)
-        self.mode[j] = wall
+        self.contact_states[j] = wall
 
     def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
         """Advance to the root of a guard, a row vector over the state, near `guess`."""
@@ -243,10 +245,10 @@ class DecimalMotion:
         self.z, self.now = list(z), end_time
 
     def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Return the matrix of the current mode, and its sparse rows: values, and a function that selects states."""
-        mode = tuple(self.mode)
-        if mode not in self._flows:
-            matrix = self.form.matrix(mode)
+        """Return the current matrix and its sparse rows: values, and a function that selects the states."""
+        contact_states = tuple(self.contact_states)
+        if contact_states not in self._flows:
+            matrix = self.form.matrix(contact_states)
             rows = []
             for row in matrix:
                 # At least two elements, because `itemgetter` returns no tuple for a single element.
@@ -255,8 +257,8 @@ class DecimalMotion:
                 rows.append(([row[k] if row[k] else Decimal(0) for k in columns], itemgetter(*columns)))
                 if columns[-1] == columns[-2]:
                     rows[-1][0][-1] = Decimal(0)
-            self._flows[mode] = matrix, rows
-        return self._flows[mode]
+            self._flows[contact_states] = matrix, rows
+        return self._flows[contact_states]
 
 
 class _ClosedOrbit:
@@ -269,7 +271,7 @@ class _ClosedOrbit:
         self._motion = DecimalMotion(self._system, tone, digits, integrals=True)
         self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
-        self._mode = [
+        self._contact_states = [
             FLIGHT if j in self._flying or wall == kinds.FORCELESS
             else CEILING if wall in (kinds.RIDES_CEILING, kinds.ON_CEILING) else FLOOR
             for j, wall in enumerate(orbit.plan.sequence.wall[0])
@@ -292,18 +294,18 @@ class _ClosedOrbit:
             scale = np.array([max(abs(value), smallest_scale) for value in start])
             values, jacobian, residual = np.array(start), None, np.inf
             for _ in range(ORBIT_ITERATIONS):
-                gap = self._residual(values)
-                relative_gap = float(np.max(np.abs(gap / scale)))
-                # The last digits are rounding errors.
-                if relative_gap < 10.0 ** (5 - digits) or relative_gap > 0.1 * residual:
-                    residual = min(relative_gap, residual)
+                closure_error = self._residual(values)
+                relative_error = float(np.max(np.abs(closure_error / scale)))
+                # Stop at rounding level, or where an iteration gains less than a digit.
+                if relative_error < 10.0 ** (5 - digits) or relative_error > 0.1 * residual:
+                    residual = min(relative_error, residual)
                     break
-                residual = relative_gap
+                residual = relative_error
                 if jacobian is None:
                     steps = ORBIT_STEP_RATIO * scale
                     shifted = [self._residual(values + step) for step in np.diag(steps)]
-                    jacobian = ((np.array(shifted) - gap) / steps[:, None]).T
-                values = values - solve(jacobian, gap[:, None])[:, 0]
+                    jacobian = ((np.array(shifted) - closure_error) / steps[:, None]).T
+                values = values - solve(jacobian, closure_error[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(
                     f"the orbit in decimal arithmetic does not close: residual {residual:.0e}. Report the scene."
@@ -321,7 +323,7 @@ class _ClosedOrbit:
         z = list(motion.form.start)
         for k, value in zip(self._unknown_indices, start, strict=True):
             z[k] = value
-        motion.begin(z, self._mode)
+        motion.begin(z, self._contact_states)
         motion.integrate(self._events, [j not in self._flying for j in range(self._system.dampers)])
         motion.advance(self._end)
         return motion.z

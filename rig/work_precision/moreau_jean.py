@@ -29,24 +29,18 @@ MAX_CONTACT_ITERATIONS = 50
 
 
 class Step(NamedTuple):
-    """A step of the theta method with theta = 1/2 on z without cosine and sine.
+    """A step of the theta method with theta = 1/2, on the state z of `FirstOrderForm` without cosine and sine."""
 
-    transition (size, size): z at the end of a step without drive and contact, from z at its start; cosine and sine
-    (size,): response to the drive at both ends of the step; impulse_response (size, dampers): response to a unit
-    impulse; gap and gap_rate (dampers, size): row vectors of the height above the floor and its rate; clearance [m] and
-    restitution (dampers,); omega: angular frequency of the drive, rad/s; length: step, s.
-    """
-
-    transition: Array
-    cosine: Array
-    sine: Array
-    impulse_response: Array
-    gap: Array
-    gap_rate: Array
-    clearance: Array
-    restitution: Array
-    omega: float
-    length: float
+    transition: Array  # z at the end of a step without drive and contact, from z at its start; (size, size)
+    cosine: Array  # response of z to the sum of the drive's cosine at both ends of the step, (size,)
+    sine: Array  # the same for the sine
+    impulse_response: Array  # change of z by a unit impulse between damper and body, (size, dampers)
+    gap: Array  # row vectors whose product with z is the height above the floor, (dampers, size)
+    gap_rate: Array  # the same for its rate
+    clearance: Array  # m, (dampers,)
+    restitution: Array  # (dampers,)
+    omega: float  # angular frequency of the drive, rad/s
+    length: float  # duration of the step, s
 
 
 def moreau_jean(problem: FirstOrderForm, steps: int) -> ComputedMotion:
@@ -104,6 +98,7 @@ def _integrate(step: Step, start: Array, steps: int, steps_per_sample: int) -> t
     z, z_free = start.copy(), np.zeros(size)
     wall_direction, impulse = np.zeros(dampers), np.zeros(dampers)
     velocity_before, free_velocity = np.zeros(dampers), np.zeros(dampers)
+    # Delassus matrix: change of each gap rate by a unit impulse on each damper.
     delassus = gap_rate @ impulse_response
     samples[0] = z
     walls[0] = 1

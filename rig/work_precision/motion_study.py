@@ -37,15 +37,15 @@ PERIODS = 20
 MAX_CPU_S = 10.0
 #: Total CPU time to which fast methods are repeated, s; the fastest repetition counts.
 MIN_MEASURED_CPU_S = 0.05
-#: Contact durations per period on the springs of the penalty method: more for stiffer springs.
+#: Contact durations in a period of the drive, for the springs of the penalty method; more for stiffer springs.
 CONTACTS_PER_PERIOD = (30, 300, 3000)
 #: Steps per period of time stepping; multiples of the samples per period.
 STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
 #: Samples per period of the engine's sampled drives.
 DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
-#: Longest step of a general solver, in periods, with settings chosen to avoid missed events.
+#: Longest step of a general solver, in periods of the drive, with the setting that avoids missed events.
 SHORT_STEP_RATIO = 1 / 40
-#: Label of these settings; guards are disabled for a time after a separation.
+#: Label of this setting; it also disables the guard of a wall for a time after a damper leaves it (guard pause).
 SHORT_STEP_SETTING = "rtol 1e-12, step T/40, guard pause"
 #: Smallest ratio of the error of the best method to the error of the reference.
 MIN_REFERENCE_MARGIN = 1e3
@@ -63,7 +63,7 @@ class Point:
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
     event_error: float  # largest error of an event's time, s; NaN if there are no events to compare
-    right: bool
+    is_correct: bool
     """Whether events and their order are correct for each damper; for the steady state, whether it converged."""
     note: str = ""  # remarks, or the reason for a failure
 
@@ -117,7 +117,7 @@ def motion_study(
     frequency = frequency if frequency is not None else default_frequency(scene, system)
     tone = tone_drive(scene, system, frequency)
     assert tone is not None
-    report = progress if progress is not None else lambda name: None
+    report = progress if progress is not None else lambda computation: None
     duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
     report("reference")
     run = simulate(scene, duration, rate, frequency=frequency)
@@ -148,17 +148,17 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     frequency = tone.frequency
     duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
 
-    def simulated() -> ComputedMotion:
+    def simulate_as_called() -> ComputedMotion:
         return _motion_of(simulate(scene, duration, rate, frequency=frequency), system)
 
-    yield "engine, tone", "as called", simulated
+    yield "engine, tone", "as called", simulate_as_called
     yield "engine, tone", "warm", _with_prepared_tables(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
         # First run without measurement, so that compilation is not included in the time.
         _with_sampled_drive(scene, system, tone, DRIVE_SAMPLES_PER_PERIOD[0], 1)()
         for samples in DRIVE_SAMPLES_PER_PERIOD:
-            sampled = _with_sampled_drive(scene, system, tone, samples, periods)
-            yield "engine, sampled drive", f"{samples * frequency:.4g} Hz", sampled
+            compute = _with_sampled_drive(scene, system, tone, samples, periods)
+            yield "engine, sampled drive", f"{samples * frequency:.4g} Hz", compute
     if system.finite_contact.any():
         return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
@@ -216,6 +216,7 @@ def _with_prepared_tables(system: HybridSystem, tone: ToneDrive, periods: int) -
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
     initial_state = propagator.snapshot()
+    # Store the state at the end of the last period only.
     lengths, rows = np.full(periods, steps), np.full(periods, -1)
     rows[-1] = 0
 
@@ -261,7 +262,7 @@ class _Comparison:
         exact = self.exact.displacement[:, -1:] if has_only_last_sample else self.exact.displacement
         error = float(np.abs(values - exact).max()) / self.scale
         if has_only_last_sample:
-            return Point(method, setting, cpu / periods, error, np.nan, True, "flow and events alone")
+            return Point(method, setting, cpu / periods, error, np.nan, True, "propagation and events only")
         computed_events = _by_damper(motion.events, len(self.events))
         correct_events = _kinds(computed_events) == _kinds(self.events)
         event_error = np.nan

@@ -1,4 +1,4 @@
-"""Work-precision study of the steady state: time integration, shooting, and the approximate one-mode method."""
+"""Work-precision study of the steady state: waiting in time integration, shooting, and the approximate method."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import MIN_REFERENCE_MARGIN, Point, failure_reason, timed
 
-#: Name of another packing of the grains among the models; its deviation is the resolution of the study.
+#: Name of the model with another packing of the grains; its deviation is the smallest error that can be resolved.
 OTHER_PACKING = "grains, other packing"
 #: Tolerances of the steady state in time integration.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -35,7 +35,7 @@ BAND_HALF_WIDTH = 0.04
 class SteadyStudy:
     """Result of `steady_study`."""
 
-    points: tuple[Point, ...]  # their errors refer to the compliance of all bodies, relative to the largest
+    points: tuple[Point, ...]  # error: largest compliance error of any body, relative to the largest compliance
     frequency: float  # Hz
     motion_type: str
     reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
@@ -48,7 +48,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     `frequency`: Hz; if the motion is irregular there, the nearest of several frequencies with periodic motion. Raises
     `RunError` if the reference is not a thousand times better than the best method.
     """
-    report = progress if progress is not None else lambda name: None
+    report = progress if progress is not None else lambda computation: None
     scene = with_ideal_force(scene)
     report("shooting")
     try:
@@ -73,10 +73,10 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
         )  # fmt: skip
     report("approximate method")
     points.append(_approximate(scene, frequency, reference))
-    riding = tuple(range(1, len(scene.dampers) + 1))
-    for name, dampers in (("dampers riding", riding), ("no dampers", ())):
+    all_dampers = tuple(range(1, len(scene.dampers) + 1))
+    for setting, dampers in (("dampers at rest", all_dampers), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", name, cpu, reference.error(linear[:, 0]), np.nan, False))
+        points.append(Point("linear", setting, cpu, reference.error(linear[:, 0]), np.nan, False))
     smallest_error = min((point.error for point in points if point.error > 0.0), default=np.inf)
     margin = smallest_error / max(reference.agreement, 10.0**-DIGITS)
     if margin < MIN_REFERENCE_MARGIN:
@@ -107,7 +107,7 @@ def _orbit_near(scene: Scene, frequency: float) -> Orbit:
 
 
 def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point:
-    """Evaluate the one-mode method for the nearest mode; it computes the whole curve at once."""
+    """Evaluate the approximate one-mode method for the nearest mode; it computes the whole response curve."""
     mode = int(np.argmin(np.abs(structural_model(scene).modes.frequency - frequency))) + 1
     band = (frequency * (1 - BAND_HALF_WIDTH), frequency * (1 + BAND_HALF_WIDTH))
     reasons = []
@@ -127,6 +127,6 @@ def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point
                 min(reference.error(compliance) for compliance in compliances),
                 f"mode {mode}, {weighting} weights",
             )
-            return Point("approximate", setting, cpu, error, np.nan, True, "the whole curve")
+            return Point("approximate", setting, cpu, error, np.nan, True, "whole response curve")
         reasons.append("failed: no stable motion at this frequency")
     return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])

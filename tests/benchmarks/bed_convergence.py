@@ -1,9 +1,9 @@
-"""Effect of grain stiffness and time step on the steady motion of a bed of grains, with its scatter over packings.
+"""Effect of grain stiffness and time step on the steady motion of a bed of grains; its scatter over packings.
 
     python -m tests.benchmarks.bed_convergence
 
 A single-mode structure at 50 Hz has a bed of a tenth of its mass. There are three settings: two layers in free flight,
-four layers that hit a ceiling, and six layers just after separation. The motion of the last depends most on elasticity.
+four layers that hit a ceiling, and six layers that barely take off, whose motion depends most on the stiffness.
 Grains and structure are coupled at every time step. Each setting takes six minutes of one core.
 """
 

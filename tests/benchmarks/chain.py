@@ -1,4 +1,4 @@
-"""Speed of the measurement chain (sensors and converter) with more and more effects.
+"""Speed of the measurement chain (sensors and converter), with effects added one after another.
 
     python -m tests.benchmarks.chain
 
@@ -29,7 +29,7 @@ SECONDS = 4
 BLOCK_SAMPLES = 5120
 # Long enough that the 10 ms for opening and closing a recording are negligible.
 RECORDED_SECONDS = 20
-PLACES = ("body 1", "body 2", "body 3", "table")
+LOCATIONS = ("body 1", "body 2", "body 3", "table")
 
 # Name of the effects that each step adds, and the keys that it adds to accelerometer, integrator and converter.
 EFFECT_STEPS: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
@@ -70,8 +70,8 @@ def scenes_with_effects(scene: Scene) -> Iterator[tuple[str, Scene]]:
         if integrator_keys is not None:
             integrator = (integrator or {}) | integrator_keys
         channels = [
-            {"name": place.replace(" ", ""), "at": place, "accelerometer": sensor, "integrator": integrator}
-            for place in PLACES
+            {"name": location.replace(" ", ""), "at": location, "accelerometer": sensor, "integrator": integrator}
+            for location in LOCATIONS
         ]
         yield name, scene.replace(channels=channels, converter=converter)
 
@@ -83,14 +83,14 @@ def full_scene() -> Scene:
 
 
 def tone_block(first: int) -> NDArray[np.float64]:
-    """Return a block of the drive voltage from a sample on: 3 V at 34.8 Hz, near the second mode."""
+    """Return a block of the drive voltage that begins at a sample: 3 V at 34.8 Hz, near the second mode."""
     return 3.0 * np.sin(2 * np.pi * 34.8 / RATE * np.arange(first, first + BLOCK_SAMPLES))[None]
 
 
 def measure() -> Iterator[str]:
-    """Yield a line for each step: time per channel and sample, and speed of four channels relative to real time.
+    """Yield a line for each added effect: time per channel and sample, and speed of four channels in times real time.
 
-    A break is a jump of a motion between two samples, at an impact.
+    A break is an instant between two samples at which a velocity or acceleration jumps.
     """
     for name, scene in scenes_with_effects(rig.load("fig8-three-dampers")):
         rate = scene.converter.true_rate
@@ -109,7 +109,7 @@ def measure() -> Iterator[str]:
                 converter.convert(chain.measure(motion, drive))
                 elapsed += time.process_time() - start
             shortest = min(shortest, elapsed)
-        per_sample = shortest / (SECONDS * RATE * len(PLACES))
+        per_sample = shortest / (SECONDS * RATE * len(LOCATIONS))
         yield (
             f"{name:36s} {per_sample * 1e9:6.1f} ns per channel and sample, {SECONDS / shortest:5.0f} times real time, "
             f"{breaks / SECONDS:.0f} breaks a second"

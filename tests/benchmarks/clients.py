@@ -21,7 +21,7 @@ import psutil
 
 RATE = 51200.0  # samples per second
 READS_PER_SECOND = 10
-# Latency from which a read counts as late.
+# Smallest latency of a late read.
 LATE_MS = 25.0
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}
@@ -81,15 +81,15 @@ def main() -> None:
 def measure(options: argparse.Namespace, server_id: int, address: str) -> None:
     """Run the clients on a server with a process id, and print the results."""
     server, read_samples = psutil.Process(server_id), round(RATE / READS_PER_SECOND)
-    names = [f"cDAQ1Mod{n}" if options.separate else f"Dev{n}" for n in range(1, options.clients + 1)]
+    devices = [f"cDAQ1Mod{n}" if options.separate else f"Dev{n}" for n in range(1, options.clients + 1)]
     clients = [
         subprocess.Popen(
-            [sys.executable, "-c", CLIENT, address, f"{name}/ai0:3", str(options.seconds), str(read_samples)],
+            [sys.executable, "-c", CLIENT, address, f"{device}/ai0:3", str(options.seconds), str(read_samples)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
-        for name in names
+        for device in devices
     ]
     # All clients start when the last one is ready.
     for client in clients:

@@ -44,17 +44,17 @@ def design_on_cluster(scene: str, workers: int, folder: Path) -> tuple[float, di
 def main() -> int:
     """Print all results; return exit code 1 if the files differ."""
     name = sys.argv[1] if len(sys.argv) > 1 else "fig8-three-dampers"
-    request, space = parse_request(rig.load(name))
-    choice = Choice(space.locations[0], (space.mass,), space.clearance[:1])
-    # A part of a request is about one structure at one force level. A task computes a choice of dampers for it.
-    part = request.parts[0]
-    task_input = part, choice
+    objective, space = parse_request(rig.load(name))
+    choice = Choice(space.locations[0], (space.max_mass,), space.clearance[:1])
+    # A task computes the peak of a choice of dampers for one structure at one force level.
+    subproblem = objective.subproblems[0]
+    task_input = subproblem, choice
     print(f"a task and its input: {len(pickle.dumps((empty_task, task_input)))} bytes; ", end="")
-    print(f"its result: {len(pickle.dumps(part.worst(choice)))} bytes")
+    print(f"its result: {len(pickle.dumps(subproblem.worst(choice)))} bytes")
     start = time.process_time()
-    for place in space.locations:
-        request.worst(Choice(place, (space.mass,), space.clearance[1:]))
-    task_time = (time.process_time() - start) / len(space.locations) / len(request.parts)
+    for location in space.locations:
+        objective.worst(Choice(location, (space.max_mass,), space.clearance[1:]))
+    task_time = (time.process_time() - start) / len(space.locations) / len(objective.subproblems)
     print(f"CPU time of a task: {task_time:.2f} s")
     with Workers("local") as workers:
         list(workers.compute(empty_task, [task_input]))

@@ -49,13 +49,13 @@ class Times(NamedTuple):
 
 @dataclass(frozen=True)
 class Command:
-    """A command and the limits of its time.
+    """A command and the limits of its times.
 
     `max_ratio`: limit of the processor time relative to the reference recording; `max_seconds`: of the processor time,
     s; `max_elapsed`: of the elapsed time, s. `runs`: number of measured runs.
     """
 
-    words: tuple[str, ...]
+    arguments: tuple[str, ...]
     max_ratio: float | None = None
     max_seconds: float | None = None
     max_elapsed: float | None = None
@@ -64,9 +64,9 @@ class Command:
     @property
     def name(self) -> str:
         """The command without its output options."""
-        has_new_folder = any(NEW_FOLDER in word for word in self.words)
-        end = self.words.index("-o") if has_new_folder else len(self.words)
-        return " ".join(word for word in self.words[:end] if word != "--overwrite")
+        has_new_folder = any(NEW_FOLDER in argument for argument in self.arguments)
+        end = self.arguments.index("-o") if has_new_folder else len(self.arguments)
+        return " ".join(argument for argument in self.arguments[:end] if argument != "--overwrite")
 
     def exceeded_limits(self, times: Times, reference: float) -> str | None:
         """Return the exceeded limits as text, "" if there are none, None without limits.
@@ -133,12 +133,12 @@ def environment_of(code: Path, **variables: str) -> dict[str, str]:
     return environment
 
 
-def shortest_times(words: Sequence[str], folder: Path, code: Path, runs: int = 2) -> Times:
+def shortest_times(arguments: Sequence[str], folder: Path, code: Path, runs: int = 2) -> Times:
     """Return the shortest times of some runs with the code of a folder, after a run that fills the cache."""
     environment, times = environment_of(code), []
     for _ in range(1 + runs):
         new = str(Path(tempfile.mkdtemp(dir=folder)) / "new")
-        command = ["-m", *(word.replace(NEW_FOLDER, new) for word in words)]
+        command = ["-m", *(argument.replace(NEW_FOLDER, new) for argument in arguments)]
         times.append(run_times(command, folder, environment))
     return Times(*(min(values) for values in zip(*times[1:], strict=True)))
 
@@ -181,7 +181,7 @@ def main() -> None:
         print(f"daq record {SCENE} at {REFERENCE_COMMIT}: {reference:.2f} s of processor time")
         print(f"{'command':55s} {'CPU / s':>9s} {'ratio':>7s} {'wall / s':>8s}  limit")
         warm_calls = (
-            (command, shortest_times(command.words, folder, repository, command.runs)) for command in COMMANDS
+            (command, shortest_times(command.arguments, folder, repository, command.runs)) for command in COMMANDS
         )
         too_slow = []
         for command, times in chain(warm_calls, first_calls(folder, repository)):

@@ -1,8 +1,8 @@
 """Processor times of tasks next to reference times: `python -m tests.benchmarks.compared_times [--quick] FILE.json`.
 
-Times are processor times, including child processes, because wall-clock times on a shared machine depend on its load.
-The reference is the real time of a test, the import of numpy, or the largest acceptable time of a study. `--quick`
-omits the studies, the compilation of a first run, and the analysis of a long recording.
+Measured times are processor times, including child processes, because elapsed times on a shared machine depend on its
+load. The reference is the duration of the test (real time), the import of numpy, or an acceptable time. `--quick` omits
+the studies, the compilation of a first run, and the analysis of a long recording.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ import daq
 import rig
 from tests.benchmarks.engine import engine_period, tone_of
 
-# Places of the four accelerometers.
-PLACES = ("body 1", "body 2", "body 3", "table")
-# Settings of the converter and of all accelerometers: products from data sheets, and the same with all other effects.
+# Locations of the four accelerometers.
+LOCATIONS = ("body 1", "body 2", "body 3", "table")
+# Converter and accelerometers: presets from data sheets; and the same with all other simulated imperfections.
 DATA_SHEET_PARTS = {"converter": {"preset": "NI 9234", "rate": "51.2 kHz"}, "accelerometer": {"preset": "PCB 352C33"}}
 PARTS_WITH_ALL_EFFECTS = {
     "converter": {
@@ -57,26 +57,26 @@ class ComparedTime(NamedTuple):
     reference_seconds: float
 
     def __str__(self) -> str:
-        speed = self.reference_seconds / self.seconds
+        ratio = self.reference_seconds / self.seconds
         return (
-            f"{self.name:52s} {self.seconds:10.4g} s   {speed:8.3g} x {self.reference} ({self.reference_seconds:.3g} s)"
+            f"{self.name:52s} {self.seconds:10.4g} s   {ratio:8.3g} x {self.reference} ({self.reference_seconds:.3g} s)"
         )
 
 
-def command_time(*words: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
+def command_time(*arguments: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
     """Return the shortest processor time of some runs of a Python command, s."""
     times, variables = [], os.environ | environment
     for _ in range(repeats):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, *words], check=True, capture_output=True, cwd=folder, env=variables)
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=folder, env=variables)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     return min(times)
 
 
-def random_test_at_51_200_hz(parts: dict[str, Any]) -> rig.Scene:
-    """Return a random test of three dampers with 2 ms contact, with the given converter and accelerometer."""
-    channels = [{"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in PLACES]
+def random_test(parts: dict[str, Any]) -> rig.Scene:
+    """Return a random test at 51.2 kS/s of three dampers with 2 ms contact; `parts`: converter and accelerometer."""
+    channels = [{"name": at.replace(" ", ""), "at": at, "accelerometer": parts["accelerometer"]} for at in LOCATIONS]
     damper = {"mass_ratio": 0.1, "clearance": float("inf"), "contact": {"duration": "2 ms"}}
     return rig.load("fig8-three-dampers").replace(
         channels=channels,
@@ -106,10 +106,10 @@ def command_startups() -> Iterator[ComparedTime]:
     """Measure the start of commands."""
     numpy_import = command_time("-c", "import numpy", repeats=5)
     demo = str(Path("recordings/demo-impulse-no-damper.mcap").absolute())
-    for words in ("rig --help", "rig scenes", f"daq info {demo}", "rig simulate reference-A"):
-        program, *arguments = words.split()
+    for command in ("rig --help", "rig scenes", f"daq info {demo}", "rig simulate reference-A"):
+        program, *arguments = command.split()
         seconds = command_time("-m", program, *arguments, repeats=5)
-        yield ComparedTime(words.replace(demo, "REC"), seconds, "import of numpy", numpy_import)
+        yield ComparedTime(command.replace(demo, "REC"), seconds, "import of numpy", numpy_import)
 
 
 def complete_tests() -> Iterator[ComparedTime]:
@@ -119,14 +119,14 @@ def complete_tests() -> Iterator[ComparedTime]:
         fig8 = rig.load("fig8-three-dampers", {"test.points": 12})
         for name, scene in (
             ("Fig 8, three dampers, display", fig8),
-            ("4 x 51.2 kS/s, data sheets, random, display", random_test_at_51_200_hz(DATA_SHEET_PARTS)),
-            ("4 x 51.2 kS/s, every effect, random, display", random_test_at_51_200_hz(PARTS_WITH_ALL_EFFECTS)),
+            ("4 x 51.2 kS/s, data sheets, random, display", random_test(DATA_SHEET_PARTS)),
+            ("4 x 51.2 kS/s, every effect, random, display", random_test(PARTS_WITH_ALL_EFFECTS)),
         ):
             yield recording_time(name, scene, Path(folder))
 
 
 def engine_periods() -> Iterator[ComparedTime]:
-    """Measure the engine under a tone."""
+    """Measure the engine's time for a period of a sinusoidal drive."""
     for case in "ABC":
         scene = rig.load(f"reference-{case}")
         period = 2 * math.pi / tone_of(scene)[1].omega
@@ -137,7 +137,7 @@ def analyses() -> Iterator[ComparedTime]:
     """Measure the analysis of a recording of ten minutes."""
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        scene = random_test_at_51_200_hz(DATA_SHEET_PARTS)
+        scene = random_test(DATA_SHEET_PARTS)
         test = {"kind": "random", "from": "5 Hz", "to": "100 Hz", "duration": "10 min", "drive": "1 V"}
         path = daq.record(scene.replace(test=test), Path(folder) / "long.mcap")
         times = []
@@ -153,10 +153,10 @@ def studies() -> Iterator[ComparedTime]:
     """Measure studies that compute many motions."""
     with tempfile.TemporaryDirectory() as folder:
         # Run in another folder, because a checkout contains stored results.
-        for words, max_seconds in MAX_STUDY_SECONDS.items():
-            program, *arguments = words.split()
+        for command, max_seconds in MAX_STUDY_SECONDS.items():
+            program, *arguments = command.split()
             yield ComparedTime(
-                words, command_time("-m", program, *arguments, folder=Path(folder)), "acceptable time", max_seconds
+                command, command_time("-m", program, *arguments, folder=Path(folder)), "acceptable time", max_seconds
             )
 
 
@@ -165,26 +165,26 @@ def first_runs() -> Iterator[ComparedTime]:
     with tempfile.TemporaryDirectory() as folder:
         sweep = ("fig8-three-dampers", "--set", "test.points=2", "-o", f"{folder}/sweep.mcap")
         seconds = (
-            command_time("-m", *words, NUMBA_CACHE_DIR=folder)
-            for words in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
+            command_time("-m", *command, NUMBA_CACHE_DIR=folder)
+            for command in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
         )
         yield ComparedTime("first rig simulate and daq record", sum(seconds), "acceptable time", 30.0)
 
 
-def main(words: list[str]) -> None:
+def main(arguments: list[str]) -> None:
     """Print the times, and write them into a JSON file."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH")]))
     seconds = {}
-    for part in (
+    for measure in (
         command_startups,
         engine_periods,
         complete_tests,
-        *(() if "--quick" in words else (analyses, first_runs, studies)),
+        *(() if "--quick" in arguments else (analyses, first_runs, studies)),
     ):
-        for figure in part():
-            print(figure, flush=True)
-            seconds[figure.name] = figure.seconds
-    for path in (word for word in words if word.endswith(".json")):
+        for compared in measure():
+            print(compared, flush=True)
+            seconds[compared.name] = compared.seconds
+    for path in (argument for argument in arguments if argument.endswith(".json")):
         Path(path).write_text(json.dumps(seconds, indent=2) + "\n", encoding="utf-8")
 
 

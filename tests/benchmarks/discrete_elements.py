@@ -35,7 +35,7 @@ SETTINGS = (
 PACKINGS = (1, 2, 3)
 #: Time step in Rayleigh times.
 STEP_RAYLEIGH_TIMES = 0.1
-#: Largest gap between neighboring spheres, in radii.
+#: Largest gap between neighboring spheres, in radii: the skin of the neighbor list.
 SKIN_RADII = 0.3
 #: Indices of the walls.
 FLOOR, CEILING, SIDE = range(3)
@@ -51,8 +51,8 @@ def contact_force(
     The force acts on the first body; `normal` is a unit vector from the second body to the first.
 
     `radius`, `mass`: effective radius and mass; `velocity`: relative velocity of the centers; `spin`: sum of the lever
-    arms times the angular velocities; `law`: effective normal and shear modulus, Pa, and damping ratio, which follows
-    from the restitution; `friction`: coefficient of friction; `step`: time step, s.
+    arms times the angular velocities; `law`: effective normal and shear modulus, Pa, and damping ratio; `friction`:
+    coefficient of friction; `step`: time step, s.
     """
     normal_velocity = velocity @ normal
     contact_radius = math.sqrt(radius * overlap)

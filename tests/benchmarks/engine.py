@@ -2,7 +2,7 @@
 
 The scenes are the reference cases A, B and C, after compilation, in one thread. The solvers have suitable settings for
 this problem: DOP853, CVODE and a compiled Dormand-Prince method with a relative tolerance of 1e-12, steps of at most a
-fortieth of a period, and event functions that are ignored for 20 us after a separation.
+fortieth of a period, and guards (event functions) that are disabled for 20 us after a damper leaves a wall.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from rig.work_precision.adaptive_solvers import cvode_solver, integrate, scipy_s
 from rig.work_precision.compiled_runge_kutta import DormandPrince
 from rig.work_precision.first_order_form import FirstOrderForm
 
-# Number of periods, equal for all solvers. There are many, because the first periods have few events.
+# Number of periods for all solvers; many, because the first periods have few events.
 PERIODS = 100
-# Time after a separation during which the event functions (guards) are ignored.
-GUARD_DELAY_S = 2e-5
+# Time for which the guard of a wall is disabled after a damper leaves the wall.
+GUARD_PAUSE_S = 2e-5
 RATE = 51200.0  # samples per second
 BLOCK_SAMPLES = 5120
 
@@ -75,11 +75,11 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
     if importlib.util.find_spec("sksundae") is not None:
         solvers["CVODE"] = cvode_solver(1e-12, max_step)
     compiled_solver = DormandPrince(problem)
-    compiled_solver.integrate(1e-6, GUARD_DELAY_S, max_step)
+    compiled_solver.integrate(1e-6, GUARD_PAUSE_S, max_step)
     return {
-        "compiled DP5": shortest_time(lambda: compiled_solver.integrate(1e-12, GUARD_DELAY_S, max_step), 3) / PERIODS,
+        "compiled DP5": shortest_time(lambda: compiled_solver.integrate(1e-12, GUARD_PAUSE_S, max_step), 3) / PERIODS,
         **{
-            name: shortest_time(lambda solver=solver: integrate(problem, solver, GUARD_DELAY_S, 600.0), 2) / PERIODS  # type: ignore[misc]
+            name: shortest_time(lambda solver=solver: integrate(problem, solver, GUARD_PAUSE_S, 600.0), 2) / PERIODS  # type: ignore[misc]
             for name, solver in solvers.items()
         },
     }

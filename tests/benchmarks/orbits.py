@@ -1,4 +1,4 @@
-"""Speed of response curves from periodic orbits, compared with simulation to steady state.
+"""CPU time of response curves from periodic orbits, compared with simulation to steady state.
 
 python -m tests.benchmarks.orbits
 """
@@ -17,7 +17,7 @@ from rig.system.open_loop_drive import with_ideal_force
 T = TypeVar("T")
 
 # Scene, frequency band [Hz], number of points. The motion is periodic near the resonances of the first four curves. The
-# last curve has some non-periodic motion, which both methods must simulate.
+# last curve has some non-periodic motion, which `orbit_response` simulates too.
 CURVES = (
     ("fig9", (47.0, 50.85), 200),
     ("fig5-single-damper", (46.0, 51.0), 200),
@@ -31,7 +31,8 @@ REPEATS = 3
 def measure() -> Iterator[str]:
     """Yield a header, and a line for each curve: times of both methods, and errors of the orbits.
 
-    The deviation is the median over the points, relative to simulation; the residual is the largest of all orbits.
+    The deviation from simulation is the median over the points where both methods converge. The residual is the
+    largest deviation of an orbit from periodicity.
     """
     yield (
         f"{'curve':38} {'points':>6} {'simulated':>12} {'orbits':>10} {'ratio':>6} {'deviation':>9} "
@@ -43,12 +44,12 @@ def measure() -> Iterator[str]:
         # Load compiled code before the measurement.
         rig.frequency_response(scene, frequencies[:2])
         rig.orbit_response(scene, frequencies[:2])
-        simulation_time, simulated = _shortest_time(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023
+        simulation_time, reference = _shortest_time(lambda: rig.frequency_response(scene, frequencies))  # noqa: B023
         orbit_time, orbits = _shortest_time(lambda: rig.orbit_response(scene, frequencies))  # noqa: B023
-        both_converged = simulated.converged & ~orbits.simulated
-        magnitude = np.abs(simulated.compliance).max(axis=0)
+        both_converged = reference.converged & ~orbits.simulated
+        magnitude = np.abs(reference.compliance).max(axis=0)
         deviation = np.median(
-            (np.abs(orbits.compliance - simulated.compliance).max(axis=0) / magnitude)[both_converged]
+            (np.abs(orbits.compliance - reference.compliance).max(axis=0) / magnitude)[both_converged]
         )
         residual = max(orbit.residual for orbit in orbits.orbits if orbit is not None)
         yield (

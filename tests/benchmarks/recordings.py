@@ -16,14 +16,14 @@ import rig
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 
-# Places of the four channels.
-PLACES = ("body 1", "body 2", "body 3", "table")
+# Locations of the four channels.
+LOCATIONS = ("body 1", "body 2", "body 3", "table")
 
 
 def recording_time(path: Path, rate: float, seconds: int, display: bool) -> float:
     """Write four channels of float64 noise in blocks of 0.1 s; return the elapsed time, s. Noise is incompressible."""
     scene = rig.load("bare-structure").replace(recording={"display": display, "samples": "float64"})
-    channels = [ChannelInfo(at.replace(" ", ""), at, "acceleration", 0.01, rate) for at in PLACES]
+    channels = [ChannelInfo(at.replace(" ", ""), at, "acceleration", 0.01, rate) for at in LOCATIONS]
     block_samples = round(rate / 10)
     noise = np.random.default_rng(1).standard_normal((4, 20 * block_samples))
     start = time.perf_counter()

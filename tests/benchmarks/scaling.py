@@ -105,14 +105,14 @@ def engine_scaling(quantity: str, sizes: list[tuple[int, int]], size_index: int,
     """
     values = np.array([size[size_index] for size in sizes], dtype=float)
     times = np.array([engine_period(tone_chain(*size), 40, 5) for size in sizes])
-    for size, seconds in zip(sizes, times, strict=True):
-        print(f"  {size[0]:4d} bodies {size[1]:3d} dampers  {seconds * 1e6:9.1f} us a period")
+    for (bodies, dampers), seconds in zip(sizes, times, strict=True):
+        print(f"  {bodies:4d} bodies {dampers:3d} dampers  {seconds * 1e6:9.1f} us a period")
     larger_half = slice(len(sizes) // 2, None)
     exponent, intercept = np.polyfit(np.log(values[larger_half]), np.log(times[larger_half]), 1)
     print(f"  over {quantity}: exponent {exponent:.2f}")
     axes.loglog(values, times * 1e6, "o-", color="black", label="measured")
-    line = np.exp(intercept) * values[larger_half] ** exponent
-    axes.loglog(values[larger_half], line * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
+    fitted = np.exp(intercept) * values[larger_half] ** exponent
+    axes.loglog(values[larger_half], fitted * 1e6, "--", color="tab:red", label=f"exponent {exponent:.2f}")
     axes.set(xlabel=f"Number of {quantity}", ylabel="CPU time a period, \u00b5s")
     axes.grid(True, which="both", alpha=0.3)
     axes.legend()

@@ -46,7 +46,7 @@ def scene_of(mass: float, cavity: float) -> Scene:
 
 
 def print_step_times(positions_path: str, mass: float, cavity: float, steps: int) -> None:
-    """Run one rank: print the times of all groups of steps, s, as JSON."""
+    """Run on each rank; the first prints the times of all groups of steps, s, as JSON."""
     ranks.join()
     coupling.settled_positions = lambda _: np.load(positions_path)
     coupled = coupling.CoupledPropagator(scene_of(mass, cavity), 1e-3)

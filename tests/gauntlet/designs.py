@@ -27,7 +27,7 @@ from scipy.stats import qmc
 import analysis
 import daq
 import rig
-from rig.damper_design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Question
+from rig.damper_design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Objective
 from rig.damper_design.search import FINAL_DESIGNS, GRID_CLEARANCES, GRID_MASS_RATIOS
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
@@ -113,7 +113,7 @@ def brute_force(design: rig.Design, locations: list[tuple[int, ...]]) -> Iterato
 
     `locations`: sets of bodies with a damper.
     """
-    levels, dampers = len(design.question.levels), design.space.dampers
+    levels, dampers = len(design.question.levels), design.space.max_dampers
     search_cost = (
         len(design.trials) * levels
         + len(locations) * len(GRID_MASS_RATIOS) * GRID_CLEARANCES
@@ -126,7 +126,7 @@ def brute_force(design: rig.Design, locations: list[tuple[int, ...]]) -> Iterato
     )
     # The spacings of sorted uniform points are uniformly distributed over all divisions of the total mass.
     divisions = np.sort(points[:, dampers:], axis=1)
-    masses = design.space.mass * np.diff(divisions, axis=1, prepend=0.0, append=1.0)
+    masses = design.space.max_mass * np.diff(divisions, axis=1, prepend=0.0, append=1.0)
     for location in locations:
         for fraction in _MASS_FRACTIONS:
             for mass, clearance in zip(fraction * masses, clearances, strict=True):
@@ -134,11 +134,11 @@ def brute_force(design: rig.Design, locations: list[tuple[int, ...]]) -> Iterato
                     yield Choice(location, tuple(mass.tolist()), tuple(clearance.tolist()))
 
 
-def worst_peak_below(question: Question, levels: list[float], bound: float, choice: Choice) -> float | None:
+def worst_peak_below(objective: Objective, levels: list[float], bound: float, choice: Choice) -> float | None:
     """Return the worst peak of a choice, m/N, or None as soon as the peak at a level exceeds a bound."""
     worst = 0.0
     for level in levels:
-        worst = max(worst, replace(question, levels=(level,)).worst(choice).size)
+        worst = max(worst, replace(objective, levels=(level,)).worst(choice).compliance)
         if worst >= bound:
             return None
     return worst
@@ -149,14 +149,14 @@ def best_peak(design: rig.Design, choices: list[Choice], workers: ProcessPoolExe
     fine = replace(design.question, density=FINE_DENSITY)
     # The level of the design's worst peak first: most choices already exceed the bound there.
     levels = sorted(fine.levels, key=lambda level: level != design.best.peak.level)
-    peak_below = partial(worst_peak_below, design.question, levels, design.best.peak.size)
+    peak_below = partial(worst_peak_below, design.question, levels, design.best.peak.compliance)
     candidates = [
         (size, choice)
         for size, choice in zip(workers.map(peak_below, choices, chunksize=20), choices, strict=True)
         if size is not None
     ]
     finalists = [choice for _, choice in sorted(candidates, key=lambda candidate: candidate[0])[:_FINALISTS]]
-    return min((peak.size for peak in workers.map(fine.worst, finalists)), default=np.inf)
+    return min((peak.compliance for peak in workers.map(fine.worst, finalists)), default=np.inf)
 
 
 def record_compliance(scene: rig.Scene, peak: Peak, folder: Path) -> float:
@@ -177,7 +177,7 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     start = time.perf_counter()
     design = rig.design(scene, **requirements)
     seconds = time.perf_counter() - start
-    locations = [location for location in design.space.locations if len(location) == design.space.dampers]
+    locations = [location for location in design.space.locations if len(location) == design.space.max_dampers]
     choices = list(brute_force(design, locations))
     best = best_peak(design, choices, workers)
     brute_force_seconds = time.perf_counter() - start - seconds
@@ -188,7 +188,7 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
         undamped = record_compliance(scene.replace(test=test), undamped_peak, Path(folder))
     difference_db = 20 * np.log10(undamped / damped) - design.reduction(peak)
     low, high = requirements["band"]
-    excess = max(peak.size / best - 1, 0.0)
+    excess = max(peak.compliance / best - 1, 0.0)
     print(
         f"{scene.name}: {scene.structure.bodies} bodies, {low:.3g} to {high:.3g} Hz: "
         f"{design.best.choice}: {design.reduction(peak):.2f} dB, {len(design.trials)} trials, {seconds:.0f} s; "

@@ -19,12 +19,12 @@ from analysis.exporting.export import export
 from analysis.recordings.slices import Slice
 from daq.recording.recording import Recording
 
-BLOCK_S = 8.0
+BLOCK_S = 8.0  # length of the blocks of the FRF estimate
 BODIES = ("body1", "body2", "body3")
 
 
 def record(path: Path, shaker: dict[str, Any] | None, test: dict[str, Any], input_channel: dict[str, Any]) -> Recording:
-    """Record a test of the structure without dampers; the only effect of its sensors is noise."""
+    """Record a test of the structure without dampers; its sensors are ideal except for noise."""
     sensor = {"sensitivity": 0.05, "noise": 2e-3}
     channels = [{"name": name, "at": f"body {name[-1]}", "accelerometer": sensor} for name in BODIES]
     scene = rig.load("fig4-structure").replace(
@@ -38,7 +38,7 @@ def record(path: Path, shaker: dict[str, Any] | None, test: dict[str, Any], inpu
 
 
 def estimate_frfs(folder: Path) -> dict[str, np.ndarray]:
-    """Record a random test with a table; return the blocks of its channels with and without window, and its FRFs."""
+    """Record a random test with a shaker table; return the blocks of its channels with and without window, and FRFs."""
     shaker = {"kind": "table", "body": 1, "spring": 6600.0}
     test = {"kind": "random", "from": 5.0, "to": 70.0, "duration": 120.0, "force": 1.0}
     table = {"name": "table", "at": "table", "accelerometer": {"sensitivity": 0.05, "noise": 2e-3}}
@@ -52,13 +52,13 @@ def estimate_frfs(folder: Path) -> dict[str, np.ndarray]:
         results["coherence"] = np.stack([curve.coherence for curve in curves])
         results["random_frequency"] = curves[0].frequency
         [marker] = [marker for marker in recording.markers if marker.kind == "measure"]
-        size = int(BLOCK_S * recording.rate)
-        starts = range(marker.first_sample, marker.end + 2 - size, size // 2)
+        block_size = int(BLOCK_S * recording.rate)
+        starts = range(marker.first_sample, marker.end + 2 - block_size, block_size // 2)
         blocks = np.stack(
-            [[recording.read(name, start, start + size) for name in (*BODIES, "table")] for start in starts]
+            [[recording.read(name, start, start + block_size) for name in (*BODIES, "table")] for start in starts]
         )
         results["raw_blocks"] = blocks
-        results["blocks"] = (blocks - blocks.mean(axis=2, keepdims=True)) * signal.get_window("hann", size)
+        results["blocks"] = (blocks - blocks.mean(axis=2, keepdims=True)) * signal.get_window("hann", block_size)
         results["rate"] = np.array(recording.rate)
     return results
 

@@ -23,8 +23,8 @@ def compare_frfs(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     from pyFRF import FRF
 
     def estimate(blocks: np.ndarray, window: str) -> FRF:
-        size = blocks.shape[2]
-        peer = FRF(int(ours["rate"]), exc_type="d", resp_type="d", window=window, fft_len=size)
+        block_size = blocks.shape[2]
+        peer = FRF(int(ours["rate"]), exc_type="d", resp_type="d", window=window, fft_len=block_size)
         peer.add_data(blocks[:, 3:4], blocks[:, :3])
         return peer
 
@@ -46,7 +46,7 @@ def compare_frfs(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     windowed = estimate(ours["raw_blocks"], "hann")
     yield (
         "H1, pyFRF with its window (median)", largest(ours["H1"], windowed.get_H1()[:, 0, is_common], np.median), 2e-3,
-        "its Hann window is symmetric, ours periodic: the difference is inverse to the block length",
+        "its Hann window is symmetric, ours periodic: the difference is inversely proportional to the block length",
     )  # fmt: skip
 
 
@@ -54,8 +54,8 @@ def compare_modes(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     """Compare poles and mode shapes with those of sdypy-EMA."""
     from sdypy.EMA import Model
 
-    is_used = ours["hit_frequency"] <= 70.0
-    frequency, frf = ours["hit_frequency"][is_used], ours["accelerance"][:, is_used]
+    below_70_hz = ours["hit_frequency"] <= 70.0
+    frequency, frf = ours["hit_frequency"][below_70_hz], ours["accelerance"][:, below_70_hz]
     # sdypy-EMA assumes that the first line is at 0 Hz: shift all frequencies by that of the first line.
     shift = float(frequency[0])
     frequency = frequency - shift
@@ -103,23 +103,23 @@ def compare_uff(ours: dict[str, np.ndarray], path: Path) -> Iterator[Row]:
 def read_uff(path: Path) -> Iterator[tuple[str, float, np.ndarray]]:
     """Yield name, sample interval [s] and values of each dataset 58: eleven records of 80 columns, then the values."""
     lines = path.read_text(encoding="utf-8").splitlines()
-    number = 0
-    while number < len(lines):
-        if lines[number].strip() != "-1" or lines[number + 1].strip() != "58":
-            number += 1
+    line = 0
+    while line < len(lines):
+        if lines[line].strip() != "-1" or lines[line + 1].strip() != "58":
+            line += 1
             continue
-        header = lines[number + 2 : number + 13]
+        header = lines[line + 2 : line + 13]
         data_type, count, is_even = (int(header[6][10 * k : 10 * k + 10]) for k in range(3))
         interval = float(header[6][43:56])
         if is_even != 1 or data_type not in (2, 4):
             raise SystemExit(f"{path}: data type {data_type}, spacing {is_even}: expected real values at even spacing")
         width = 20 if data_type == 4 else 13
-        begin = end = number + 13
+        begin = end = line + 13
         while lines[end].strip() != "-1":
             end += 1
-        values = [float(line[k : k + width]) for line in lines[begin:end] for k in range(0, len(line.rstrip()), width)]
+        values = [float(text[k : k + width]) for text in lines[begin:end] for k in range(0, len(text.rstrip()), width)]
         yield header[0].split(":")[0].strip(), interval, np.array(values[:count])
-        number = end + 1
+        line = end + 1
 
 
 def largest(ours: np.ndarray, theirs: np.ndarray, statistic: Callable[[np.ndarray], float] = np.max) -> float:
@@ -130,8 +130,8 @@ def largest(ours: np.ndarray, theirs: np.ndarray, statistic: Callable[[np.ndarra
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     warnings.simplefilter("ignore")
-    numbers = dict(np.load(folder / "ours.npz"))
-    rows = [*compare_frfs(numbers), *compare_modes(numbers), *compare_uff(numbers, folder / "hits.uff")]
+    ours = dict(np.load(folder / "ours.npz"))
+    rows = [*compare_frfs(ours), *compare_modes(ours), *compare_uff(ours, folder / "hits.uff")]
     print(f"{'compared':38s}{'difference':>12s}{'allowed':>10s}   remark")
     for quantity, difference, allowed, remark in rows:
         mark = "" if difference <= allowed else "   <-- TOO LARGE"

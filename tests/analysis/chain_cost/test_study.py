@@ -46,15 +46,15 @@ def error_of(study: ChainStudy, group: str, setting: str) -> float:
     return next(point.error for point in study.points if (point.group, point.setting) == (group, setting))
 
 
-def test_quiet_chain_approaches_exact_solution(study: ChainStudy) -> None:
+def test_noise_free_chain_approaches_exact_solution(study: ChainStudy) -> None:
     assert study.without_noise.error < 1e-4
     assert error_of(study, "sample rate", "8000 Hz") < 1e-6
     assert "linear equations" in study.reference
 
 
-def test_noise_error_grows_with_quantization(study: ChainStudy) -> None:
-    ratio = error_of(study, "noise", "ten times") / error_of(study, "noise", "the scene's")
-    assert 3.0 < ratio < 30.0
+def test_error_grows_with_noise_and_quantization(study: ChainStudy) -> None:
+    noise_ratio = error_of(study, "noise", "ten times") / error_of(study, "noise", "the scene's")
+    assert 3.0 < noise_ratio < 30.0  # 10, up to the random error
     assert error_of(study, "bits", "12") > 10.0 * error_of(study, "bits", "24")
 
 
@@ -64,7 +64,7 @@ def test_filtered_drive_samples_exclude_images(study: ChainStudy) -> None:
     assert error_of(study, "sample rate", "250 Hz") < 1e-5
 
 
-def test_every_group_has_timed_points(study: ChainStudy) -> None:
+def test_every_group_has_timed_measurements(study: ChainStudy) -> None:
     assert {point.group for point in study.points} == set(GROUPS)
     assert all(point.cpu > 0.0 and point.duration > 1.0 for point in (study.unchanged, *study.points))
 
@@ -86,8 +86,9 @@ def test_table_and_file_list_every_point(study: ChainStudy, tmp_path: Path) -> N
     assert all(point.setting in table(study) for point in study.points)
 
 
-def test_one_change_keeps_motion_and_chain() -> None:
+def test_a_variant_changes_one_part_only() -> None:
     scene = expand_chain(rig.load("fig9"))
+    # Lowest, resonance and highest frequency, Hz; largest voltage.
     for variant in variants(scene, 46.0, 49.0, 54.0, 1.0):
         assert variant.scene.dampers == scene.dampers
         assert variant.scene.shaker == scene.shaker
@@ -100,7 +101,7 @@ def test_one_change_keeps_motion_and_chain() -> None:
             assert [c.at for c in variant.scene.channels] == [c.at for c in expected.channels]
 
 
-def test_only_tolerance_point_has_sensor_tolerances() -> None:
+def test_only_tolerance_variant_has_sensor_tolerances() -> None:
     scene = rig.load("fig9")
     scene = scene.replace(channels=[c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels])
     settings_with_tolerance = [
@@ -111,7 +112,7 @@ def test_only_tolerance_point_has_sensor_tolerances() -> None:
     assert settings_with_tolerance == ["tolerances, bias"]
 
 
-def test_presets_equal_their_expanded_values() -> None:
+def test_expanded_presets_give_equal_samples() -> None:
     scene = rig.load("fig9")
     channels = [c.replace(accelerometer={"preset": "PCB 352C33"}) for c in scene.channels]
     scene = scene.replace(channels=channels, converter={"preset": "NI 9234", "rate": 5000.0})
@@ -137,7 +138,7 @@ def test_reference_follows_the_recorded_drive() -> None:
     assert result.without_noise.error < 1e-4
 
 
-def test_unread_force_names_the_remedy() -> None:
+def test_missing_force_channel_names_the_remedy() -> None:
     scene = rig.loads(ONE_BODY)
     scene = scene.replace(shaker={"kind": "force", "body": 1}, channels=scene.channels[:1])
     with pytest.raises(SceneError, match=r"\{name: force, at: shaker\}"):

@@ -13,10 +13,10 @@ from analysis.reproduction.claims import differences
 from analysis.reproduction.experiment import damper_sweep
 from analysis.reproduction.fig9_claim import compare_directions
 from analysis.reproduction.page import CAPTIONS, write_pages
-from analysis.reproduction.parts import FIGURE_5, TYPES, all_parts
+from analysis.reproduction.parts import FIGURE_5_SETTING, TYPES, all_parts
 from analysis.reproduction.reproduce import FIGURES, compute, reproduce
 from analysis.reproduction.scan import LEVELS, best_damper, least_affected, scan, type_iii_over_damping
-from analysis.reproduction.simulation import approximated, exact_orbits, structure_numbers, waveforms
+from analysis.reproduction.simulation import approximate_branches, exact_orbits, linear_properties, waveforms
 from analysis.reproduction.store import Arrays, PaperPart, partial_name, remove_partial
 from rig.errors import SceneError
 from rig.system.open_loop_drive import with_ideal_force
@@ -66,7 +66,7 @@ def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
 
 
 def test_unknown_part_lists_the_parts(tmp_path: Path) -> None:
-    with pytest.raises(SceneError, match=r"no part nonsense.* rec-bare"):
+    with pytest.raises(SceneError, match=r"unknown part nonsense.* rec-bare"):
         reproduce(tmp_path, lambda line: None, ["nonsense"])
 
 
@@ -76,7 +76,7 @@ def test_recording_orbits_and_approximation_agree(tmp_path: Path) -> None:
 
     measured = damper_sweep(scene.replace(test=test), tmp_path / "fig9.mcap")
     exact = exact_orbits(scene, (49.7, 50.1), searches=1)
-    approximate = approximated(scene, 3, (49.7, 50.1), "printed", searches=3)
+    approximate = approximate_branches(scene, 3, (49.7, 50.1), "printed", searches=3)
 
     for i, frequency in enumerate(measured["frequency"]):
         exact_index = int(np.abs(exact["frequency"] - frequency).argmin())
@@ -112,14 +112,16 @@ def test_scan_cell_equals_direct_simulation() -> None:
 
     cell = scan(scene, np.array([10.0]), np.array([1e-3]), frequencies, 0.10)
 
-    response = rig.frequency_response(with_ideal_force(scene), [*frequencies[:2], *cell["where"][0], frequencies[2]])
+    response = rig.frequency_response(
+        with_ideal_force(scene), [*frequencies[:2], *cell["peak_frequency"][0], frequencies[2]]
+    )
     magnitude = np.abs(response.compliance[1])
     # The peak is searched between the grid frequencies, so it is at least as high as any grid value.
     assert cell["peak"][0, 0] == pytest.approx(magnitude.max(), rel=1e-6)
-    assert cell["where"][0, 0] == response.frequency[magnitude.argmax()]
-    assert cell["where"][0, 0] not in frequencies
+    assert cell["peak_frequency"][0, 0] == response.frequency[magnitude.argmax()]
+    assert cell["peak_frequency"][0, 0] not in frequencies
     assert cell["exact"].all()
-    assert cell["type_there"][0, 0] == "III"
+    assert cell["type_at_peak"][0, 0] == "III"
 
 
 @pytest.mark.thorough
@@ -146,7 +148,7 @@ def test_more_damping_removes_type_iii() -> None:
 
     type_iii = type_iii_over_damping(rig.load("fig9"), np.array([0.005, 0.01]), np.array([0.98e-3]), frequencies)
 
-    assert type_iii["third"].ravel().tolist() == [True, False]
+    assert type_iii["has_type_iii"].ravel().tolist() == [True, False]
 
 
 def test_waveforms_stay_in_their_cavities() -> None:
@@ -175,7 +177,7 @@ def test_c2_needs_ratio_and_types() -> None:
     three = {
         "peak": np.ones((1, 5)),
         "types": np.array([["I II", "I II", "I II", "I II III", "I II"]]),
-        "type_there": np.array([["I/II/riding", "I", "I", "I/III", "2 per 2/I"]]),
+        "type_at_peak": np.array([["I/II/riding", "I", "I", "I/III", "2 per 2/I"]]),
     }
 
     assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False, False, False]]
@@ -195,7 +197,7 @@ def test_damper_reduces_damped_peak_less() -> None:
     )  # fmt: skip
 
     # A damper hardly reduces a peak that is already well damped.
-    assert 0.0 < ratios["share"][0, 0, 0, 0] < 0.8 < ratios["share"][1, 0, 0, 0] < 1.02
+    assert 0.0 < ratios["peak_ratio"][0, 0, 0, 0] < 0.8 < ratios["peak_ratio"][1, 0, 0, 0] < 1.02
 
 
 def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
@@ -210,7 +212,7 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
 
     optimum: Arrays = {
         "mass_ratio": np.array(0.1), "mass_ratios": np.array([0.1]), "best": np.array(9e-4),
-        "peak": np.array(1.4e-4), "worst": np.array([1.4e-4]), "orbits": np.array(0.9),
+        "peak": np.array(1.4e-4), "worst": np.array([1.4e-4]), "orbit_share": np.array(0.9),
     }  # fmt: skip
     cells: Arrays = {"exact": np.array([[True, False]])}
     parts = {"orbit-fig9": orbits, "weights-one-damper": weights, "best-10": optimum, "optimum": optimum}
@@ -232,7 +234,7 @@ def test_page_shows_verdicts_evidence_and_figures(tmp_path: Path) -> None:
 def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
     scene = rig.load("fig9")
     parts = [
-        PaperPart(name, name, structure_numbers, {"scene": scene, "frequencies": np.array([value])}, "a part", effort)
+        PaperPart(name, name, linear_properties, {"scene": scene, "frequencies": np.array([value])}, "a part", effort)
         for name, value, effort in (("short", 20.0, 1.0), ("long", 30.0, 5.0), ("middle", 40.0, 3.0))
     ]
 
@@ -272,8 +274,8 @@ def test_each_figure_has_a_caption() -> None:
 @pytest.mark.parametrize("name", ["fig5-single-damper", "fig5-three-dampers"])
 def test_fig_5_scenes_match_the_claim(name: str) -> None:
     scene = rig.load(name)
-    assert scene.test.force == FIGURE_5[0]
-    assert {damper.clearance for damper in scene.dampers} == {FIGURE_5[1]}
+    assert scene.test.force == FIGURE_5_SETTING[0]
+    assert {damper.clearance for damper in scene.dampers} == {FIGURE_5_SETTING[1]}
 
 
 @pytest.mark.parametrize("kind", TYPES)

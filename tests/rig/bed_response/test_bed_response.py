@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.bed_response.bed_response import BedResponse, bed_response, text
+from rig.bed_response.bed_response import BedResponse, bed_response, format_table
 from rig.bed_response.steady_bed import steady_grains, steady_mass
 from rig.errors import RunError, SceneError
 from tests.rig.grain_beds.scenes import with_grains, without_grains
@@ -20,10 +20,10 @@ def test_resting_bed_equals_one_mass() -> None:
 
     assert grains.steady
     assert grains.compliance == pytest.approx(mass.compliance, rel=5e-3)
-    weight = scene.dampers[0].mass * scene.gravity / 30.0
+    weight_impulse = scene.dampers[0].mass * scene.gravity / 30.0  # in a period, N s
     assert (grains.motion_type[0], mass.motion_type[0]) == ("riding", "riding")
-    assert grains.floor_impulse[0] == pytest.approx(weight, rel=5e-3)
-    assert mass.floor_impulse[0] == pytest.approx(weight, rel=5e-3)
+    assert grains.floor_impulse[0] == pytest.approx(weight_impulse, rel=5e-3)
+    assert mass.floor_impulse[0] == pytest.approx(weight_impulse, rel=5e-3)
     assert grains.ceiling_impulse[0] == 0.0
 
 
@@ -41,18 +41,19 @@ def test_bed_at_ceiling_dissipates_energy() -> None:
 
 @pytest.mark.thorough
 def test_damaged_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
-    table, steps = tmp_path / "beds.csv", []
+    table, progress = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
     first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
-    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *step: steps.append(step))
+    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *counts: progress.append(counts))
 
-    assert steps == [(1, 2), (2, 2)]
+    assert progress == [(1, 2), (2, 2)]
     for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):
         assert np.array_equal(first_column, second_column)
-    assert len(text(second).splitlines()) == 8
+    # A header, four rows, two lines of notes, an empty line and the summary.
+    assert len(format_table(second).splitlines()) == 9
     assert isinstance(second, BedResponse)
 
 

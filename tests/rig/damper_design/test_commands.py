@@ -52,9 +52,9 @@ def test_printed_commands_run(shaker: str, tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(("shaker", "added"), [(FORCE, ["body 1", "shaker"]), (TABLE, ["body 1", "table"])])
 def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) -> None:
     scene = _bracket(shaker)
-    question, _ = parse_request(scene)
+    objective, _ = parse_request(scene)
     trial = Trial(Choice((2,), (0.1,), (1e-3,)), (Peak(1e-4, 62.0, 4.0, 1, 1.0, 0.0),))
-    checked = scene_with_check(scene, trial, question)
+    checked = scene_with_check(scene, trial, objective)
     channels = {channel.at: channel for channel in checked.channels or ()}
     assert list(channels) == ["body 2", *added]
     assert channels["body 1"].accelerometer == channels["body 2"].accelerometer

@@ -1,7 +1,7 @@
 """Designed dampers are optimal, achieve the predicted effect on the rig, and can be reproduced.
 
-The question is what a design optimizes: structures, force levels and band. A choice is the dampers of a candidate
-design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks. A peak's size is |X| / F, m/N. The
+The objective is what a design optimizes: structures, force levels and band. A choice is the dampers of a candidate
+design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks (compliance |X| / F, m/N). The
 table is a file of computed trials, from which an interrupted design continues.
 """
 
@@ -25,7 +25,7 @@ from rig.damper_design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.damper_design.design import chart_levels
 from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.figure import clearance_label, describe_check, grain_check, summary, write
-from rig.damper_design.request import mass_of, parse_request
+from rig.damper_design.request import mass_limit, parse_request
 from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.errors import SceneError
 from rig.orbits.problem import OrbitProblem
@@ -47,10 +47,10 @@ def design(table: Path) -> rig.Design:
 
 @pytest.mark.thorough
 def test_design_matches_a_fine_clearance_grid(design: rig.Design) -> None:
-    question = replace(design.question, density=FINE_DENSITY)
+    objective = replace(design.question, density=FINE_DENSITY)
     clearances = np.geomspace(0.5, 2.0, 25) * design.best.choice.clearances[0]
-    trial_peaks = [question.worst(replace(design.best.choice, clearances=(c,))).size for c in clearances]
-    assert design.best.peak.size < 1.01 * min(trial_peaks)
+    trial_peaks = [objective.worst(replace(design.best.choice, clearances=(c,))).compliance for c in clearances]
+    assert design.best.peak.compliance < 1.01 * min(trial_peaks)
 
 
 @pytest.mark.thorough
@@ -65,10 +65,10 @@ def test_recorded_design_moves_as_predicted(design: rig.Design, tmp_path: Path) 
     decibels = 20 * np.log10(np.abs(measured.value / predicted))[~measured.unsteady]
     assert np.abs(decibels).max() < 0.3
     for expectation in design.expected:
-        if expectation.sizes is not None:
+        if expectation.compliances is not None:
             peak_index = int(np.argmin(abs(measured.frequency - expectation.peak.frequency)))
             measured_peak, bound = abs(measured.value[peak_index]), measured.bound()[peak_index]
-            assert expectation.sizes[0] - bound < measured_peak < expectation.sizes[2] + bound
+            assert expectation.compliances[0] - bound < measured_peak < expectation.compliances[2] + bound
 
 
 @pytest.mark.thorough
@@ -91,14 +91,16 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     commands = [shlex.split(line) for line in describe_check(design, scene).splitlines() if line.startswith("daq")]
     assert [command[:3] for command in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
-    unsteady = replace(design, expected=tuple(replace(expectation, sizes=None) for expectation in design.expected))
+    unsteady = replace(
+        design, expected=tuple(replace(expectation, compliances=None) for expectation in design.expected)
+    )
     assert "no steady motion: values scatter" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
 def test_summary_has_a_column_per_level(design: rig.Design) -> None:
     two_levels = replace(design.question, levels=(3.3, 6.6))
-    trials = tuple(replace(trial, peaks=(trial.peak, replace(trial.peak, size=1e-5))) for trial in design.trials)
+    trials = tuple(replace(trial, peaks=(trial.peak, replace(trial.peak, compliance=1e-5))) for trial in design.trials)
     lines = summary(replace(design, question=two_levels, trials=trials, best=trials[0])).splitlines()
     heading = next(line for line in lines if "added mass" in line)
     assert heading.split()[3:7] == ["3.3", "N", "6.6", "N"]
@@ -106,16 +108,16 @@ def test_summary_has_a_column_per_level(design: rig.Design) -> None:
 
 def test_damaged_table_loses_no_trial(tmp_path: Path) -> None:
     table = tmp_path / "table.csv"
-    question, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
+    objective, _ = parse_request(rig.load("fig9"), bodies=[2], levels=[0.5], band=(49.0, 50.0), watched=[2])
     choices = [Choice((2,), (0.05,), (clearance,)) for clearance in (1e-3, 2e-3)]
     with Workers() as workers:
-        first_trials = Evaluator(workers, table, None, 1).compute(question, choices[:1])
+        first_trials = Evaluator(workers, table, None, 1).compute(objective, choices[:1])
         with table.open("a") as file:
             # An open quote ends with its line, and lines that are too long are not read.
             file.write('"' + "x" * 200_000 + "\n" + '"torn,2,0.1')
-        second_trials = Evaluator(workers, table, None, 1).compute(question, choices[1:])
+        second_trials = Evaluator(workers, table, None, 1).compute(objective, choices[1:])
         evaluator = Evaluator(workers, table, None, 1)
-    assert [evaluator.trial(question, choice) for choice in choices] == first_trials + second_trials
+    assert [evaluator.trial(objective, choice) for choice in choices] == first_trials + second_trials
 
 
 def test_drawing_shows_clearance_of_heaviest_damper() -> None:
@@ -123,7 +125,7 @@ def test_drawing_shows_clearance_of_heaviest_damper() -> None:
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
-def test_charted_levels_extend_beyond_those_of_the_question(levels: list[float]) -> None:
+def test_charted_levels_extend_beyond_requested_levels(levels: list[float]) -> None:
     charted = chart_levels(levels)
     assert set(levels) <= set(charted.tolist())
     assert charted[0] <= levels[0] / 2 * (1 + 1e-12) and charted[-1] >= levels[-1] * 2 * (1 - 1e-12)
@@ -134,54 +136,56 @@ def test_drive_test_uses_forces_as_levels() -> None:
     drive = {"kind": "stepped_sine", "from": "46 Hz", "to": "54 Hz", "points": 9, "drive": "1 mm"}
     changes = {"shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"}, "test": drive}
     driven_scene, requested = rig.load("fig9", changes), {"bodies": [2], "levels": ["3.3 N"]}
-    question, _ = parse_request(driven_scene, **requested)
+    objective, _ = parse_request(driven_scene, **requested)
     choice = Choice((2,), (0.1,), (1e-3,))
-    assert question.worst(choice) == parse_request(rig.load("fig9"), **requested)[0].worst(choice)
-    with pytest.raises(SceneError, match="levels: not given, and the test of the scene states a drive"):
+    assert objective.worst(choice) == parse_request(rig.load("fig9"), **requested)[0].worst(choice)
+    with pytest.raises(SceneError, match="levels: not given, and the scene's test states a drive level"):
         parse_request(driven_scene)
 
 
 def test_worst_peak_without_dampers_is_the_receptance() -> None:
-    question, _ = parse_request(rig.load("fig9"))
+    objective, _ = parse_request(rig.load("fig9"))
     frequencies = np.linspace(49.4, 49.9, 2001)
     exact = np.abs(receptance(rig.load("fig9"), frequencies)).max()
-    assert question.bare.size == pytest.approx(exact, rel=1e-5)
+    assert objective.undamped_peak.compliance == pytest.approx(exact, rel=1e-5)
 
 
 def test_least_damped_variant_determines_the_peak() -> None:
     # The damping ratios are uncertain by 20 %: the variants have 80 % and 120 %.
-    question, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
-    certain_question, _ = parse_request(rig.load("fig9"))
-    assert len(question.scenes) == 3
-    assert question.bare.size == pytest.approx(certain_question.bare.size / 0.8, rel=1e-2)
+    objective, _ = parse_request(rig.load("fig9"), uncertain=(0.2, 0.0))
+    certain_objective, _ = parse_request(rig.load("fig9"))
+    assert len(objective.scenes) == 3
+    assert objective.undamped_peak.compliance == pytest.approx(
+        certain_objective.undamped_peak.compliance / 0.8, rel=1e-2
+    )
 
 
 def test_body_named_twice_has_two_dampers() -> None:
-    question, space = parse_request(rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2])
-    assert (space.locations, question.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
+    objective, space = parse_request(rig.load("fig9"), bodies=[2, 1, 2], dampers=2, levels=[3.3], watched=[2, 2])
+    assert (space.locations, objective.bodies) == (((1,), (2,), (1, 2), (2, 2)), (2,))
 
 
 def test_peak_of_two_dampers_equals_simulation() -> None:
-    question, _ = parse_request(rig.load("fig9"), levels=[3.3], band=(48.5, 50.5), watched=[2])
+    objective, _ = parse_request(rig.load("fig9"), levels=[3.3], band=(48.5, 50.5), watched=[2])
     choice = Choice((2, 2), (0.06, 0.04), (1e-3, 1.1e-3))
-    peak = question.worst(choice)
-    scene = question.scenes[0].replace(dampers=choice.dampers(INSTANTANEOUS))
+    peak = objective.worst(choice)
+    scene = objective.scenes[0].replace(dampers=choice.dampers(INSTANTANEOUS))
     compliance = np.abs(rig.frequency_response(scene, np.linspace(48.5, 50.5, 31)).compliance[1])
-    assert peak.size == pytest.approx(compliance.max(), rel=0.01)
+    assert peak.compliance == pytest.approx(compliance.max(), rel=0.01)
 
 
 @pytest.mark.parametrize(
     ("requested", "message"),
     [
-        ({"budget": 5.0}, "less than the structure.s mass of 2.09 kg"),
+        ({"budget": 5.0}, "less than the structure.s mass, 2.09 kg"),
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
         ({"bodies": ["1", "7"]}, "bodies: body 7 does not exist; expected 1 to 3"),
-        ({"dampers": 4}, "expected 1 to 3, one for each body that may carry one"),
+        ({"dampers": 4}, "expected 1 to 3, at most one for each body listed in bodies"),
         ({"band": (2.0, 3.0)}, "without a natural frequency"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
         ({"band": 49.0}, "band: got 49 Hz; expected two values"),
-        ({"uncertain": (2.0, 0.0)}, "two shares"),
+        ({"uncertain": (2.0, 0.0)}, "two relative uncertainties"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )
@@ -192,11 +196,11 @@ def test_invalid_requests_are_rejected(requested: dict, message: str) -> None:
 
 def test_quantities_with_units_are_accepted() -> None:
     scene = rig.load("fig9")
-    question, space = parse_request(
+    objective, space = parse_request(
         scene, budget="5 %", bodies=["1", "3"], clearance=["1 mm", 2e-3], levels=["3 N", "1 N"], uncertain=["20 %", 0.0]
     )
-    assert space.mass == pytest.approx(0.1045) and mass_of("50 g", scene) == pytest.approx(0.05)
-    assert (space.locations, space.clearance, question.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
+    assert space.max_mass == pytest.approx(0.1045) and mass_limit("50 g", scene) == pytest.approx(0.05)
+    assert (space.locations, space.clearance, objective.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
     with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
         parse_request(scene, band=["40 Hz"])
 
@@ -207,15 +211,18 @@ def test_grain_command_has_dampers_of_the_design() -> None:
         Damper(body=2, mass=0.04, clearance=1e-3, contact={"duration": "2 ms"}),
         Damper(body=3, mass=2.0, clearance=2e-3, restitution=0.3),
     ]
-    peaks = [Expected(Peak(size, 49.0, level, 2, 1.0, 0.0), None, ()) for size, level in ((1e-4, 2.0), (2e-4, 4.0))]
+    peaks = [
+        Expected(Peak(compliance, 49.0, level, 2, 1.0, 0.0), None, ())
+        for compliance, level in ((1e-4, 2.0), (2e-4, 4.0))
+    ]
     *_, command = grain_check(dampers, peaks, Path("a folder/check.yaml"))
-    words = shlex.split(command)
-    assert words[:3] == ["rig", "grains", "a folder/check.yaml"]
-    changes = [words[k + 1].split("=", 1) for k, word in enumerate(words) if word == "--set"]
+    arguments = shlex.split(command)
+    assert arguments[:3] == ["rig", "grains", "a folder/check.yaml"]
+    changes = [arguments[k + 1].split("=", 1) for k, argument in enumerate(arguments) if argument == "--set"]
     grain_scene = rig.load("fig9", {key: yaml.safe_load(value) for key, value in changes})
-    for damper, grains in zip(dampers, grain_scene.dampers, strict=True):
-        assert (grains.body, grains.mass, grains.clearance) == pytest.approx(
+    for damper, grain_damper in zip(dampers, grain_scene.dampers, strict=True):
+        assert (grain_damper.body, grain_damper.mass, grain_damper.clearance) == pytest.approx(
             (damper.body, damper.mass, damper.clearance)
         )
-        assert grains.grains is not None and grains.grains.diameter == 2e-3
+        assert grain_damper.grains is not None and grain_damper.grains.diameter == 2e-3
     assert grain_scene.test is not None and level_of(grain_scene) == 4.0

@@ -25,15 +25,17 @@ def with_dampers(*changes: dict[str, Any]) -> rig.Scene:
 
 def test_new_dampers_have_the_contact_of_the_scene() -> None:
     scene = with_dampers(FINITE_CONTACT, FINITE_CONTACT)
-    question, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
-    assert str(question.impact_law) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
+    objective, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
+    assert str(objective.impact_law) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
     choice = Choice((2,), (0.1,), (1e-3,))
-    peak = question.worst(choice)
+    peak = objective.worst(choice)
     trial = Trial(choice, (peak,))
-    checked = scene_with_check(scene, trial, question)
+    checked = scene_with_check(scene, trial, objective)
     assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [(0.2, scene.dampers[0].contact)]
-    instant = replace(question, impact_law=INSTANTANEOUS)
-    assert instant.digest != question.digest and instant.worst(choice).size != pytest.approx(peak.size, rel=1e-3)
+    instant = replace(objective, impact_law=INSTANTANEOUS)
+    assert instant.digest != objective.digest and instant.worst(choice).compliance != pytest.approx(
+        peak.compliance, rel=1e-3
+    )
 
 
 def test_contact_of_the_first_damper_is_used() -> None:

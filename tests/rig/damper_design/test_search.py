@@ -1,8 +1,8 @@
 """The search returns the best choice of dampers in any order of evaluation, and one damper where one suffices.
 
-A question returns the worst peak of a choice of dampers (bodies, masses in kg, clearances in m). These tests replace
-the structure by closed forms, so that the best choice is known. A trial is a choice with its peaks. A space is the set
-of choices: bodies, total mass, and the smallest and largest clearance.
+An objective returns the worst peak of a choice of dampers (bodies, masses in kg, clearances in m). These tests replace
+the structure by closed forms, so that the best choice is known. A trial is a choice with its peaks. A search
+space is the set of choices: bodies, total mass, and the smallest and largest clearance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig
-from rig.damper_design.choice import Choice, Question, Space, Trial
+from rig.damper_design.choice import Choice, Objective, SearchSpace, Trial
 from rig.damper_design.evaluator import Evaluator
 from rig.damper_design.ranking import pareto_front
 from rig.damper_design.search import _grid_row, _optimize_common_factor, search
@@ -27,8 +27,8 @@ from rig.errors import RunError
 
 
 @dataclass(frozen=True)
-class QuadraticOptimum(Question):
-    """Question with a quadratic peak: smallest for dampers of 60 g in body 2 with a clearance of 1 mm."""
+class QuadraticOptimum(Objective):
+    """Objective with a quadratic peak: smallest for dampers of 60 g in body 2 with a clearance of 1 mm."""
 
     def worst(self, choice: Choice) -> Peak:
         deviations = [
@@ -40,8 +40,8 @@ class QuadraticOptimum(Question):
 
 
 @dataclass(frozen=True)
-class TwoLevels(Question):
-    """Question whose worst peak, at the first level, is constant; at the second level, 2 mm is the best clearance."""
+class TwoLevels(Objective):
+    """Objective whose worst peak, at the first level, is constant; at the second level, 2 mm is the best clearance."""
 
     def worst(self, choice: Choice) -> Peak:
         deviation = np.log(choice.clearances[0] / 2e-3) ** 2
@@ -51,20 +51,20 @@ class TwoLevels(Question):
         )
 
 
-def search_in_this_process(question: Question, space: Space) -> tuple[Trial, list[Trial]]:
+def search_in_this_process(objective: Objective, space: SearchSpace) -> tuple[Trial, list[Trial]]:
     """Return the best trial and all trials."""
-    return search(question, space, Evaluator(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
+    return search(objective, space, Evaluator(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
 
 
 def test_second_level_decides_if_worst_peaks_are_equal() -> None:
-    question = TwoLevels((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
-    best, _ = search_in_this_process(question, Space(((1,),), 0.1, (1e-4, 1e-2)))
+    objective = TwoLevels((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
+    best, _ = search_in_this_process(objective, SearchSpace(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
 
 
 @dataclass(frozen=True)
-class SingleBody(Question):
-    """Question where only the damper in body 2 has an effect, which is largest for the whole mass and 1 mm."""
+class SingleBody(Objective):
+    """Objective where only the damper in body 2 has an effect, which is largest for the whole mass and 1 mm."""
 
     def worst(self, choice: Choice) -> Peak:
         dampers = zip(choice.bodies, choice.masses, choice.clearances, strict=True)
@@ -77,31 +77,31 @@ class SingleBody(Question):
 
 
 def test_equal_single_damper_is_chosen() -> None:
-    question = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    best, _ = search_in_this_process(question, Space(((1, 2),), 0.1, (1e-4, 1e-2)))
+    objective = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    best, _ = search_in_this_process(objective, SearchSpace(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
     # The peak is nearly constant around the optimal clearance.
     assert best.choice.clearances[0] == pytest.approx(1e-3, rel=0.5)
 
 
 def test_search_finds_the_best_number_of_dampers() -> None:
-    question = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    _, trials = search_in_this_process(question, Space(Space.locations_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
+    objective = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    _, trials = search_in_this_process(objective, SearchSpace(SearchSpace.locations_of((1, 2), 2), 0.1, (1e-4, 1e-2)))
     for trial in pareto_front(trials):
         single_damper = Choice((2,), (trial.choice.mass,), (1e-3,))
-        assert trial.peak.size <= 1.005 * question.worst(single_damper).size
+        assert trial.peak.compliance <= 1.005 * objective.worst(single_damper).compliance
 
 
 def test_dampers_without_a_ceiling_are_tried() -> None:
-    question = HighCeiling((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
-    best, trials = search_in_this_process(question, Space(((1,),), 0.1, (1e-4, 1e-2)))
+    objective = HighCeiling((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    best, trials = search_in_this_process(objective, SearchSpace(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice == Choice((1,), (0.1,), (np.inf,))
     assert sum(not trial.choice.has_ceiling for trial in trials) == 3
 
 
 @dataclass(frozen=True)
-class HighCeiling(Question):
-    """Question where a higher ceiling is always better."""
+class HighCeiling(Objective):
+    """Objective where a higher ceiling is always better."""
 
     def worst(self, choice: Choice) -> Peak:
         return Peak(1.0 / choice.mass + 1e-3 / choice.clearances[0], 10.0, max(self.levels), 1, 1.0, 0.0)
@@ -128,12 +128,12 @@ class ShuffledWorkers:
 def test_killed_search_continues_with_identical_results(
     dampers: int, seed: int, max_pieces: int, tmp_path: Path
 ) -> None:
-    question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
-    space = Space(Space.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
+    objective = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
+    space = SearchSpace(SearchSpace.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 
     def search_with(workers: Any, table: Path) -> tuple[Trial, list[Trial]]:
         evaluator = Evaluator(workers, table, None, 1)
-        result = search(question, space, evaluator)
+        result = search(objective, space, evaluator)
         evaluator.sort()
         return result
 
@@ -146,10 +146,10 @@ def test_killed_search_continues_with_identical_results(
 
 
 def test_trials_of_larger_mass_are_not_reused(tmp_path: Path) -> None:
-    question = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
+    objective = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     for mass in (0.06, 0.03):
         evaluator = Evaluator(ShuffledWorkers(0), tmp_path / "table.csv", None, 1)  # type: ignore[arg-type]
-        best, trials = search(question, Space(((1,), (2,)), mass, (1e-4, 1e-2)), evaluator)
+        best, trials = search(objective, SearchSpace(((1,), (2,)), mass, (1e-4, 1e-2)), evaluator)
         assert best.choice.mass == pytest.approx(mass)
         assert max(trial.choice.mass for trial in trials) <= mass * (1 + 1e-12)
 
@@ -167,7 +167,7 @@ def test_tried_clearances_are_allowed_and_distinct(bodies: tuple[int, ...], star
         assert len(set(body_clearances)) == len(body_clearances) and choice.mass == pytest.approx(0.1)
         return sum(choice.clearances)
 
-    row = _grid_row(Space((bodies,), 0.1, (1e-4, 1e-2), without_ceiling=False), bodies, 1.0)
+    row = _grid_row(SearchSpace((bodies,), 0.1, (1e-4, 1e-2), allows_no_ceiling=False), bodies, 1.0)
     for choice in row:
         check_choice(choice)
     _optimize_common_factor(row[start], check_choice, step, (1e-4, 1e-2))

@@ -15,7 +15,7 @@ import pytest
 from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds import packing
-from rig.grain_beds.bed import Bed
+from rig.grain_beds.bed import FLOOR, Bed
 from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
@@ -107,7 +107,7 @@ def test_settled_packing_is_at_rest_and_stored() -> None:
 
     bed = Bed(spheres, positions, np.inf, 9.80665, spheres.longest_step())
 
-    assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
+    assert bed.forces()[FLOOR] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
     assert np.array_equal(settled_positions(spheres), positions)
     # The grains overlap by less than 1 % of the smallest radius.
     radii = 0.5 * spheres.diameters()
@@ -123,7 +123,7 @@ def test_bed_of_many_layers_starts_at_rest(count: int, cavity: float, seed: int)
     bed = Bed(spheres, settled_positions(spheres), np.inf, 9.80665, spheres.longest_step())
 
     for _ in range(200):
-        assert bed.forces()[0] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
+        assert bed.forces()[FLOOR] == pytest.approx(spheres.mass * 9.80665, rel=1e-3)
         bed.advance()
 
 

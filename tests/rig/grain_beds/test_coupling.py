@@ -10,6 +10,7 @@ import pytest
 
 import rig
 from rig.errors import SceneError
+from rig.grain_beds.bed import CEILING
 from rig.grain_beds.coupling import CoupledPropagator
 from tests.rig.grain_beds.scenes import momentum_errors, with_grains, without_grains
 
@@ -24,13 +25,13 @@ def test_momentum_of_a_free_body_is_balanced() -> None:
     # A time step of the motion has several substeps of the grains.
     time = np.arange(coupled.substeps * 80 + 1) * coupled.step
     # A sine of 30 Hz, and the weight of the body.
-    force = (0.4 * np.sin(188.5 * time) + BODY_MASS * 9.80665)[None]
+    force = (0.4 * np.sin(2 * np.pi * 30.0 * time) + BODY_MASS * 9.80665)[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
     initial_momentum = coupled.momentum
 
     trajectory, beds = coupled.propagate_steps(force)
 
-    assert beds.force[0, 1].min() < 0.0, "the bed did not hit the ceiling"
+    assert beds.force[0, CEILING].min() < 0.0, "the bed did not hit the ceiling"
     body_momentum = BODY_MASS * trajectory.state[-1, 1]
     impulse = 0.5 * coupled.step * (force[0, :-1] + force[0, 1:]).sum()
     weight_impulse = scene.dampers[0].mass * scene.gravity * time[-1]

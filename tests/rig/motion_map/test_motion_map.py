@@ -46,11 +46,11 @@ def test_row_equals_the_frequency_response(fig9_map: rig.MotionMap) -> None:
     np.testing.assert_allclose(response.impacts.sum(axis=0), fig9_map.impacts[-1])
 
 
-def test_take_off_accelerates_the_damper_at_gravity() -> None:
+def test_take_off_level_accelerates_the_damper_at_1_g() -> None:
     scene = rig.load("fig8-three-dampers")
     frequency = np.array([12.0, 33.3, 47.6])
-    response = receptance(scene, frequency, riding=(1, 2, 3))
-    accelerance = np.abs(response).max(axis=0) * (2 * np.pi * frequency) ** 2
+    compliance = receptance(scene, frequency, riding=(1, 2, 3))
+    accelerance = np.abs(compliance).max(axis=0) * (2 * np.pi * frequency) ** 2
     np.testing.assert_allclose(
         take_off_levels(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9
     )
@@ -63,6 +63,7 @@ def test_rows_include_value_of_scene_and_take_off() -> None:
     scene = rig.load("fig9")
     frequency = select_frequencies(scene)
     levels = select_row_values(scene, "force", frequency)
+    # The scene has a force of 3.3 N and a clearance of 0.98 mm.
     assert np.isclose(levels, 3.3, rtol=1e-12).sum() == 1
     assert levels[0] < take_off_levels(scene, frequency).min() < levels[-1]
     clearances = select_row_values(scene, "clearance", frequency)
@@ -74,8 +75,8 @@ def test_frequencies_cluster_at_natural_frequencies() -> None:
     frequency = select_frequencies(rig.load("fig8-three-dampers"))
     assert (frequency[0], frequency[-1], len(frequency)) == (8.0, 60.0, 48)
     assert (np.diff(frequency) > 0.0).all()
-    narrowest = frequency[int(np.argmin(np.diff(frequency)))]
-    assert 12.0 < narrowest < 13.5
+    finest = frequency[int(np.argmin(np.diff(frequency)))]
+    assert 12.0 < finest < 13.5  # around the first natural frequency
 
 
 def test_table_drive_becomes_the_axis() -> None:
@@ -97,7 +98,8 @@ def test_locked_dampers_keep_their_clearance() -> None:
     first, *rest = scene.dampers
     scene = scene.replace(dampers=(first.replace(locked=True), *rest))
     result = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
-    assert result.motion[0, 0].count("/") == 1
+    # Motion types of the two dampers that are not locked.
+    assert len(result.motion[0, 0].split("/")) == 2
     assert vertical_axis(scene, "clearance") == ("clearance", "m")
 
 
@@ -106,7 +108,7 @@ def test_linear_scene_is_rejected() -> None:
         rig.map_motion("fig8-no-damper")
 
 
-def test_values_outside_a_range_are_quoted() -> None:
+def test_errors_state_the_invalid_range() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="50 to 40 Hz"):
         select_frequencies(scene, 50.0, 40.0)
@@ -116,7 +118,7 @@ def test_values_outside_a_range_are_quoted() -> None:
         rig.map_motion(scene, values=[-1.0], frequencies=[49.0])
 
 
-def test_interrupted_map_stops_its_rows() -> None:
+def test_interrupted_map_stops_its_workers() -> None:
     def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt
 
@@ -133,16 +135,21 @@ def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch:
 
     with pytest.raises(KeyboardInterrupt):
         rig.map_motion("fig9", **arguments, progress=interrupt)
-    counts: list[int] = []
-    result = rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
-    assert counts == [2, 4, 6]
-    second_result = rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
-    assert counts[3:] == [6]
+
+    def map_and_report() -> tuple[rig.MotionMap, list[int]]:
+        """Return the map, and the number of its completed points after each row of two points."""
+        reported: list[int] = []
+        result = rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: reported.append(n_completed))
+        return result, reported
+
+    result, reported = map_and_report()
+    assert reported == [2, 4, 6]
+    second_result, reported = map_and_report()
+    assert reported == [6]
     for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
         np.testing.assert_array_equal(getattr(result, name), getattr(second_result, name))
     monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other code")
-    rig.map_motion("fig9", **arguments, progress=lambda n_completed, total: counts.append(n_completed))
-    assert counts[4:] == [2, 4, 6], "rows of other code are not reused"
+    assert map_and_report()[1] == [2, 4, 6], "rows computed by other code were reused"
 
 
 @pytest.mark.thorough

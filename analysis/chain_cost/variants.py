@@ -77,7 +77,7 @@ def _with_presets_filled_in(channel: Channel) -> Channel:
 
 
 def scene_setting(scene: Scene, group: str) -> str:
-    """Describe the unchanged setting of the part `group`, one of `GROUPS`, in an expanded scene."""
+    """Describe the setting of a part of the chain, one of `GROUPS`, in an expanded scene."""
     converter, channels = scene.converter, scene.channels or ()
     if group == "sample rate":
         return f"{converter.rate:.6g} Hz"
@@ -131,8 +131,8 @@ def variants(
     """Change one part at a time in the scene from `without_noise`, where noise does not mask the effects.
 
     `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
-    integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene, V, which
-    determines the range of a converter without a range.
+    integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene, V; it determines the range
+    of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):
         noisy = _with_noise(scene, factor)

@@ -141,9 +141,9 @@ def _describe_settings(beds: Columns) -> str:
         "wide bed; the effect of a rough side is not included. The compliance is that of a body ten times as heavy as "
         f"its bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
         f"periods without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last "
-        "two thirds. A clearance is measured from the highest grain; most others are lower. It differs between "
-        "packings by a tenth of a diameter, which matters for small clearances. Clearances that one mass does not "
-        "cross are omitted, except no ceiling. `analysis beds` computes the table again; with `--points 6` a small "
+        "two thirds. The clearance is measured from the highest grain; most others are lower. The height of this grain "
+        "differs between packings by a tenth of a diameter, which matters for small clearances. Clearances at which one "
+        "mass does not reach the ceiling are omitted, as they equal no ceiling. `analysis beds` computes the table again; with `--points 6` a small "
         "table in minutes."
     )
 
@@ -168,18 +168,18 @@ def _describe_mode(beds: Columns, frequency: float) -> str:
     """Compare grains with one mass at another resonance."""
     at_frequency = select(beds, beds["frequency"] == frequency)
     deviations, without_ceiling = (100.0 * deviation(at_frequency, "compliance"), np.isinf(at_frequency["clearance"]))
-    parts = (
+    texts = (
         f"{label} {_count_within(deviations[selected], 100 * MAX_DEVIATION)} of {int(selected.sum())} within "
         f"{100 * MAX_DEVIATION:g} %, median {np.median(deviations[selected]):+.0f} %, from "
         f"{deviations[selected].min():+.0f} to {deviations[selected].max():+.0f} %"
         for label, selected in (("without a ceiling", without_ceiling), ("below a ceiling", ~without_ceiling))
         if selected.any()
     )
-    return f"At {frequency:g} Hz, compliance of grains relative to one mass: {'; '.join(parts)}."
+    return f"At {frequency:g} Hz, compliance of grains relative to one mass: {'; '.join(texts)}."
 
 
 def _describe_deviation(beds: Columns, name: str, label: str) -> str:
-    """State the deviation of a measure of grains from one mass over all settings."""
+    """State the deviation of a measure (`MEASURES`) of grains from one mass over all settings."""
     deviations, error = deviation(beds, name), deviation_error(beds, name)
     deviations, error = deviations[np.isfinite(deviations)], error[np.isfinite(deviations)]
     has_error = np.isfinite(error)

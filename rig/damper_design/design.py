@@ -66,8 +66,8 @@ class Design(Result):
         Take-off level and flight height of the dampers.
     trials : tuple of Trial
         All designs computed; `front` is the Pareto front of peak against added mass.
-    objective : Objective
-        The objective; `space` is the space of candidate designs.
+    question : Objective
+        The objective of the search; `space` is the space of candidate designs.
     levels : ndarray, shape (levels,)
         Forces of the chart, including the requested levels, N.
     clearance_factors : ndarray, shape (factors,)

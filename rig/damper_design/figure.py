@@ -140,7 +140,7 @@ def describe_check(design: Design, scene: Path) -> str:
             *map(_expected_line, design.expected),
             *overload_lines(overloads, finite_contact),
             "",
-            "to check it, without and with dampers:",
+            "to check the design, without and with dampers:",
             f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
             f"-o {without_dampers}",
             f"daq record {file}{remedies} -o {with_dampers}",
@@ -154,12 +154,12 @@ def describe_check(design: Design, scene: Path) -> str:
 
 def _expected_line(expected: Expected) -> str:
     peak = expected.peak
-    through_shaker = "no steady motion: values scatter"
+    in_this_test = "no steady motion: values scatter"
     if expected.compliances is not None:
-        low, nominal, high = (f"{1e6 * size:.4g}" for size in expected.compliances)
-        through_shaker = f"{nominal} ({low} to {high})"
+        low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
+        in_this_test = f"{nominal} ({low} to {high})"
     operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
-    return f"{operating_point}{1e6 * peak.compliance:15.4g}  {through_shaker}"
+    return f"{operating_point}{1e6 * peak.compliance:15.4g}  {in_this_test}"
 
 
 def _draw(design: Design) -> Figure:
@@ -269,13 +269,13 @@ def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: 
     beds = ", ".join(_as_shot(damper) for damper in dampers)
     low, high = (f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH))
     without, below = WITHOUT_CEILING, BELOW_CEILING
-    smallest_decrease, largest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
+    largest_decrease, smallest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
     return [
         "these results are for beds that move as one mass. In a comparison with beds of grains (analysis beds)",
         f"the compliance was within 10 % in {without.agreeing} of {without.settings} settings without a ceiling, and "
         f"in {below.agreeing} of {below.settings} with one,",
-        f"where the middle half of the results with grains was {largest_decrease} to {smallest_decrease} % lower. "
-        f"These dampers as shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
+        f"where the middle half of the results with grains was {smallest_decrease} to {largest_decrease} % lower.",
+        f"To simulate these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
         f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_BAND_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig.damper_design.choice import COARSE_DENSITY, Objective, Trial
+from rig.damper_design.choice import Objective, Trial
 from rig.damper_design.ranking import EQUAL_DB
 from rig.damper_design.worst_peak import Peak, response_at_level
 from rig.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
@@ -17,6 +17,8 @@ from rig.scene.scene import Scene
 
 #: Smallest peak reduction at which dampers count as effective, dB.
 EFFECTIVE_DB = 1.0
+#: Number of frequencies over the band, in addition to natural frequencies and peaks.
+_BAND_POINTS = 20
 #: Body acceleration above which dampers are usually effective, computed with the dampers at rest on their floors, g.
 _EFFECTIVE_G = 3.0
 
@@ -42,6 +44,7 @@ def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: boo
     """Compute the take-off level of the dampers of a trial, and their flight height if the ceiling is unreached."""
     scene = _damped_scene(objective, trial)
     accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
+    # The damper that takes off first, as the level rises.
     first = int(accelerations.argmax())
     take_off = float(scene.gravity / accelerations[first])
     return Flight(take_off, trial.choice.bodies[first], _height(objective, trial) if is_ceiling_unreached else np.nan)
@@ -71,7 +74,7 @@ def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
     low, high = objective.band
     natural = natural_frequencies(scene, low, high)
     peaks = [peak.frequency for peak in trial.peaks]
-    return np.unique(np.concatenate([select_frequencies(scene, low, high, COARSE_DENSITY), natural, peaks]))
+    return np.unique(np.concatenate([select_frequencies(scene, low, high, _BAND_POINTS), natural, peaks]))
 
 
 def ineffective_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:

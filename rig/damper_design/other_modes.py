@@ -15,7 +15,7 @@ from rig.system.structural_model import structural_model
 
 #: Largest relative distance from a natural frequency at which a peak is assigned to its mode.
 MAX_PEAK_OFFSET = 0.15
-#: Largest number of modes evaluated, those nearest to the band.
+#: Largest number of evaluated modes: those nearest to the band.
 _MAX_MODES = 6
 #: Number of equally good designs that are compared outside the band.
 _MAX_COMPARED = 5
@@ -43,27 +43,25 @@ def mode_objectives(objective: Objective) -> list[tuple[float, Objective]]:
     midpoints = np.sqrt(natural[1:] * natural[:-1])
     lower_ends = np.maximum(natural * (1.0 - MAX_PEAK_OFFSET), np.concatenate([[0.0], midpoints]))
     upper_ends = np.minimum(natural * (1.0 + MAX_PEAK_OFFSET), np.concatenate([midpoints, [np.inf]]))
-    mode_objectives = []
+    objectives = []
     for k in nearest.tolist():
         in_band = low < natural[k] < high
         limits = (max(lower_ends[k], low), min(upper_ends[k], high)) if in_band else (lower_ends[k], upper_ends[k])
         band = float(limits[0]), float(limits[1])
         if band[0] < natural[k] < band[1]:
-            mode_objectives.append((float(natural[k]), replace(objective, scenes=(nominal,), band=band)))
-    return mode_objectives
+            objectives.append((float(natural[k]), replace(objective, scenes=(nominal,), band=band)))
+    return objectives
 
 
 def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tuple[ModePeaks, ...]:
-    """Compute the peaks of every mode with the dampers of a trial.
-
-    If a single mode lies in the band, its peaks are the peaks of the trial.
-    """
+    """Compute the peaks of each mode in and next to the band, with the dampers of a trial and without dampers."""
     low, high = objective.band
     modes = mode_objectives(objective)
     is_single_mode = sum(low < frequency < high for frequency, _ in modes) == 1 and len(objective.scenes) == 1
     peaks = []
     for frequency, mode_objective in modes:
         in_band = low < frequency < high
+        # The peaks of a single mode in the band are those of the trial.
         if in_band and is_single_mode:
             peaks.append(ModePeaks(frequency, True, objective.undamped_peak, trial.peaks))
         else:

@@ -45,16 +45,14 @@ MAX_REFINED_LOCATIONS = 2
 MASS_ROUNDING = 1e-9
 #: Initial ratio of the clearances of two dampers in one body.
 CLEARANCE_RATIO = 1.1
-#: Number of best designs in the final comparison.
+#: Number of best designs in the final comparison on the fine frequency grid.
 FINAL_DESIGNS = 3
 
 
 def estimate_piece_count(objective: Objective, space: SearchSpace) -> int:
     """Estimate the number of pieces (a design at one level, for one structure) that a search computes."""
-    grid_size, pieces_per_design = (
-        len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1),
-        len(objective.subproblems),
-    )
+    grid_size = len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1)
+    pieces_per_design = len(objective.subproblems)
     refinements = (len(space.locations) + 2 * len(GRID_MASS_RATIOS)) * MAX_REFINEMENT_TRIALS
     return grid_size + int(TYPICAL_COMPLETED_SHARE * grid_size * pieces_per_design) + refinements * pieces_per_design
 
@@ -62,7 +60,7 @@ def estimate_piece_count(objective: Objective, space: SearchSpace) -> int:
 def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tuple[Trial, list[Trial]]:
     """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `rank_trials`.
 
-    Returns the best design, with its peaks on a finer grid of frequencies, and all computed designs.
+    Returns the best design, with its peaks on the fine frequency grid, and all computed designs.
     """
 
     def optimize_from(starts: Iterable[Choice], optimize: Callable[..., object]) -> dict[Choice, Trial]:
@@ -129,13 +127,15 @@ def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> li
     count, (low, high) = len(location), space.clearance
     # Identical dampers in one body would move identically until rounding errors separate them.
     ratios = [CLEARANCE_RATIO ** location[:k].count(body) for k, body in enumerate(location)]
-    first = Choice(location, (share * space.max_mass / count,) * count, tuple(ratios))
+    unit_clearances = Choice(location, (share * space.max_mass / count,) * count, tuple(ratios))
     row = [
-        first.scale_clearances(clearance)
+        unit_clearances.scale_clearances(clearance)
         for clearance in np.geomspace(low, high / max(ratios), GRID_CLEARANCES).tolist()
     ]
     # Two dampers without ceilings in one body move as one damper of their total mass.
-    return row if len(set(location)) < count or not space.allows_no_ceiling else [*row, first.without_ceiling()]
+    return (
+        row if len(set(location)) < count or not space.allows_no_ceiling else [*row, unit_clearances.without_ceiling()]
+    )
 
 
 def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:

@@ -70,6 +70,7 @@ def clearance_tolerance(
     """
     max_peak = best.peak.compliance * 10.0 ** (MAX_RISE_DB / 20.0)
     choice, heaviest_index = best.choice, best.choice.heaviest_index
+    # The interval consists of this choice with all clearances multiplied by a factor.
     unscaled = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
     acceptable = {1.0: True} if choice.has_ceiling else {}
     for trial in trials:
@@ -87,20 +88,24 @@ def clearance_tolerance(
             acceptable[factor] = trial.peak.compliance <= max_peak
         return acceptable[factor]
 
-    reference = unscaled.clearances[heaviest_index]
+    unscaled_clearance = unscaled.clearances[heaviest_index]
     if not is_acceptable(1.0):
         return Tolerance(np.inf, np.inf, (False, False), np.inf)
-    low, low_limited = _interval_end(is_acceptable, acceptable, min(space.clearance[0] / min(unscaled.clearances), 1.0))
+    low, low_at_limit = _interval_end(
+        is_acceptable, acceptable, min(space.clearance[0] / min(unscaled.clearances), 1.0)
+    )
     if not choice.has_ceiling:
-        return Tolerance(reference * low, np.inf, (low_limited, False), np.inf)
-    high, high_limited = _interval_end(
+        return Tolerance(unscaled_clearance * low, np.inf, (low_at_limit, False), np.inf)
+    high, high_at_limit = _interval_end(
         is_acceptable, acceptable, max(space.clearance[1] / max(unscaled.clearances), 1.0)
     )
-    if high_limited and space.allows_no_ceiling and len(set(choice.bodies)) == len(choice.bodies):
-        (unlimited,) = evaluator.compute(objective, [choice.without_ceiling()])
-        if unlimited.peak.compliance <= max_peak:
-            high, high_limited = np.inf, False
-    return Tolerance(reference * low, reference * high, (low_limited, high_limited), reference)
+    if high_at_limit and space.allows_no_ceiling and len(set(choice.bodies)) == len(choice.bodies):
+        (without_ceiling,) = evaluator.compute(objective, [choice.without_ceiling()])
+        if without_ceiling.peak.compliance <= max_peak:
+            high, high_at_limit = np.inf, False
+    return Tolerance(
+        unscaled_clearance * low, unscaled_clearance * high, (low_at_limit, high_at_limit), unscaled_clearance
+    )
 
 
 def _interval_end(

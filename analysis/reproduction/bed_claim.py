@@ -142,9 +142,9 @@ def _describe_settings(beds: Columns) -> str:
         f"its bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
         f"periods without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last "
         "two thirds. The clearance is measured from the highest grain; most others are lower. The height of this grain "
-        "differs between packings by a tenth of a diameter, which matters for small clearances. Clearances at which one "
-        "mass does not reach the ceiling are omitted, as they equal no ceiling. `analysis beds` computes the table again; with `--points 6` a small "
-        "table in minutes."
+        "differs between packings by a tenth of a diameter, which matters for small clearances. Clearances at which "
+        "one mass does not reach the ceiling are omitted, as they equal no ceiling. `analysis beds` computes the table "
+        "again; with `--points 6` a small table in minutes."
     )
 
 

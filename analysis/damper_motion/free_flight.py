@@ -147,9 +147,10 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     apparent_gravity = -np.sign(detected.jump) * (detected.acceleration + gravity)
     unresolved_rebound = 0.5 * detected.resolution * np.maximum(apparent_gravity, 0.0)
     wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)
-    time, length = detected.time - motion.start / rate, motion.samples.size / rate
+    time, duration = detected.time - motion.start / rate, motion.samples.size / rate
+    # Impacts at which a flight may begin, by their indices.
     candidates = np.flatnonzero(
-        (time[:-1] > _EXCLUDED_END_RATIO * length) & (time[1:] < (1.0 - _EXCLUDED_END_RATIO) * length)
+        (time[:-1] > _EXCLUDED_END_RATIO * duration) & (time[1:] < (1.0 - _EXCLUDED_END_RATIO) * duration)
     )
     estimates = []
     for k in candidates[np.isfinite(wall[candidates]) & np.isfinite(wall[candidates + 1])]:

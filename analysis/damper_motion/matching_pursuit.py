@@ -101,9 +101,10 @@ _BLOCK_SAMPLES = 256
 class MatchingPursuit:
     """Search of one segment: its differenced residual, and the jumps that were subtracted.
 
-    `models`: one model for each order of the smooth motion, from which the search chooses; `samples`, `is_valid`:
-    readings, and whether each is valid; `noise_floor`: minimum standard deviation of a reading; `rate`: readings per
-    second; `noise_quantile`: quantile of the filter output from which the noise is estimated.
+    `models`: one model for each order of the smooth motion, from which the search chooses; `readings`: samples, or
+    averages of samples; `is_valid`: whether each reading is valid; `noise_floor`: minimum standard deviation of a
+    reading; `rate`: readings per second; `noise_quantile`: quantile of the filter output from which the noise is
+    estimated.
 
     Attributes
     ----------
@@ -124,7 +125,7 @@ class MatchingPursuit:
     def __init__(
         self,
         models: Sequence[ImpactModel],
-        samples: Array,
+        readings: Array,
         is_valid: NDArray[np.bool_],
         noise_floor: float,
         rate: float,
@@ -134,16 +135,16 @@ class MatchingPursuit:
 
         self.noise_floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
         if not is_valid.all():
-            samples = np.interp(np.arange(samples.size), np.flatnonzero(is_valid), samples[is_valid])
+            readings = np.interp(np.arange(readings.size), np.flatnonzero(is_valid), readings[is_valid])
         self.model = model = models[0]
-        self.residual = np.diff(samples, model.difference_order)
-        self.prior = self._prior_deviations(samples)
+        self.residual = np.diff(readings, model.difference_order)
+        self.prior = self._prior_deviations(readings)
         # Distance of a window's sample 0 from its first difference.
         self.window_offset = model.difference_order - model.window_start
         invalid_in_window = np.convolve(~is_valid, np.ones(model.min_separation), mode="full")
         has_invalid = invalid_in_window[model.min_separation - 1 :] != 0
         self.valid = ~has_invalid[: self.residual.size - model.window_length + 1]
-        # A jump in the last samples of a segment is outside all windows and appears in the nearest window as a jump at
+        # A jump in the last readings of a segment is outside all windows and appears in the nearest window as a jump at
         # another time.
         self.searchable = minimum_filter1d(self.valid, model.window_length, mode="constant", cval=False)
         self.jumps: list[Jump] = []
@@ -313,11 +314,12 @@ class MatchingPursuit:
             self._cache[order] = np.einsum("ij,ij->i", rows, rows)
         return self._cache[order]
 
-    def _unexplained_segments(self, jump: float) -> list[tuple[int, int]]:
-        """Return the first and last window of each segment with a residual larger than a jump of this size, m/s."""
+    def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
+        """Return the first and last window of each segment with a residual larger than a jump of this size in m/s."""
         first = self._windows()
         above_threshold = (
-            self._residual_squares(self.window_model.polynomial_order) > (jump * self.window_model.template_norm) ** 2
+            self._residual_squares(self.window_model.polynomial_order)
+            > (jump_size * self.window_model.template_norm) ** 2
         )
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(above_threshold)]
 
@@ -373,10 +375,10 @@ class MatchingPursuit:
             )[0]
         self._replace(old_jumps, new_jumps)
 
-    def _prior_deviations(self, samples: Array) -> tuple[float, float]:
+    def _prior_deviations(self, readings: Array) -> tuple[float, float]:
         """Estimate prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
         integrations = self.model.difference_order - 2
-        acceleration = np.diff(samples, integrations) * self.rate**integrations
+        acceleration = np.diff(readings, integrations) * self.rate**integrations
         acceleration = acceleration - np.median(acceleration)
         acceleration = np.convolve(acceleration, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
         # If the reading is constant, the acceleration is at most that of its rounding.

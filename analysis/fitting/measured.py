@@ -134,6 +134,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
 
 
 def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
+    """Return the curves of one sweep or test, without dead channels and without points that cannot be fitted."""
     zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if len(zero_responses) == len(frfs):
         raise RecordingError(

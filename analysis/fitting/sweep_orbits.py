@@ -233,8 +233,8 @@ class _OrbitSolver:
         solution = self._refine_at_drive(start, frequency, self._initial_drive(start, level))
         if solution is None:
             return None
-        stored, ratio, reached = solution
-        return stored, ratio if start.slope is None else ratio + start.slope * (level - reached)
+        stored, ratio, reached_level = solution
+        return stored, ratio if start.slope is None else ratio + start.slope * (level - reached_level)
 
     def refine(self, start: StoredOrbit, frequency: float, level: float, check: bool = True) -> OrbitResponse | None:
         """Refine an orbit at a frequency and level by Newton's method and, for the drive, the secant method.
@@ -249,20 +249,20 @@ class _OrbitSolver:
             solution = self._refine_at_drive(start, frequency, drive)
             if solution is None:
                 return None
-            start, ratio, reached = solution
-            level_per_drive = reached / drive
+            start, ratio, reached_level = solution
+            level_per_drive = reached_level / drive
             if previous is not None:
                 previous_drive, previous_level, previous_ratio = previous
-                level_per_drive = (reached - previous_level) / (drive - previous_drive)
-                slope = (ratio - previous_ratio) / (reached - previous_level)
-                if abs(reached / level - 1.0) < _LEVEL_TOLERANCE:
+                level_per_drive = (reached_level - previous_level) / (drive - previous_drive)
+                slope = (ratio - previous_ratio) / (reached_level - previous_level)
+                if abs(reached_level / level - 1.0) < _LEVEL_TOLERANCE:
                     if check and self._refine_at_drive(start, frequency, drive, check) is None:
                         return None
-                    return replace(start, slope=slope), ratio + slope * (level - reached)
+                    return replace(start, slope=slope), ratio + slope * (level - reached_level)
             if not level_per_drive > 0.0:
                 return None
-            previous = drive, reached, ratio
-            step = (level - reached) / level_per_drive / drive
+            previous = drive, reached_level, ratio
+            step = (level - reached_level) / level_per_drive / drive
             drive *= 1.0 + float(np.copysign(np.clip(abs(step), _MIN_RELATIVE_STEP, 0.5), step))
         return None
 

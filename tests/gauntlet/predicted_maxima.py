@@ -106,11 +106,11 @@ def compare(scene: rig.Scene, kind: str, folder: Path) -> Comparison:
         kind,
         max_error,
         channel_name,
-        not prediction.rehearsed,
-        overloaded,
-        abort_agrees,
-        seconds,
-        prediction.seconds / duration - 1.0,
+        fully_rehearsed=not prediction.rehearsed,  # it describes the rehearsed part, if there is only a part
+        overloaded=overloaded,
+        abort_agrees=abort_agrees,
+        seconds=seconds,
+        duration_error=prediction.seconds / duration - 1.0,
     )
 
 
@@ -138,8 +138,8 @@ def main() -> int:
             )
     for group, limit in MAX_RELATIVE_ERROR.items():
         errors = [comparison.max_error for comparison in comparisons if comparison.group == group]
-        inside = sum(error <= limit for error in errors)
-        print(f"{group}: {inside} of {len(errors)} within {limit:.0%}, largest {max(errors, default=0.0):.2%}")
+        n_accurate = sum(error <= limit for error in errors)
+        print(f"{group}: {n_accurate} of {len(errors)} within {limit:.0%}, largest {max(errors, default=0.0):.2%}")
     return 0 if all(comparison.is_accurate for comparison in comparisons) else 1
 
 

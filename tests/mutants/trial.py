@@ -74,7 +74,7 @@ def try_group(group: str, count: int, seed: int) -> list[Trial]:
                 compiled.unlink()
             command = (
                 f"{sys.executable} -m pytest -x -q -n 0 -m 'not thorough' -p no:cacheprovider "
-                f"-p tests.mutants.quickly {module} {GROUPS[group][module]}"
+                f"-p tests.mutants.fast_failure {module} {GROUPS[group][module]}"
             )
             # Without numba: it would compile the engine's kernels for minutes with each mutation.
             os.environ["NUMBA_DISABLE_JIT"] = str(int(module.startswith("rig/engine/")))

@@ -72,6 +72,7 @@ def test_jump_near_peak_removes_upper_bound() -> None:
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), estimate)
     assert math.isinf(change.decibel[2])
     _, row, remark = describe_changes([change])
+    # The highest measured point is 12.0 m/N, without dampers 1e-3 m/N: at least 81.6 dB.
     assert "above +81.6" in row and "the peak after may be higher" in remark
 
 
@@ -116,6 +117,7 @@ def test_warning_of_coarse_points_states_required_step() -> None:
 def test_changes_are_printed_with_their_limits() -> None:
     peaks = [Peak(1e-3, 1e-5, 10.0, 9.9, 10.1), Peak(2e-4, 1e-5, 9.5, 9.4, 9.8), Peak(1e-3, 2e-5, 10.05, 9.9, 10.2)]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
+    # Columns: heights in µm/N, change in dB with its limits, shift in Hz with its limits.
     _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes))
     assert lowered[2:6] == ["1000", "200", "-14.0", "-14.5 to -13.5"]
     assert lowered[6:8] == ["-0.50", "-0.70 to -0.10"]

@@ -20,6 +20,7 @@ def with_damper(**damper):
     [
         {"contact": {"duration": 2e-3}, "restitution": 0.4},
         {"contact": {"duration": 2e-3}, "restitution": 0.0},
+        # Critical damping of the reduced mass of damper (0.05 kg) and body (0.71 kg).
         {"contact": {"stiffness": 1e5, "damping": 2.0 * np.sqrt(1e5 * 0.05 * 0.71 / 0.76)}},
     ],
 )

@@ -105,6 +105,12 @@ def test_linear_resonance_is_not_a_jump(tmp_path):
             assert [jumps(curve) for curve in curves] == [[], [], []]
 
 
+def motion_with(floor, ceiling, **fields):
+    """Return a motion with these numbers of impacts per period."""
+    defaults = {"stays_at_ceiling": False, "threshold": 1e-3, "stays_on_floor": False}
+    return DamperMotion(**{"frequency": 30.0, "channel": "body2", **defaults, **fields}, floor=floor, ceiling=ceiling)
+
+
 @pytest.mark.parametrize(
     ("floor", "ceiling", "stays_at_ceiling", "name"),
     [
@@ -117,8 +123,7 @@ def test_linear_resonance_is_not_a_jump(tmp_path):
     ],
 )
 def test_type_follows_from_impacts_per_period(floor, ceiling, stays_at_ceiling, name):
-    motion = DamperMotion(30.0, "body2", floor, ceiling, stays_at_ceiling, threshold=1e-3, stays_on_floor=True)
-    assert motion.name == name
+    assert motion_with(floor, ceiling, stays_at_ceiling=stays_at_ceiling, stays_on_floor=True).name == name
 
 
 @pytest.fixture(scope="module")
@@ -148,29 +153,29 @@ def types_from_truth(rec, sweep):
 
 
 def test_possible_flight_is_not_called_riding() -> None:
-    motion = DamperMotion(30.0, "body2", 0, 0, False, 0.2, False)
+    motion = motion_with(0, 0, stays_on_floor=False)
     assert motion.name == "unseen"
     assert "may fly" in describe_motions([[motion]])[1]
 
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
 def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
-    motion_type = DamperMotion(30.0, "body2", floor, ceiling, False, 1e-3, False, pattern_periods=0).name
+    motion_type = motion_with(floor, ceiling, pattern_periods=0).name
     assert motion_type == "unsure: impacts are missed, or the motion is irregular"
 
 
 def test_pattern_of_two_periods_has_half_impacts() -> None:
-    motion_type = DamperMotion(30.0, "body2", 0.53, 1.47, False, 1e-3, False, pattern_periods=2).name
+    motion_type = motion_with(0.53, 1.47, pattern_periods=2).name
     assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts a period"
 
 
 def test_reachable_ceiling_excludes_type_i() -> None:
-    motion_type = DamperMotion(30.0, "body2", 1, 0, False, 1e-3, False, may_reach_ceiling_unseen=True).name
+    motion_type = motion_with(1, 0, may_reach_ceiling_unseen=True).name
     assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
 
 
 def test_patterns_are_described_with_counts() -> None:
-    motions = [DamperMotion(f, "body2", n, 0, False, 1e-3, False) for f, n in ((10.0, 2), (11.0, 3))]
+    motions = [motion_with(n, 0, frequency=f) for f, n in ((10.0, 2), (11.0, 3))]
     _, first, second, limit = describe_motions([motions])
     assert "2 floor" in first and "3 floor" in second and "1 mm/s (body2)" in limit
 
@@ -196,7 +201,7 @@ def test_riding_requires_acceleration_above_minus_g(tmp_path, fundamental, third
 
 
 def test_ranges_end_at_omitted_frequencies() -> None:
-    motions = [DamperMotion(f, "body2", 1, 0, False, 1e-3, False) for f in (10.0, 11.0, 13.0, 14.0)]
+    motions = [motion_with(1, 0, frequency=f) for f in (10.0, 11.0, 13.0, 14.0)]
     assert "10 to 11 and 13 to 14 Hz" in describe_motions([motions], [12.0])[1]
     assert "10 to 14 Hz" in describe_motions([motions])[1]
 

@@ -75,12 +75,13 @@ def random_test(chain: Chain, path: Path, seed: int) -> dict[str, Any]:
     rate, low, high, duration = 1000.0, 4.0, 220.0, 40.0
     count = 2 * round(duration * rate)
     frequency = np.fft.rfftfreq(count, 1.0 / rate)
-    inside = (frequency > 0.5 * low) & (frequency < 1.2 * high)
+    # The force covers more than the band of the test.
+    is_excited = (frequency > 0.5 * low) & (frequency < 1.2 * high)
     spectrum = np.zeros(frequency.size, dtype=complex)
-    spectrum[inside] = random.normal(size=inside.sum()) + 1j * random.normal(size=inside.sum())
+    spectrum[is_excited] = random.normal(size=is_excited.sum()) + 1j * random.normal(size=is_excited.sum())
     spectra = np.zeros((chain.masses.size + 1, frequency.size), dtype=complex)
     spectra[0] = spectrum
-    spectra[1:, inside] = accelerances(chain, frequency[inside]) * spectrum[inside]
+    spectra[1:, is_excited] = accelerances(chain, frequency[is_excited]) * spectrum[is_excited]
     rows = np.fft.irfft(spectra, count, axis=1)[:, : count // 2]
     rows *= 10.0 / rows[0].std()
     noise_rms = np.array([0.03] + [0.01] * chain.masses.size) * rows.std(axis=1)
@@ -88,12 +89,12 @@ def random_test(chain: Chain, path: Path, seed: int) -> dict[str, Any]:
     names = ["force [N]", *(f"a{k} [m/s^2]" for k in range(1, chain.masses.size + 1))]
     table = np.vstack([np.arange(count // 2) / rate, rows]).T
     np.savetxt(path, table, "%.9g", ",", header=",".join(["time [s]", *names]), comments="")
-    guess = np.random.default_rng(seed + 1)
+    guess_random = np.random.default_rng(seed + 1)
     return {
         "name": path.stem,
         "structure": {
-            "masses": (chain.masses * np.exp(guess.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
-            "springs": (chain.springs * np.exp(guess.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
+            "masses": (chain.masses * np.exp(guess_random.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
+            "springs": (chain.springs * np.exp(guess_random.uniform(-0.2, 0.2, chain.masses.size))).tolist(),
             "damping": {"modal": 0.01},
         },
         "shaker": {"kind": "force", "body": 1},

@@ -24,8 +24,8 @@ TIME_LIMIT_S = 60
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure() -> None:
     """Do not simplify a failing example."""
-    settings.register_profile("quickly", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate])
-    settings.load_profile("quickly")
+    settings.register_profile("fast failure", settings.get_profile("project"), phases=[Phase.explicit, Phase.generate])
+    settings.load_profile("fast failure")
 
 
 @pytest.hookimpl(wrapper=True)

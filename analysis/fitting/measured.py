@@ -14,12 +14,11 @@ import numpy as np
 
 from analysis.responses.frequency_responses import annotate, frequency_responses
 from analysis.responses.measurands import reference_of, required_channels, responses
-from analysis.responses.stepped_sine import sweeps
+from analysis.responses.stepped_sine import sweep_name, sweeps
 from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
-from rig.results import format_number
 from rig.results.response import Response, stack
 from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
 
@@ -116,15 +115,15 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if has_tones:
-        force_sweeps = sweeps(rec, required_channels(rec, names, reference))
+        all_sweeps = sweeps(rec, required_channels(rec, names, reference))
         return [
             _curves(
                 rec,
                 annotate(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
                 reference,
-                f"{name}, {format_number(sweep.level)} N {sweep.direction}" if len(force_sweeps) > 1 else name,
+                f"{name}, {sweep_name(rec, (sweep.level, sweep.direction))}" if len(all_sweeps) > 1 else name,
             )
-            for sweep in force_sweeps
+            for sweep in all_sweeps
         ]
     groups = frequency_responses(rec, names, reference)
     return [

@@ -339,7 +339,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         reasons = [omission.reason for sweep_omissions in omissions.values() for omission in sweep_omissions]
         raise RecordingError(f"{rec.path}: {_reason_without_result(rec, reasons)}")
     several = len(points.keys() | omissions.keys()) > 1
-    names_of_sweeps = {key: _sweep_name(rec, key) if several else "" for key in {**points, **omissions}}
+    names_of_sweeps = {key: sweep_name(rec, key) if several else "" for key in {**points, **omissions}}
     notes = {key: _notes(name, points.get(key, []), omissions.get(key, [])) for key, name in names_of_sweeps.items()}
     # A sweep without any point is not returned; the first sweep reports its notes.
     notes[next(iter(points))] += [note for key in notes if key not in points for note in notes[key]]
@@ -349,7 +349,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     ]
 
 
-def _sweep_name(rec: Recording, key: _SweepKey) -> str:
+def sweep_name(rec: Recording, key: _SweepKey) -> str:
     """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
     level, direction = format_number(key[0]), key[1]
     has_drive_level = getattr(rec.scene.test, "drive", None) is not None

@@ -164,6 +164,18 @@ def test_dead_channel_is_omitted(tmp_path):
                 measured_curves(recording, "b")
 
 
+@pytest.mark.parametrize(
+    ("level", "label"), [({"force": 2.6}, "a, 2.6 N up"), ({"drive": 2.6}, "a, level 2.6 up")], ids=["force", "drive"]
+)
+def test_only_force_levels_are_in_newtons(level, label, tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES)) as recording:
+        for marker in recording.markers[::2]:
+            marker.fields["direction"] = "down"
+        test = {"kind": "stepped_sine", "from": 9.0, "to": 60.0, "points": 60, "direction": "both", **level}
+        recording.scene = recording.scene.replace(test=test)
+        assert label in [curves.label for curves in measured_curves(recording, "a")]
+
+
 def test_dampers_with_hits_are_rejected(tmp_path):
     path = synthetic.impulses(tmp_path / "a.mcap")
     with daq.open(path) as recording:

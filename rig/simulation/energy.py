@@ -10,7 +10,7 @@ tables. A segment is a time interval under one drive, such as a sample interval.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -145,8 +145,8 @@ def energy_balance(
     motion; `segment_states`: states at the starts of the segments; `durations`: of the segments, s.
     """
     forms = quadratic_forms(scene, tables.system, tables.drive.output)
-    states, table_indices, lengths, _ = _intervals(tables, trajectory, segment_states, durations)
-    work, dissipated, dashpots, to_grains = _integrate(tables, forms, states, table_indices, lengths)
+    intervals = _intervals(tables, trajectory, segment_states, durations)
+    work, dissipated, dashpots, to_grains = _integrate(tables, forms, *intervals)
     return Energy(
         work=work,
         stored=_stored_energy(tables, forms, end),
@@ -161,26 +161,22 @@ def energy_balance(
 def fourier_integral(
     tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array, omega: float
 ) -> NDArray[np.complex128]:
-    """Integrate z(t) e^{-i omega t} over a motion with segments no longer than a step, shape (size,).
+    """Integrate z(t) e^{-i omega t} over a motion, shape (size,).
 
     `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
     Intervals end at breaks, so that the quadrature has its full order.
     """
-    states, table_indices, lengths, starts = _intervals(tables, trajectory, segment_states, durations)
     total = np.zeros(tables.size, dtype=np.complex128)
     nodes, node_weights = _GAUSS_RULE
     powers = np.vander(nodes, N_COEFFICIENTS + 1, increasing=True).T * node_weights
-    fractions, max_rows = lengths / tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
-    for table_index in np.unique(table_indices):
-        indices = np.flatnonzero(table_indices == table_index)
-        for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
-            # Sum over the nodes first, because the series has many terms but few weights.
-            phase_factors = np.exp(-1j * omega * (starts[rows] + nodes[:, None] * lengths[rows]))
-            weights = (powers @ phase_factors) * (
-                np.vander(fractions[rows], N_COEFFICIENTS + 1, increasing=True).T * lengths[rows]
-            )
-            integrals = np.stack([weights.real, weights.imag], axis=1) @ _series(tables, int(table_index), states[rows])
-            total += [1.0, 1.0j] @ integrals.sum(axis=0)
+    for _, terms, lengths, starts in _steps(tables, *_intervals(tables, trajectory, segment_states, durations)):
+        # Sum over the nodes first, because the series has many terms but few weights.
+        phase_factors = np.exp(-1j * omega * (starts + nodes[:, None] * lengths))
+        weights = (powers @ phase_factors) * (
+            np.vander(lengths / tables.step, N_COEFFICIENTS + 1, increasing=True).T * lengths
+        )
+        integrals = np.stack([weights.real, weights.imag], axis=1) @ terms
+        total += [1.0, 1.0j] @ integrals.sum(axis=0)
     return total
 
 
@@ -213,36 +209,54 @@ def _intervals(
     return states[order], table_indices, np.maximum(lengths, 0.0), segment_starts[segment] + offset
 
 
+def _steps(
+    tables: FlowTables, states: Array, table_indices: NDArray[np.int64], lengths: Array, starts: Array
+) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Split intervals into parts no longer than a step; yield groups of parts in the same contact configuration.
+
+    Yields the table index, the power series (terms, parts, size), the durations and the start times, s.
+    """
+    step, max_rows = tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
+    while len(states):
+        continues = lengths > step * (1.0 + 1e-12)
+        part_lengths, ends = np.where(continues, step, lengths), np.empty_like(states)
+        for table_index in np.unique(table_indices).tolist():
+            indices = np.flatnonzero(table_indices == table_index)
+            for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
+                terms = _series(tables, table_index, states[rows])
+                yield table_index, terms, part_lengths[rows], starts[rows]
+                unfinished = continues[rows]
+                ends[rows[unfinished]] = _sum_series(terms[:, unfinished], np.ones(int(unfinished.sum())))
+        states, table_indices = ends[continues], table_indices[continues]
+        lengths, starts = lengths[continues] - step, starts[continues] + step
+
+
 def _integrate(
-    tables: FlowTables, forms: QuadraticForms, states: Array, table_indices: NDArray[np.int64], lengths: Array
+    tables: FlowTables,
+    forms: QuadraticForms,
+    states: Array,
+    table_indices: NDArray[np.int64],
+    lengths: Array,
+    starts: Array,
 ) -> tuple[float, float, float, float]:
     """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
-    h = tables.step
-    # Each pass integrates over the next step, at most, of every interval that has not ended.
     work = dissipated = dashpots = to_grains = 0.0
     system = tables.system
     walls = _walls(tables)
-    while len(states):
-        fractions = np.minimum(lengths, h) / h
-        ends = np.empty_like(states)
-        for table_index in np.unique(table_indices):
-            rows = table_indices == table_index
-            terms = _series(tables, int(table_index), states[rows])
-            in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
-            damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
-            for node, weight in zip(*_GAUSS_RULE, strict=True):
-                at_node = _sum_series(terms, fractions[rows] * node)
-                node_weights = weight * fractions[rows] * h
-                work += float(node_weights @ _quadratic(forms.power, at_node))
-                dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
-                if forms.to_grains.any():
-                    to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
-                dashpots += float(
-                    node_weights @ (at_node[:, system.coordinates + system.gap_coordinate[in_contact]] ** 2 @ damping)
-                )
-            ends[rows] = _sum_series(terms, fractions[rows])
-        remaining = lengths > h * (1.0 + 1e-12)
-        states, table_indices, lengths = ends[remaining], table_indices[remaining], lengths[remaining] - h
+    for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
+        fractions = durations / tables.step
+        in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
+        damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
+        for node, weight in zip(*_GAUSS_RULE, strict=True):
+            at_node = _sum_series(terms, fractions * node)
+            node_weights = weight * durations
+            work += float(node_weights @ _quadratic(forms.power, at_node))
+            dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
+            if forms.to_grains.any():
+                to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
+            dashpots += float(
+                node_weights @ (at_node[:, system.coordinates + system.gap_coordinate[in_contact]] ** 2 @ damping)
+            )
     return work, dissipated, dashpots, to_grains
 
 

@@ -229,7 +229,7 @@ class Chassis:
 
     def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
         """Set the input couplings and sensor supplies of a task's channels; see `Terminals.wire`."""
-        in_use = {row for other, each in self.inputs.items() if other is not task for row in each.plan.rows}
+        in_use = {row for other, acquisition in self.inputs.items() if other is not task for row in acquisition.plan.rows}
         self.terminals.wire(channels, in_use)
         for listener in self.wiring_listeners:
             listener(channels)
@@ -282,7 +282,7 @@ class Chassis:
         blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
         # Tasks that other tasks start are processed last.
-        in_order = sorted(self.inputs.values(), key=lambda each: isinstance(each.plan.start, OtherTask))
+        in_order = sorted(self.inputs.values(), key=lambda run: isinstance(run.plan.start, OtherTask))
         for acquisition in in_order:
             self._pass_block(acquisition, blocks[acquisition.plan.rate])
         full_rate = blocks[self.bench.rate]
@@ -293,7 +293,7 @@ class Chassis:
         notified = [task for task in (*self.inputs, *self.outputs) if task.notify_samples()]
         if notified and not self.clock.runs_free:
             self._await_callbacks(notified)
-        for alarm in [each for each in self._alarms if each[0] <= self.elapsed]:
+        for alarm in [alarm for alarm in self._alarms if alarm[0] <= self.elapsed]:
             self._alarms.remove(alarm)
             alarm[1]()
 

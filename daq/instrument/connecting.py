@@ -51,9 +51,9 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         _add_output(unnamed, output, row)
     if not outputs:
         unnamed.append(_IDEAL_OUTPUTS)
-    usb, compact = ([each for each in unnamed if each.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
-    modules = [replace(each, name=f"Dev{number}") for number, each in enumerate(usb, 1)]
-    slots = [replace(each, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, each in enumerate(compact, 1)]
+    usb, compact = ([module for module in unnamed if module.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
+    modules = [replace(module, name=f"Dev{number}") for number, module in enumerate(usb, 1)]
+    slots = [replace(module, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, module in enumerate(compact, 1)]
     chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if slots else []
     all_channels = replace(
         (modules or slots)[0],
@@ -97,8 +97,8 @@ def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         _device(sheet, ideal),
         ranges=inputs.ranges,
         rates=inputs.rates,
-        couplings=tuple(each for each in couplings if each.name in inputs.couplings),
-        wirings=tuple(Wiring[each.upper()] for each in inputs.terminals),
+        couplings=tuple(coupling for coupling in couplings if coupling.name in inputs.couplings),
+        wirings=tuple(Wiring[name.upper()] for name in inputs.terminals),
         currents=inputs.supply,
         supply_coupling=inputs.supply_coupling,
         on_demand=inputs.on_demand,

@@ -88,8 +88,8 @@ class Events:
             self._every = None
         if self._done == listener:
             self._done = None
-        self._signals = {signal: each for signal, each in self._signals.items() if each != listener}
-        self._end_listeners = [each for each in self._end_listeners if each != listener]
+        self._signals = {signal: other for signal, other in self._signals.items() if other != listener}
+        self._end_listeners = [other for other in self._end_listeners if other != listener]
 
     def at_end(self, listener: Callable[[None], None]) -> None:
         """Register a listener that is called with None when the task is closed."""

@@ -50,15 +50,15 @@ def check_timing(task: TaskSettings) -> None:
         if (
             task.kind == side
             and not task.clocked
-            and not all(getattr(each.module, attribute) for each in task.channels)
+            and not all(getattr(channel.module, attribute) for channel in task.channels)
         ):
             raise DaqError(
                 f"{task.channels[0].module.product_type} {problem}. Call timing.cfg_samp_clk_timing first.",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
             )
     if task.kind == "ai":
-        for each in task.channels:
-            each.check_complete()
+        for channel in task.channels:
+            channel.check_complete()
     if task.clocked:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(
@@ -66,11 +66,11 @@ def check_timing(task: TaskSettings) -> None:
                 "source empty, or name OnboardClock or another task's ai/SampleClock.",
                 Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
             )
-        rates = {each.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for each in task.channels}
+        rates = {channel.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for channel in task.channels}
         if len(rates) > 1:
             raise invalid_value(
                 f"the task's modules convert {timing['samp_clk_rate']:g} S/s to different rates, "
-                f"{', '.join(f'{each:g}' for each in sorted(rates))} S/s. Choose a common rate, or several tasks."
+                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Choose a common rate, or several tasks."
             )
         _ = task.samples
         if task.kind == "ai" and task.input_size < 1:
@@ -127,10 +127,10 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
 
     def on_channel(source: str, condition: Condition) -> tuple[int, Condition]:
         terminal = source.lower().lstrip("/")
-        for row, each in enumerate(task.channels):
-            if terminal in (each.name.lower(), each.port.name.lower()):
+        for row, channel in enumerate(task.channels):
+            if terminal in (channel.name.lower(), channel.port.name.lower()):
                 return row, condition
-        names = ", ".join(each.name for each in task.channels)
+        names = ", ".join(channel.name for channel in task.channels)
         remedy = f"Give one of {names}." if names else "Add an input channel first."
         raise DaqError(
             f"analog trigger source {source!r} is not an input channel of the task. {remedy}",
@@ -181,11 +181,11 @@ def input_plan(
     if on_demand is None:
         samples = task.samples if task.finite else None
         size, rate = task.input_size, task.rate
-    volts = [bench.channels[each.row].volts_per_count or 1.0 for each in task.channels]
+    volts = [bench.channels[channel.row].volts_per_count or 1.0 for channel in task.channels]
     return InputPlan(
-        rows=tuple(each.row for each in task.channels),
-        factors=np.array([volt / each.volts_per_unit for volt, each in zip(volts, task.channels, strict=True)]),
-        scales=tuple(task.scale_of(each) for each in task.channels),
+        rows=tuple(channel.row for channel in task.channels),
+        factors=np.array([volt / channel.volts_per_unit for volt, channel in zip(volts, task.channels, strict=True)]),
+        scales=tuple(task.scale_of(channel) for channel in task.channels),
         rate=rate,
         samples=samples,
         buffer=max(size, samples or 0) if reference is not None else size,
@@ -208,7 +208,7 @@ def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> t
     if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
         start = clock_task = OtherTask("", "ai", reference=False)
     plan = OutputPlan(
-        rows=tuple(each.row for each in task.channels),
+        rows=tuple(channel.row for channel in task.channels),
         tick_rate=tick_rate,
         per_tick=samples_per_tick(task.rate, tick_rate),
         samples=task.samples if task.finite else None,

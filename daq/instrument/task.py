@@ -93,7 +93,7 @@ class Task:
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
         if self.settings.kind == "ao":
-            self.chassis.reserve(self, {each.row: each.port.name for each in self.settings.channels})
+            self.chassis.reserve(self, {channel.row: channel.port.name for channel in self.settings.channels})
         else:
             self.chassis.reserve(self, {f"{name}/ai": f"{name}/ai" for name in self.settings.device_names})
 
@@ -146,7 +146,7 @@ class Task:
     def control(self, action: int) -> int:
         """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
         if action not in list(TaskMode):
-            raise invalid_value(f"task mode {action}; expected one of {', '.join(each.name for each in TaskMode)}.")
+            raise invalid_value(f"task mode {action}; expected one of {', '.join(mode.name for mode in TaskMode)}.")
         if action == TaskMode.START:
             self.start()
         elif action == TaskMode.STOP:
@@ -369,7 +369,7 @@ class Task:
     @property
     def raw_width(self) -> int:
         """Size of a count of the converter, bytes."""
-        return 2 if all((each.module.bits or 32) <= 16 for each in self.settings.channels) else 4
+        return 2 if all((channel.module.bits or 32) <= 16 for channel in self.settings.channels) else 4
 
     def _start_for_read(self) -> None:
         """Start the task for a read, unless the script forbids it."""

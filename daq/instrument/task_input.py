@@ -138,7 +138,7 @@ class TaskInput:
     def overloaded_exist(self) -> bool:
         """Return whether any channel was overloaded since the last query; clears the flags."""
         flags = [] if self.run is None else self.run.overloaded.tolist()
-        names = [each.name for each in self._settings.channels]
+        names = [channel.name for channel in self._settings.channels]
         self._overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]
         if self.run is not None:
             self.run.overloaded[:] = False

@@ -156,7 +156,7 @@ class TaskOutput:
 
     def write_on_demand(self, volts: Array) -> int:
         """Output samples, V, at the rate of the bench; return their number per channel. The last value is kept."""
-        chassis, rows = self._chassis, [each.row for each in self._settings.channels]
+        chassis, rows = self._chassis, [channel.row for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
             buffer.write(volts, running=False)

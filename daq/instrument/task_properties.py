@@ -32,10 +32,10 @@ def get_channel(task: Task, names: str, name: str) -> Any:
         return task.chassis.terminals.filter_properties(
             channels[0].row, task.settings.rate if task.settings.clocked else None
         )[name]
-    values = [each.get(name) for each in channels]
+    values = [channel.get(name) for channel in channels]
     if any(value != values[0] for value in values):
         raise invalid_value(
-            f"{name} differs among {', '.join(each.name for each in channels)}. Read one channel at a time."
+            f"{name} differs among {', '.join(channel.name for channel in channels)}. Read one channel at a time."
         )
     return values[0]
 
@@ -43,15 +43,15 @@ def get_channel(task: Task, names: str, name: str) -> Any:
 def set_channel(task: Task, names: str, name: str, value: Any) -> None:
     """Set a property of the channels with the given names; no names select all channels."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
-    for each in task.settings.find(names):
-        each.set(name, value)
+    for channel in task.settings.find(names):
+        channel.set(name, value)
 
 
 def reset_channel(task: Task, names: str, name: str) -> None:
     """Reset a property of the channels with the given names to its default."""
     task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
-    for each in task.settings.find(names):
-        each.reset(name)
+    for channel in task.settings.find(names):
+        channel.reset(name)
 
 
 def get_value(task: Task, group: str, name: str) -> Any:
@@ -178,7 +178,7 @@ def _module(task: Task) -> Module:
 def _trigger_source(task: Task, name: str) -> str:
     """Return the source of a trigger: the name of a channel, or the full name of a terminal."""
     source = str(task.settings.groups["trig"][name])
-    names = {name.lower() for each in task.settings.channels for name in (each.name, each.port.name)}
+    names = {name.lower() for channel in task.settings.channels for name in (channel.name, channel.port.name)}
     return source if source.lower() in names else full_terminal(task, source)
 
 

@@ -45,7 +45,7 @@ class Terminals:
         inputs = None if input_preset is None else module(input_preset).inputs
         outputs = [None if preset is None else module(preset).outputs for preset in output_presets]
         fastest_input, *fastest_outputs = (
-            DIVIDED.fastest if each is None else each.rates.fastest for each in (inputs, *outputs)
+            DIVIDED.fastest if ports is None else ports.rates.fastest for ports in (inputs, *outputs)
         )
         min_tick_rates = [sample_rate * choose_oversampling(scene), *fastest_outputs]
         if fastest_input > sample_rate:

@@ -16,7 +16,7 @@ def enum_member(kind: type[Member], value: int, setting: str) -> Member:
     `setting` is the name of the setting, for the message. Raises `DaqError` -200077 for an unknown number.
     """
     if value not in list(kind):
-        names = ", ".join(f"{each.name} ({int(each)})" for each in kind)
+        names = ", ".join(f"{member.name} ({int(member)})" for member in kind)
         raise invalid_value(f"{setting} is {value}: expected {names}")
     return kind(value)
 

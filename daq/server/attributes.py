@@ -80,7 +80,7 @@ def _to_call_type(value: Any, kind: str) -> Any:
         return int(value)
     if kind == "Bool":
         return bool(value)
-    return [int(each) for each in value] if kind == "Int32Array" else value
+    return [int(number) for number in value] if kind == "Int32Array" else value
 
 
 def _get(call: Call, owner: str, name: str) -> Any:
@@ -111,7 +111,7 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     module.row(port.kind, port.number)
     attributes: dict[str, Any] = {
         "ai_supported_meas_types": SUPPORTED_TYPES,
-        "ai_term_cfgs": sum(WIRING_BITS.get(each, 0) for each in module.wirings),
+        "ai_term_cfgs": sum(WIRING_BITS.get(wiring, 0) for wiring in module.wirings),
         "ai_input_srcs": [port.name],
     }
     if port.kind == "ao":
@@ -127,7 +127,7 @@ def _of_task(call: Call, name: str) -> Any:
     task: Task = call.task
     attributes = {
         "name": lambda: task.name,
-        "channels": lambda: [each.name for each in task.settings.channels],
+        "channels": lambda: [channel.name for channel in task.settings.channels],
         "devices": lambda: task.settings.device_names,
         "num_chans": lambda: len(task.settings.channels),
         "num_devices": lambda: len(task.settings.device_names),
@@ -169,7 +169,7 @@ def _of_persisted(call: Call, name: str) -> Any:
         ("channel", storage.channels, Code.INVALID_GLOBAL_CHAN),
         ("scale_name", storage.scales, Code.CUSTOM_SCALE_DOES_NOT_EXIST),
     )
-    field, saved, code = next(each for each in groups if each[0] in call.fields)
+    field, saved, code = next(group for group in groups if group[0] in call.fields)
     key = call.fields[field]
     if key not in saved:
         raise DaqError(f"nothing is saved under the name {key!r}. Save it first.", code)

@@ -71,8 +71,8 @@ _open_connections: set[Connection] = set()
 
 def _close_open_connections() -> None:
     # Closing with a grace period starts a thread, which Python does not allow during its shutdown.
-    for each in list(_open_connections):
-        each.close(grace=None)
+    for connection in list(_open_connections):
+        connection.close(grace=None)
 
 
 # Before it runs `atexit` functions, Python waits for the threads that answer calls: they must end earlier.

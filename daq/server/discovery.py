@@ -25,7 +25,7 @@ class Discovery:
     """The reflection service and the health service; `handlers` are the handlers of their calls."""
 
     def __init__(self) -> None:
-        names = [each.full_name for each in SERVICES]
+        names = [service.full_name for service in SERVICES]
         self._health = health.HealthServicer()
         for name in ("", *names):
             self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
@@ -39,9 +39,9 @@ class Discovery:
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
     """Return the handler of a service; an invalid request is an error of the client, without a traceback here."""
     # Some releases of the packages describe calls that their servicers do not implement.
-    described = [each for each in service.methods if each.name in vars(type(servicer))]
+    described = [method for method in service.methods if method.name in vars(type(servicer))]
     return grpc.method_handlers_generic_handler(
-        service.full_name, {each.name: _method_handler(each, getattr(servicer, each.name)) for each in described}
+        service.full_name, {method.name: _method_handler(method, getattr(servicer, method.name)) for method in described}
     )
 
 
@@ -56,7 +56,7 @@ def _method_handler(method: Any, answer: Callable[..., Any]) -> Any:
 
     def respond(request: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:
-            return answer((parsed(each, context) for each in request), context)
+            return answer((parsed(message, context) for message in request), context)
         return answer(parsed(request, context), context)
 
     make = grpc.unary_unary_rpc_method_handler
@@ -74,8 +74,8 @@ def write_proto_files(folder: Path) -> list[Path]:
     files: dict[str, Any] = {}
 
     def collect(file: Any) -> None:
-        for each in file.dependencies:
-            collect(each)
+        for dependency in file.dependencies:
+            collect(dependency)
         files[file.name] = file
 
     for service in SERVICES:

@@ -20,7 +20,7 @@ def proto_text(file: Any) -> str:
     described = descriptor_pb2.FileDescriptorProto()
     file.CopyToProto(described)
     lines = ['syntax = "proto3";', ""]
-    lines += [f'import "{each}";' for each in described.dependency]
+    lines += [f'import "{path}";' for path in described.dependency]
     lines += ["", f"package {described.package};", ""]
     for enum in described.enum_type:
         lines += [*_enum(enum), ""]
@@ -47,13 +47,13 @@ def _method(method: Any) -> str:
 
 def _enum(enum: Any) -> Iterator[str]:
     alias = ["option allow_alias = true;"] if enum.options.allow_alias else []
-    return _block(f"enum {enum.name}", [*alias, *(f"{each.name} = {each.number};" for each in enum.value)])
+    return _block(f"enum {enum.name}", [*alias, *(f"{member.name} = {member.number};" for member in enum.value)])
 
 
 def _message(message: Any, scope: str) -> Iterator[str]:
     """Yield the lines of a message type; `scope` is the full name of the package or message that contains it."""
     scope = f"{scope}.{message.name}"
-    maps = {f"{scope}.{each.name}": each for each in message.nested_type if each.options.map_entry}
+    maps = {f"{scope}.{nested.name}": nested for nested in message.nested_type if nested.options.map_entry}
     body: list[str] = []
     for enum in message.enum_type:
         body += _enum(enum)
@@ -67,7 +67,7 @@ def _message(message: Any, scope: str) -> Iterator[str]:
             written.add(field.oneof_index)
             members = [each for each in message.field if _in_choice(each) and each.oneof_index == field.oneof_index]
             name = message.oneof_decl[field.oneof_index].name
-            body += _block(f"oneof {name}", [_field(each, maps) for each in members])
+            body += _block(f"oneof {name}", [_field(field, maps) for field in members])
     return _block(f"message {message.name}", body)
 
 
@@ -80,7 +80,7 @@ def _field(field: Any, maps: dict[str, Any]) -> str:
     """Return the line of a field; `maps` are the descriptors of map entries by full name."""
     entry = maps.get(field.type_name)
     if entry is not None:
-        key, value = (_type(each) for each in entry.field)
+        key, value = (_type(field) for field in entry.field)
         return f"map<{key}, {value}> {field.name} = {field.number};"
     repeated = field.label == _FIELD.LABEL_REPEATED
     label = "repeated " if repeated else "optional " if field.proto3_optional else ""

@@ -22,7 +22,7 @@ from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
 # The service of NI's server for devices of any driver.
-_SESSION_FILE = next(each for each in nidaqmx_pb2.DESCRIPTOR.dependencies if each.name.endswith("session.proto"))
+_SESSION_FILE = next(file for file in nidaqmx_pb2.DESCRIPTOR.dependencies if file.name.endswith("session.proto"))
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Maximum number of entries of a list other than samples.
 _MAX_ENTRIES = 10_000
@@ -51,12 +51,12 @@ def methods(service: Any = SERVICE) -> list[Method]:
     """List the calls of a service."""
     return [
         Method(
-            each.name,
-            message_factory.GetMessageClass(each.input_type),
-            message_factory.GetMessageClass(each.output_type),
-            each.server_streaming,
+            method.name,
+            message_factory.GetMessageClass(method.input_type),
+            message_factory.GetMessageClass(method.output_type),
+            method.server_streaming,
         )
-        for each in service.methods
+        for method in service.methods
     ]
 
 
@@ -134,21 +134,21 @@ def encode(response: Any, values: Mapping[str, Any]) -> bytes:
     """
     names, samples = response.DESCRIPTOR.fields_by_name, b""
     for name, value in values.items():
-        for each in (name, f"{name}_raw"):
-            field = names.get(each)
+        for field_name in (name, f"{name}_raw"):
+            field = names.get(field_name)
             if field is None:
                 continue
             if field.message_type is not None and field.message_type.full_name == _SESSION:
-                getattr(response, each).name = value
+                getattr(response, field_name).name = value
             elif field.message_type is not None and field.message_type.full_name == _TIMESTAMP:
-                getattr(response, each).CopyFrom(timestamp(value))
+                getattr(response, field_name).CopyFrom(timestamp(value))
             elif isinstance(value, np.ndarray) and field.cpp_type == field.CPPTYPE_DOUBLE:
                 data = value.astype("<f8").tobytes()
                 samples += varint(field.number << 3 | 2) + varint(len(data)) + data
             elif _is_list(field):
-                getattr(response, each).extend(value.ravel().tolist() if isinstance(value, np.ndarray) else value)
+                getattr(response, field_name).extend(value.ravel().tolist() if isinstance(value, np.ndarray) else value)
             else:
-                setattr(response, each, value)
+                setattr(response, field_name, value)
     return bytes(response.SerializeToString()) + samples
 
 

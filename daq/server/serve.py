@@ -175,10 +175,10 @@ def _endpoint(host: str, port: int) -> str:
 def _is_loopback(host: str) -> bool:
     """Return whether all addresses of a host are loopback addresses."""
     try:
-        addresses = {str(each[4][0]).partition("%")[0] for each in socket.getaddrinfo(host, None)}
+        addresses = {str(info[4][0]).partition("%")[0] for info in socket.getaddrinfo(host, None)}
     except (OSError, UnicodeError):
         return False
-    return bool(addresses) and all(ipaddress.ip_address(each).is_loopback for each in addresses)
+    return bool(addresses) and all(ipaddress.ip_address(address).is_loopback for address in addresses)
 
 
 def wait_for_signal() -> None:
@@ -186,9 +186,9 @@ def wait_for_signal() -> None:
     ended = threading.Event()
     # Under nohup the server must continue.
     signals = [
-        each for each in TERMINATION_SIGNALS if each == signal.SIGINT or signal.getsignal(each) is not signal.SIG_IGN
+        number for number in TERMINATION_SIGNALS if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
     ]
-    previous_handlers = {each: signal.signal(each, lambda *_: ended.set()) for each in signals}
+    previous_handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in signals}
     try:
         while not ended.wait(0.5):
             pass

@@ -70,7 +70,7 @@ class Server:
         self._discovery = Discovery()
         services = [
             grpc.method_handlers_generic_handler(
-                service.full_name, {each.name: self._handler(each) for each in methods(service)}
+                service.full_name, {method.name: self._handler(method) for method in methods(service)}
             )
             for service in (SERVICE, SESSION_SERVICE)
         ]
@@ -226,7 +226,7 @@ def _connected_to(port: int) -> set[tuple[str, int]] | None:
     except (psutil.Error, OSError):
         return None
     return {
-        (each.raddr.ip.removeprefix("::ffff:"), each.raddr.port)
-        for each in connections
-        if each.laddr and each.laddr.port == port and each.raddr and each.status == psutil.CONN_ESTABLISHED
+        (connection.raddr.ip.removeprefix("::ffff:"), connection.raddr.port)
+        for connection in connections
+        if connection.laddr and connection.laddr.port == port and connection.raddr and connection.status == psutil.CONN_ESTABLISHED
     }

@@ -76,7 +76,7 @@ class Sessions:
                 return name, False
             if behavior == ATTACH:
                 raise DaqError(f"there is no session {name!r} to attach to. Create it first.", Code.INVALID_TASK)
-            if sum(each.owner == peer for each in self._open.values()) >= self._max_sessions:
+            if sum(session.owner == peer for session in self._open.values()) >= self._max_sessions:
                 raise DaqError(
                     f"this client has {self._max_sessions} open tasks, the maximum. Close a task first.",
                     Code.PAL_RESOURCE_RESERVED,
@@ -130,15 +130,15 @@ class Sessions:
     def abort_on_device(self, device: str, peer: str) -> None:
         """Abort the tasks of a client on a device; `DaqError` -50103 if other clients use the device."""
         with self._lock:
-            sessions = [each for each in self._open.values() if device in each.task.settings.device_names]
-            others = [each.task.name for each in sessions if each.owner != peer]
+            sessions = [session for session in self._open.values() if device in session.task.settings.device_names]
+            others = [session.task.name for session in sessions if session.owner != peer]
             if others:
                 raise DaqError(
                     f"{device} is in use by other clients (task {', '.join(others)}). End their tasks before a reset.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            for each in sessions:
-                each.task.control(TaskMode.ABORT)
+            for session in sessions:
+                session.task.control(TaskMode.ABORT)
 
     def end_abandoned(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
         """End the sessions of clients that disconnected without closing them; return the names of the ended tasks.
@@ -150,7 +150,7 @@ class Sessions:
         with self._lock:
             now = time.monotonic()
             for name, session in list(self._open.items()):
-                if any(_endpoint(each) in connected for each in session.users):
+                if any(_endpoint(user) in connected for user in session.users):
                     session.disconnected_at = None
                 elif session.disconnected_at is None:
                     session.disconnected_at = now
@@ -158,14 +158,14 @@ class Sessions:
                     ended.append(self._open.pop(name).task)
         for task in ended:
             task.close()
-        return [each.name for each in ended]
+        return [task.name for task in ended]
 
     def close_all(self) -> None:
         """End all sessions."""
         with self._lock:
             sessions, self._open = list(self._open.values()), {}
-        for each in sessions:
-            each.task.close()
+        for session in sessions:
+            session.task.close()
 
 
 def _endpoint(peer: str) -> tuple[str, int]:

@@ -34,17 +34,17 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     """
     modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
     first = modules[0]
-    in_task = [each for each in modules if each is first or (each.chassis and each.chassis == first.chassis)]
+    in_task = [module for module in modules if module is first or (module.chassis and module.chassis == first.chassis)]
     statements: list[str] = []
     for module in in_task:
         # Neighboring inputs with equal settings are created by one statement.
         numbered = [(_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)]
-        for statement, group in groupby(numbered, key=lambda each: each[0]):
+        for statement, group in groupby(numbered, key=lambda pair: pair[0]):
             numbers = [number for _, number in group]
             span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
             lines = statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
             statements += [f"    {line}" for line in lines]
-    used = [each for each in _CONSTANTS if any(f"{each}." in line for line in statements)]
+    used = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
     return [
         "",
         "import grpc, nidaqmx, numpy",
@@ -97,13 +97,13 @@ def report_missing_excitation(chassis: Chassis) -> None:
     reported: set[int] = set()
 
     def check(channels: Sequence[Channel]) -> None:
-        unsupplied = [each for each in channels if chassis.terminals.supply(each.row) == 0.0]
-        unreported = {each.row: each for each in unsupplied if each.row not in reported}
+        unsupplied = [channel for channel in channels if chassis.terminals.supply(channel.row) == 0.0]
+        unreported = {channel.row: channel for channel in unsupplied if channel.row not in reported}
         if not unreported:
             return
         reported.update(unreported)
         infos = chassis.bench.channels
-        inputs = ", ".join(f"{each.port.name} ({infos[row].name})" for row, each in unreported.items())
+        inputs = ", ".join(f"{channel.port.name} ({infos[row].name})" for row, channel in unreported.items())
         current = next(iter(unreported.values())).module.currents[0]
         # A closed terminal must not cause an error in the client.
         with suppress(OSError):

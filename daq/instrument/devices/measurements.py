@@ -87,7 +87,7 @@ class Measurement:
         if units not in (*supported, FROM_CUSTOM_SCALE, FROM_TEDS):
             raise invalid_value(
                 f"{self.units} is {units}; expected "
-                + ", ".join(f"{UNITS[each][1]} ({each})" for each in supported)
+                + ", ".join(f"{UNITS[unit][1]} ({unit})" for unit in supported)
                 + f" or those of a custom scale ({FROM_CUSTOM_SCALE})."
             )
         name = f"{self.sensitivity}_units"
@@ -95,7 +95,7 @@ class Measurement:
         if supported and settings[name] not in supported:
             raise invalid_value(
                 f"{name} is {settings[name]}; expected "
-                + ", ".join(f"{SENSITIVITY_UNITS[each][1]} ({each})" for each in supported)
+                + ", ".join(f"{SENSITIVITY_UNITS[unit][1]} ({unit})" for unit in supported)
             )
 
     def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
@@ -144,4 +144,4 @@ MEASUREMENTS: dict[str, Measurement] = {
     "VelocityIEPE": Measurement(VELOCITY, "ai_velocity_units", "ai_velocity_iepe_sensor_sensitivity"),
     "Microphone": Measurement(MICROPHONE, "ai_sound_pressure_units", "ai_microphone_sensitivity"),
 }
-SUPPORTED_TYPES = sorted(each.type for each in MEASUREMENTS.values())
+SUPPORTED_TYPES = sorted(measurement.type for measurement in MEASUREMENTS.values())

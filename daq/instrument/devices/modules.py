@@ -137,7 +137,7 @@ class Module:
             "chassis_module_dev_names": list(modules),
             "compact_daq_chassis_dev_name": self.chassis,
             "compact_daq_slot_num": self.slot,
-            "terminals": [f"/{self.chassis or self.name}/{each}" for each in _TERMINALS],
+            "terminals": [f"/{self.chassis or self.name}/{terminal}" for terminal in _TERMINALS],
             "accessory_product_types": [],
             "accessory_product_nums": [],
             "accessory_serial_nums": [],
@@ -158,10 +158,10 @@ class Module:
                 "ai_max_multi_chan_rate": self.rates.fastest,
                 "ai_min_rate": self.rates.slowest,
                 "ai_simultaneous_sampling_supported": self.simultaneous,
-                "ai_voltage_rngs": [sign * each for each in self.ranges for sign in (-1.0, 1.0)],
+                "ai_voltage_rngs": [sign * limit for limit in self.ranges for sign in (-1.0, 1.0)],
                 "ai_current_int_excit_discrete_vals": list(self.currents),
-                "ai_couplings": sum(_COUPLING_BITS[each] for each in self.couplings),
-                "ai_samp_modes": [int(each) for each in SampleMode],
+                "ai_couplings": sum(_COUPLING_BITS[coupling] for coupling in self.couplings),
+                "ai_samp_modes": [int(mode) for mode in SampleMode],
                 "ai_supported_meas_types": SUPPORTED_TYPES,
                 "ai_trig_usage": _REFERENCE_TRIGGER | _START_TRIGGER,
                 "ai_num_samp_timing_engines": 1,
@@ -172,7 +172,7 @@ class Module:
                 "ao_min_rate": self.output_rates.slowest,
                 "ao_samp_clk_supported": True,
                 "ao_voltage_rngs": [-self.output_range, self.output_range],
-                "ao_samp_modes": [int(each) for each in SampleMode],
+                "ao_samp_modes": [int(mode) for mode in SampleMode],
                 "ao_supported_output_types": [VOLTAGE],
                 "ao_trig_usage": _START_TRIGGER,
             }
@@ -186,7 +186,7 @@ class DeviceList:
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:
-        self._modules = {each.name.lower(): each for each in modules}
+        self._modules = {module.name.lower(): module for module in modules}
 
     def module(self, name: str) -> Module:
         """Return a device by its name; a name that NI's driver typically assigns selects all inputs and outputs.
@@ -209,9 +209,9 @@ class DeviceList:
     @property
     def names(self) -> list[str]:
         """Names of the devices on the bench."""
-        return [each.name for each in self._modules.values() if each.name]
+        return [module.name for module in self._modules.values() if module.name]
 
     def modules_of(self, chassis: str) -> list[str]:
         """Names of the modules in a chassis, by slot."""
-        modules = [each for each in self._modules.values() if each.chassis and each.chassis == chassis]
-        return [each.name for each in sorted(modules, key=lambda each: each.slot)]
+        modules = [module for module in self._modules.values() if module.chassis and module.chassis == chassis]
+        return [module.name for module in sorted(modules, key=lambda module: module.slot)]

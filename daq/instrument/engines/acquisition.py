@@ -208,7 +208,7 @@ class Acquisition:
         All finders process all samples, so that their states stay correct.
         """
         crossings = [finder.find(self.plan.physical(row, samples[row]), skip) for row, finder in finders]
-        return min((each for each in crossings if each is not None), default=None)
+        return min((index for index in crossings if index is not None), default=None)
 
     def _store(self, first: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
         """Store samples from instant `first` up to the end of the record; return the number of processed samples."""

@@ -111,7 +111,7 @@ class _Tdms:
             ) from None
         if append and path.exists():
             with log_as_warning(path):
-                existing = {each.name for each in nptdms.TdmsFile.read_metadata(path).groups()}
+                existing = {existing_group.name for existing_group in nptdms.TdmsFile.read_metadata(path).groups()}
             requested, number = group, 1
             while group in existing:
                 group, number = f"{requested} #{number}", number + 1
@@ -131,7 +131,7 @@ class _Tdms:
         self._writer.open()
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
-        self._segment(np.stack([self._plan.physical(row, each) for row, each in enumerate(samples)]))
+        self._segment(np.stack([self._plan.physical(row, values) for row, values in enumerate(samples)]))
 
     def gap(self, samples: int) -> None:
         self._segment(np.full((len(self._properties), samples), np.nan))
@@ -233,7 +233,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
     """
     settings = task.groups["read"]
     infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]
-    names = [each.name for each in task.channels]
+    names = [channel.name for channel in task.channels]
 
     def open_file(path: Path, first: int) -> _File:
         start_ns, operation = time_ns(first), settings["logging_tdms_operation"]
@@ -256,7 +256,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
         try:
             if suffix == ".tdms":
                 group = settings["logging_tdms_group_name"] or name
-                units = [each.unit for each in task.channels]
+                units = [channel.unit for channel in task.channels]
                 return _Tdms(path, group, names, units, plan, start_ns, append)
             return MarkedRecording(path, bench.scene, _named(infos, names), plan.rate, start_ns, exists)
         except DaqError:
@@ -276,7 +276,7 @@ def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[Channe
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):
         if "/" in name:
-            used = {*names, *(each.name for each in named)}
+            used = {*names, *(channel.name for channel in named)}
             device = name.partition("/")[0]
             name = info.name if info.name not in used else f"{info.name} on {device}"
         named.append(replace(info, name=name))

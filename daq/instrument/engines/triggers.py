@@ -81,7 +81,7 @@ class CrossingFinder:
 
     def _observe(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
         """Update whether the trigger is armed: the last sample that fires or arms it decides."""
-        last_firing, last_arming = (int(np.flatnonzero(each)[-1]) if each.any() else -1 for each in (fires, arms))
+        last_firing, last_arming = (int(np.flatnonzero(flags)[-1]) if flags.any() else -1 for flags in (fires, arms))
         if last_firing != last_arming:
             self._armed = last_arming > last_firing
 

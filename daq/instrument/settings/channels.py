@@ -192,7 +192,7 @@ class Channel:
         for setting, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
-                choice = ", ".join(each.name for each in supported if each != Wiring.DEFAULT)
+                choice = ", ".join(member.name for member in supported if member != Wiring.DEFAULT)
                 raise invalid_value(
                     f"channel {self.name}: {self.module.product_type} does not support {setting} {name}. "
                     f"Choose {choice}."

@@ -100,4 +100,4 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         )
     # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)
-    return [float(each) for each in fitted]
+    return [float(coefficient) for coefficient in fitted]

@@ -38,7 +38,7 @@ class TaskSettings:
     @property
     def device_names(self) -> list[str]:
         """Names of the devices in use, as in the script."""
-        return list(dict.fromkeys(each.port.device for each in self.channels))
+        return list(dict.fromkeys(channel.port.device for channel in self.channels))
 
     @property
     def device(self) -> str:
@@ -98,7 +98,7 @@ class TaskSettings:
         of `Channel.declare`.
         """
         side = "ao" if kind is None else "ai"
-        ports = [parse_port(each) for each in unflatten(physical)]
+        ports = [parse_port(terminal) for terminal in unflatten(physical)]
         if not ports:
             raise DaqError(
                 "no physical channel was given. Give a name such as cDAQ1Mod1/ai0:3.",
@@ -109,9 +109,9 @@ class TaskSettings:
                 "a task has either inputs or outputs. Create another task, and start one by the other's start trigger.",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
-        names = [each.name for each in ports]
+        names = [port.name for port in ports]
         if "," in name:
-            listed = [each.strip() for each in name.split(",")]
+            listed = [part.strip() for part in name.split(",")]
             if len(listed) > len(names):
                 raise invalid_value(f"{len(listed)} names for {len(names)} channels. Give at most one for each.")
             names[: len(listed)] = listed
@@ -122,7 +122,7 @@ class TaskSettings:
             module = self._module(port.device)
             if port.kind != side:
                 raise module.channel_error(port.kind, port.number)
-            used_names = [each.name.lower() for each in (*self.channels, *added)]
+            used_names = [channel.name.lower() for channel in (*self.channels, *added)]
             if virtual.lower() in used_names and not name:
                 # A terminal may be used twice, under different names.
                 number = 1
@@ -134,7 +134,7 @@ class TaskSettings:
                     f"the task has a channel {virtual!r} already. Choose another name.", Code.VIRTUAL_CHAN_NAME_USED
                 )
             channel = Channel.declare(virtual, port, module, kind, given)
-            if side == "ao" and channel.row in [each.row for each in (*self.channels, *added)]:
+            if side == "ao" and channel.row in [channel.row for channel in (*self.channels, *added)]:
                 raise DaqError(
                     f"{port.name} is in the task already. Add each output only once.", Code.CHAN_ALREADY_IN_TASK
                 )
@@ -151,9 +151,9 @@ class TaskSettings:
         selected = []
         for name in unflatten(names):
             key = name.lower().lstrip("/")
-            matches = [each for each in self.channels if key in (each.name.lower(), each.port.name.lower())]
+            matches = [channel for channel in self.channels if key in (channel.name.lower(), channel.port.name.lower())]
             if not matches:
-                present = ", ".join(each.name for each in self.channels) or "none"
+                present = ", ".join(channel.name for channel in self.channels) or "none"
                 raise DaqError(
                     f"the task has no channel {name!r}: it has {present}. Add the channel first.",
                     Code.VIRTUAL_CHAN_DOES_NOT_EXIST,
@@ -187,4 +187,4 @@ class TaskSettings:
 
     def rows_to_read(self) -> list[int]:
         """Return the indexes in the task of the channels that reads return."""
-        return [self.channels.index(each) for each in self.find(self.groups["read"]["channels_to_read"])]
+        return [self.channels.index(channel) for channel in self.find(self.groups["read"]["channels_to_read"])]

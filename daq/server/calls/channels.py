@@ -24,9 +24,9 @@ def create_input(kind: Measurement, teds: bool) -> Handler:
             return
         terminals = unflatten(physical)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
-        for each, virtual in zip(terminals, names, strict=True):
-            sensor_settings = _settings_of_sensor(call, each, kind)
-            call.task.settings.add(each, virtual, kind, settings | sensor_settings | {"ai_is_teds": True})
+        for terminal, virtual in zip(terminals, names, strict=True):
+            sensor_settings = _settings_of_sensor(call, terminal, kind)
+            call.task.settings.add(terminal, virtual, kind, settings | sensor_settings | {"ai_is_teds": True})
 
     return create
 

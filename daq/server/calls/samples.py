@@ -180,16 +180,16 @@ def _write(counts: _Counts | None = None) -> Handler:
 def _count_bits(task: Task) -> int:
     """Return the width of the counts of a task's outputs, bits."""
     task.settings.require("ao")
-    return 16 if all((each.module.output_bits or 32) <= 16 for each in task.settings.channels) else 32
+    return 16 if all((channel.module.output_bits or 32) <= 16 for channel in task.settings.channels) else 32
 
 
 def _volts_per_count(task: Task) -> NDArray[np.float64]:
     """Return the volts per count of each output, shape (channels, 1)."""
     sizes = []
-    for each in task.settings.channels:
-        if each.module.output_bits is None:
+    for channel in task.settings.channels:
+        if channel.module.output_bits is None:
             raise unsupported("an unscaled write", "The rig's output has no counts. Write volts.")
-        sizes.append([each.module.output_range / 2.0 ** (each.module.output_bits - 1)])
+        sizes.append([channel.module.output_range / 2.0 ** (channel.module.output_bits - 1)])
     return np.array(sizes)
 
 
@@ -212,7 +212,7 @@ def _write_raw(call: Call) -> Answer:
 
 def _write_waveforms(call: Call) -> Answer:
     fields = call.fields
-    rows = [np.array(each.y_data) for each in fields["waveforms"]]
+    rows = [np.array(waveform.y_data) for waveform in fields["waveforms"]]
     if len({row.size for row in rows}) > 1:
         raise DaqError("the waveforms differ in length. Write the same number of samples for each.", -200101, 0)
     volts = np.stack(rows) if rows else np.zeros((0, 0))

@@ -120,8 +120,8 @@ def _delete(group: str, field_name: str) -> Handler:
     """Return the handler that deletes a saved item; `group` is the attribute of `Storage` with such items."""
 
     def delete(call: Call) -> None:
-        for each in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
-            each.pop(call.fields[field_name], None)
+        for items in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
+            items.pop(call.fields[field_name], None)
 
     return delete
 

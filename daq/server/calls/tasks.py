@@ -116,7 +116,7 @@ CALLS: dict[str, Handler] = {
     "TaskControl": task_action(lambda task, fields: task.control(fields["action"])),
     "IsTaskDone": lambda call: {"is_task_done": call.task.is_done()},
     "WaitUntilTaskDone": task_action(lambda task, fields: task.wait_until_done(fields["time_to_wait"])),
-    "GetNthTaskChannel": _nth_name(lambda task: [each.name for each in task.settings.channels]),
+    "GetNthTaskChannel": _nth_name(lambda task: [channel.name for channel in task.settings.channels]),
     "GetNthTaskDevice": _nth_name(lambda task: task.settings.device_names),
     "GetNthTaskReadChannel": _nth_name(
         lambda task: [task.settings.channels[row].name for row in task.settings.rows_to_read()]

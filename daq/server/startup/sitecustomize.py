@@ -17,7 +17,7 @@ if "SHOTRIG_SERVER" in os.environ:
 
 _here = str(Path(__file__).resolve().parent)
 _spec = importlib.machinery.PathFinder.find_spec(
-    "sitecustomize", [each for each in sys.path if str(Path(each).resolve()) != _here]
+    "sitecustomize", [folder for folder in sys.path if str(Path(folder).resolve()) != _here]
 )
 if _spec is not None and _spec.loader is not None:
     _spec.loader.exec_module(importlib.util.module_from_spec(_spec))

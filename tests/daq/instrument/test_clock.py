@@ -155,7 +155,7 @@ def test_delay_of_machine_is_logged_once(caplog):
     # Wall-clock times and delays, s.
     for now, delay in ((1.0, 0.5), (1.1, 0.2), (1.2, 0.01), (2.0, 0.3), (2.1, 0.0), (3.0, 0.1)):
         delays.note(delay, now)
-    assert [each.getMessage() for each in caplog.records if "0.50 s behind" in each.getMessage()]
+    assert [record.getMessage() for record in caplog.records if "0.50 s behind" in record.getMessage()]
     assert len(caplog.records) == 1
     delays.note(0.0, 12.0)
     assert "0.30 s behind" in caplog.records[-1].getMessage()

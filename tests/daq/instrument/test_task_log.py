@@ -94,7 +94,7 @@ def test_log_names_modules_with_shared_sensors(tmp_path):
         pass_samples(chassis, 300)
         readings = np.array(task.read(300))
         task.stop()
-        assert [each.name for each in task.devices] == ["cDAQ1Mod1", "Dev2"]
+        assert [device.name for device in task.devices] == ["cDAQ1Mod1", "Dev2"]
     assert np.array_equal(readings[:3], readings[3:])
     with daq.open(path) as recording:
         assert [*recording.channels] == [*("body1", "body2", "body3"), *("body1 on Dev2", "body2 on Dev2", "third")]

@@ -142,7 +142,7 @@ def test_shakers_follow_their_own_outputs():
     devices = System.remote(options()).devices
     # Vibration controllers start their outputs with the inputs by this terminal.
     assert "/cDAQ1/ai/StartTrigger" in devices["cDAQ1Mod3"].compact_daq_chassis_device.terminals
-    assert [each.product_type for each in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
+    assert [device.product_type for device in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
     # The outputs have different numbers of periods in 512 samples.
     output_volts = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
     with Task() as driving, Task() as task:
@@ -168,4 +168,4 @@ def test_changed_input_starts_new_file(tmp_path):
             task.stop()
     recording.close()
     supplies = [daq.open(path).channels["one"].sensor["converter.excitation"] for path in recording.paths]
-    assert [each.split() for each in supplies] == [["0.002", "A"], ["0.0", "A"]]
+    assert [supply.split() for supply in supplies] == [["0.002", "A"], ["0.0", "A"]]

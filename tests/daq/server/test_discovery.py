@@ -58,7 +58,7 @@ def client(rig):
 
 
 def test_reflection_lists_all_services(client):
-    assert client.services() == {each.full_name for each in SERVICES}
+    assert client.services() == {service.full_name for service in SERVICES}
 
 
 def test_client_of_reflection_writes_and_reads(client):
@@ -97,7 +97,7 @@ def test_client_of_reflection_writes_and_reads(client):
 def test_devices_are_enumerated(rig, client):
     result = client.call("nidevice_grpc.SessionUtilities", "EnumerateDevices").devices
     devices = rig.chassis.devices
-    assert [(each.name, each.model) for each in result] == [
+    assert [(device.name, device.model) for device in result] == [
         (name, devices.module(name).product_type) for name in devices.names
     ]
 

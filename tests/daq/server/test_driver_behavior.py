@@ -53,7 +53,7 @@ def test_waveform_starts_at_wall_clock_time(monkeypatch):
             waveform = task.read_waveform(100)
         start_times.append(waveform.timing.start_time)
         assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / RATE, abs=1e-9)
-    intervals = [(each - start_times[0]).total_seconds() for each in start_times]
+    intervals = [(start_time - start_times[0]).total_seconds() for start_time in start_times]
     assert intervals == pytest.approx([0.0, 3.0, 103.0], abs=1e-6)
     assert start_times[0].year == 2023
 

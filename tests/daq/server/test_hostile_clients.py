@@ -103,7 +103,7 @@ def send(channel, name, data):
 
 def open_stream(options, task, name):
     """Register an event, whose stream stays open."""
-    method = next(each for each in methods() if each.name == name)
+    method = next(method for method in methods() if method.name == name)
     request = method.request()
     request.task.name = task._handle.name
     if name == "RegisterEveryNSamplesEvent":
@@ -135,7 +135,7 @@ def send_random_call(channel, method, rng, sessions):
 
 def create_valid_task(channel, sessions):
     """Create a task that can run, and add it to the sessions."""
-    methods_by_name = {each.name: each for each in methods()}
+    methods_by_name = {method.name: method for method in methods()}
     sessions.append(methods_by_name["CreateTask"].response.FromString(send(channel, "CreateTask", b"")).task.name)
     request = methods_by_name["CreateAIVoltageChan"].request(
         physical_channel="cDAQ1Mod2/ai0", terminal_config_raw=-1, min_val=-5.0, max_val=5.0, units_raw=10_348
@@ -157,9 +157,9 @@ def read_witness_during(actions):
 
 def test_random_calls_harm_only_their_client(capfd):
     rng, sessions, errors = random.Random(20), ["nobody"], []
-    supported = [each for each in methods() if not each.streams and handler_of(each.name)]
+    supported = [method for method in methods() if not method.streams and handler_of(method.name)]
     # Outputs drive the shaker, and change the readings of all clients by design.
-    without_outputs = [each for each in supported if "AO" not in each.name and "Write" not in each.name]
+    without_outputs = [method for method in supported if "AO" not in method.name and "Write" not in method.name]
 
     def calls(channel):
         for number in range(N_CALLS):
@@ -256,8 +256,8 @@ def test_too_many_calls_are_rejected():
                 task.start()
             with inputs(client(rig), "Dev7/ai0", samps_per_chan=100) as other:
                 assert len(other.read(100)) == 100
-            for each in streams:
-                each.cancel()
+            for stream in streams:
+                stream.cancel()
 
 
 def test_too_many_scales_are_rejected(monkeypatch):

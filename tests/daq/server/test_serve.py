@@ -76,7 +76,7 @@ def test_certificates_admit_only_their_clients(certificate):
     server = Server(chassis, "localhost:0", Certificates(*server_pair, clients=known_pair[0]).credentials())
 
     def devices(*client_pair, expected_server=server_pair[0]):
-        pem_contents = [each.read_bytes() for each in reversed(client_pair)] or [None, None]
+        pem_contents = [path.read_bytes() for path in reversed(client_pair)] or [None, None]
         credentials = grpc.ssl_channel_credentials(expected_server.read_bytes(), *pem_contents)
         with grpc.secure_channel(f"localhost:{server.port}", credentials) as channel:
             return System.remote(nidaqmx.GrpcSessionOptions(channel, "")).devices.device_names
@@ -117,7 +117,7 @@ def test_invalid_address_is_rejected(address):
 
 def test_name_with_other_address_is_not_loopback(monkeypatch):
     for addresses, expected in ((["::1", "127.0.0.1"], True), (["::1", "192.0.2.1"], False)):
-        answer = [(0, 0, 0, "", (each, 0)) for each in addresses]
+        answer = [(0, 0, 0, "", (address, 0)) for address in addresses]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, answer=answer: answer)
         assert _is_loopback("a.name") is expected
 

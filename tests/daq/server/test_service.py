@@ -44,7 +44,7 @@ def inputs(options, channels="cDAQ1Mod1/ai0", name="", **timing):
 def test_devices_are_enumerated(shared):
     devices = System.remote(shared).devices
     assert devices.device_names == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
-    assert [each.name for each in devices["cDAQ1"].chassis_module_devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
+    assert [device.name for device in devices["cDAQ1"].chassis_module_devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
     assert devices["cDAQ1Mod1"].ai_physical_chans.channel_names[-1] == "cDAQ1Mod1/ai3"
 
 

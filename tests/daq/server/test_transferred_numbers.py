@@ -17,7 +17,7 @@ from daq.server.protocol import SERVICE, methods
 
 COUNT_TYPES = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 # Calls that read or write samples.
-TRANSFERS = [each for each in methods() if each.name.startswith(("Read", "Write"))]
+TRANSFERS = [method for method in methods() if method.name.startswith(("Read", "Write"))]
 FEW_EXAMPLES = settings(
     max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -43,7 +43,7 @@ def send(channel, method, **fields):
     answer = message_factory.GetMessageClass(SERVICE.methods_by_name[method].output_type)
     call = channel.unary_unary(
         f"/{SERVICE.full_name}/{method}",
-        request_serializer=lambda each: each.SerializeToString(),
+        request_serializer=lambda request: request.SerializeToString(),
         response_deserializer=answer.FromString,
     )
     return call(message)
@@ -79,7 +79,7 @@ def requests(draw, method, task):
     """Draw the fields of a request that names this task."""
     request_fields = SERVICE.methods_by_name[method].input_type.fields
     empty = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)()
-    fields = {"task": {"name": task}} if "task" in [each.name for each in request_fields] else {}
+    fields = {"task": {"name": task}} if "task" in [field.name for field in request_fields] else {}
     for field in request_fields:
         if field.name == "waveforms" and "Analog" in method:
             fields[field.name] = [{"y_data": draw(st.lists(st.floats(), max_size=4))}]
@@ -95,7 +95,7 @@ def requests(draw, method, task):
 
 
 @pytest.mark.parametrize("bench", [16], indirect=True)
-@pytest.mark.parametrize("method", [each.name for each in TRANSFERS])
+@pytest.mark.parametrize("method", [method.name for method in TRANSFERS])
 def test_any_request_gives_answer_or_driver_error(bench, method):
     connection, _, channel = bench
     with nidaqmx.Task("in", grpc_options=connection) as inputs, nidaqmx.Task("out", grpc_options=connection) as outputs:

@@ -290,7 +290,7 @@ def serve_a_rig(
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
     path = None if output is None else _check_new_recording(output, overwrite)
-    limits = Limits(patience=session_timeout)
+    limits = Limits(disconnect_timeout=session_timeout)
     with pause_reports():
         bench = _load_bench_scene(scene, changes)
         serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, proto_folder)

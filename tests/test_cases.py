@@ -127,7 +127,7 @@ def check_measurement(scene: rig.Scene, settings: dict[str, Any], requirements: 
     comparison = requirements.get("follows")
     for start in range(0, samples, BLOCK_SAMPLES):
         block = bench.acquire(drive[:, start : start + BLOCK_SAMPLES])
-        readings.append(bench.physical(block.samples))
+        readings.append(bench.to_units(block.samples))
         overloads.append(block.overload)
         assert np.isfinite(readings[-1]).all()
         if comparison is not None:

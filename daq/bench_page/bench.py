@@ -67,7 +67,7 @@ def bench(
     chassis = connect_scene(scene, "real")
     with contextlib.ExitStack() as stack:
         try:
-            server = Server(chassis, f"127.0.0.1:{device_port}", further=(BenchTime(chassis),))
+            server = Server(chassis, f"127.0.0.1:{device_port}", other_handlers=(BenchTime(chassis),))
         except RuntimeError:
             raise SceneError(
                 f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port; 0 chooses a free port."

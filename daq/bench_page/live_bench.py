@@ -93,12 +93,12 @@ class TestController:
     @property
     def running(self) -> bool:
         """Whether a test of the page is running."""
-        return self._background_test is not None and not self._background_test.quiet
+        return self._background_test is not None and not self._background_test.is_idle
 
     def switch_on(self) -> None:
         """Start the clock of the bench without a test."""
         with self._chassis.changed:
-            self._terminals.play(self._scene, 0, _ignore, _ignore, _ignore, _zero_drive)
+            self._terminals.run_test(self._scene, 0, _ignore, _ignore, _ignore, _zero_drive)
             self._chassis.keep_time_running(cast(Any, self))
 
     def switch_off(self) -> None:
@@ -121,7 +121,7 @@ class TestController:
                 self._hits = []
                 self._recordings.begin_test(scene, kind)
                 self.message = f"{self.settings.kind} runs"
-                self._background_test = self._terminals.play(
+                self._background_test = self._terminals.run_test(
                     scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
                 )
                 if self.running:

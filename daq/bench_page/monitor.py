@@ -98,7 +98,7 @@ class Monitor:
         if self._blocks.full():
             self.skipped_blocks += 1
         else:
-            self._blocks.put_nowait((block, bench.drive.copy(), bench.physical))
+            self._blocks.put_nowait((block, bench.drive.copy(), bench.to_units))
 
     def catch_up(self) -> None:
         """Wait until all queued blocks have been processed."""

@@ -1,4 +1,4 @@
-"""Plays the test of a scene on the bench while no client drives the outputs."""
+"""Runs the test of a scene on the bench while no client drives the outputs."""
 
 from __future__ import annotations
 
@@ -18,53 +18,63 @@ from rig.errors import ShotrigError
 
 
 class BackgroundTest:
-    """Plays a test on a bench in windows: intervals whose drive depends on the readings of the previous window.
+    """Runs a test block by block: the drive of a block may depend on the readings of the previous block.
 
-    `station` describes the bench to the test; `station.now` is the number of the first sample. The excitation is a
-    generator that yields the drive of each window and receives the readings; `excite` creates it. The drive is
-    interpolated linearly over the `ticks` of the bench per sample. `physical` converts samples to the channels' units.
-    `lead_ticks` ticks without drive precede the first sample. `ended` is called once when the test ends, with the
-    reason, which is empty at a regular end. Without `ended`, the test restarts at its end, and an error is a warning.
+    Parameters
+    ----------
+    station
+        The bench as the test sees it; `station.now` is the number of the first sample of the current block.
+    ticks_per_sample
+        Ticks of the bench per sample; the drive is interpolated linearly between samples.
+    to_units
+        Converts samples to the channels' units.
+    lead_ticks
+        Ticks without drive before the first sample.
+    make_excitation
+        Creates the generator that yields the drive of each block and receives its readings.
+    on_end
+        Called once when the test ends, with the reason, which is empty at a regular end. If None, the test is repeated,
+        and an error is only a warning.
     """
 
     def __init__(
         self,
         station: Station,
-        ticks: int,
-        physical: Callable[[NDArray[Any]], Array],
+        ticks_per_sample: int,
+        to_units: Callable[[NDArray[Any]], Array],
         lead_ticks: int = 0,
-        excite: Callable[[Station], Excitation] = excitation,
-        ended: Callable[[str], None] | None = None,
+        make_excitation: Callable[[Station], Excitation] = excitation,
+        on_end: Callable[[str], None] | None = None,
     ) -> None:
-        self._station, self._physical, self._excite, self._ended = station, physical, excite, ended
-        self._interpolator = DriveInterpolator(len(station.inputs), ticks)
-        self._stopping = False
-        self._position = 0  # in the drive of the window, ticks
-        self._readings: list[Array] = []  # of the present window
-        self._drive = np.zeros((len(station.inputs), 0))  # of the present window, at every tick
-        # True while nothing is played: there is no test, it has ended or failed, or a client uses its output.
-        self.quiet = station.scene.test is None
-        if not self.quiet:
-            self._start_test("cannot be played")
+        self._station, self._to_units, self._make_excitation, self._on_end = station, to_units, make_excitation, on_end
+        self._interpolator = DriveInterpolator(len(station.inputs), ticks_per_sample)
+        self._is_stopping = False
+        self._position = 0  # in the drive of the current block, ticks
+        self._readings: list[Array] = []  # of the current block
+        self._drive = np.zeros((len(station.inputs), 0))  # of the current block, at every tick
+        # True without a test, after its end or an error, and after a client has used its output.
+        self.is_idle = station.scene.test is None
+        if not self.is_idle:
+            self._start_test("cannot run")
             self._drive = np.concatenate([np.zeros((len(self._drive), lead_ticks)), self._drive], axis=1)
 
     def _start_test(self, failure: str) -> None:
-        """Start the test with its first window; `failure` is the predicate of the message if it cannot start."""
+        """Start the test; if it cannot start, the message says `failure`, such as "cannot run"."""
         try:
-            self._test = self._excite(self._station)
-            self._start_window(next(self._test))
+            self._test = self._make_excitation(self._station)
+            self._start_block(next(self._test))
         except ShotrigError as error:
             self._finish(failure, str(error))
 
-    def _start_window(self, window: Array) -> None:
-        """Start the next window, the drive of the next samples; the test receives their readings at its end."""
-        self._window, self._drive, self._position = window, self._interpolator.interpolate(window), 0
+    def _start_block(self, drive: Array) -> None:
+        """Start the next block, with its drive at the sample rate, shape (inputs, samples)."""
+        self._block_drive, self._drive, self._position = drive, self._interpolator.interpolate(drive), 0
 
     def _finish(self, failure: str, reason: str) -> None:
-        """Play nothing from now on, and report the reason; `failure` is the predicate of the warning."""
-        self.quiet = True
-        if self._ended is not None:
-            self._ended(reason)
+        """End the drive, and report the reason; `failure` is the verb of the warning, such as "has ended"."""
+        self.is_idle = True
+        if self._on_end is not None:
+            self._on_end(reason)
         else:
             warnings.warn(
                 f"the test of scene {self._station.scene.name!r} {failure}: {reason.rstrip('.')}. Until a script "
@@ -74,62 +84,62 @@ class BackgroundTest:
             )
 
     def stop(self) -> None:
-        """End the test at the end of the current window, with a ramp of its drive to zero."""
-        self._stopping = True
+        """End the test at the end of the current block, with a ramp of its drive to zero."""
+        self._is_stopping = True
 
     def release_outputs(self) -> None:
-        """Release the outputs to a client. A hammer test continues."""
+        """End the test because a client uses an output; a hammer test, which uses no output, continues."""
         test = self._station.scene.test
-        if not self.quiet and test is not None and test.kind != "impulse":
-            if self._ended is None:
-                self.quiet = True
+        if not self.is_idle and test is not None and test.kind != "impulse":
+            if self._on_end is None:
+                self.is_idle = True
             else:
                 self._test.close()
                 self._finish("", "a client has taken the output")
 
     def limit_ticks(self, ticks: int) -> int:
-        """Limit a number of ticks to the current window: the next window depends on its readings."""
-        return ticks if self.quiet else min(ticks, self._drive.shape[1] - self._position)
+        """Limit a number of ticks to the current block: the next drive is not known before its readings."""
+        return ticks if self.is_idle else min(ticks, self._drive.shape[1] - self._position)
 
     def drive(self, ticks: int) -> Array:
         """Return the drive of the next ticks, shape (inputs, ticks)."""
-        if self.quiet:
+        if self.is_idle:
             return np.zeros((len(self._station.inputs), ticks))
         return self._drive[:, self._position : self._position + ticks]
 
     def add_readings(self, samples: NDArray[np.float64] | NDArray[np.int32], ticks: int) -> None:
-        """Add converter samples of `ticks` ticks, shape (channels, samples); start the next window if one ends."""
-        if self.quiet:
+        """Add converter samples of `ticks` ticks, shape (channels, samples); at the end of a block, start the next."""
+        if self.is_idle:
             return
-        self._readings.append(self._physical(samples))
+        self._readings.append(self._to_units(samples))
         self._position += ticks
         if self._position < self._drive.shape[1]:
             return
-        size = self._window.shape[1]
-        latest = np.concatenate(self._readings, axis=1)[:, -size:]
-        # With a removed filter delay, the first window has fewer readings than samples.
-        readings = np.zeros((latest.shape[0], size))
-        readings[:, size - latest.shape[1] :] = latest
-        self._station.now += size
+        n_samples = self._block_drive.shape[1]
+        received = np.concatenate(self._readings, axis=1)[:, -n_samples:]
+        # If the filter delay is removed, the first samples of the first block are missing: they are set to zero.
+        readings = np.zeros((received.shape[0], n_samples))
+        readings[:, n_samples - received.shape[1] :] = received
+        self._station.now += n_samples
         self._readings = []
         try:
-            if self._stopping:
-                self._stopping = False
+            if self._is_stopping:
+                self._is_stopping = False
                 self._test.close()
-                self._test = _ramp(self._window[:, -2:], self._station.samples(RAMP_S))
-                self._start_window(next(self._test))
+                self._test = _ramp(self._block_drive[:, -2:], self._station.samples(RAMP_S))
+                self._start_block(next(self._test))
             else:
-                self._start_window(self._test.send(readings))
+                self._start_block(self._test.send(readings))
         except StopIteration:
-            if self._ended is not None:
+            if self._on_end is not None:
                 self._finish("", "")
             else:
                 self._station = replace(self._station, now=0)
-                self._start_test("cannot be played again")
+                self._start_test("cannot be repeated")
         except ShotrigError as error:
             self._finish("has ended", str(error))
 
 
-def _ramp(last: Array, samples: int) -> Excitation:
-    """Return an excitation of one window: a ramp to zero from the last two samples of the drive, shape (inputs, 2)."""
-    yield ramp_down(last, samples)
+def _ramp(last_drive: Array, samples: int) -> Excitation:
+    """Return an excitation of one block: a ramp to zero from the last two samples of the drive, shape (inputs, 2)."""
+    yield ramp_down(last_drive, samples)

@@ -1,13 +1,13 @@
 """The chassis: runs the tasks of clients on the bench of a scene, on one clock.
 
 There is an input for every channel of the scene (including the force of the hammer) and an output for every shaker.
-Time is counted in ticks, the steps of the simulation of the bench. Tasks start at ticks. The outputs act on the inputs
-through the simulated rig: shaker, structure and dampers. Tasks of any rate use this clock and may start in any order;
-no task changes the sampling of another task.
+The outputs act on the inputs through the simulated rig: shaker, structure and dampers. Time is counted in ticks, the
+time steps of the bench. A task starts at a tick. Tasks may have any rates and start in any order; no task changes the
+sampling of another task.
 
-An output keeps its last value when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
-Bench time stops while no task needs the bench. The test of the scene is played until a task uses an output for the
-first time, see `daq.instrument.background_test`.
+An output keeps its last voltage when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
+Bench time stops while no task is open that has been started. The test of the scene runs until a task uses an output for
+the first time, see `daq.instrument.background_test`.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 _MAX_BLOCK_TICKS = 4096
 # More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62
-# If the bench is later than this relative to the wall clock, its input buffers overflow.
+# Delay of the bench relative to the wall clock at which the runs stop with the error of an input overflow.
 _MAX_DELAY_S = 5.0
 # Maximum pause of the fast clock for the callback of an event, in wall-clock time.
 _CALLBACK_WAIT_S = 0.25
-# Number of consecutive unanswered events after which the clock no longer waits for a listener.
+# Number of consecutive events with a late callback after which the clock no longer waits for the callbacks of a task.
 _MAX_UNANSWERED = 8
 
 
@@ -63,18 +63,18 @@ class Runner(Protocol):
         """Return the number of ticks that may pass before `notify_samples` must be called."""
 
     def notify_samples(self) -> bool:
-        """Process new samples; return whether a callback must finish before the next samples."""
+        """Process new samples and send events; return whether a callback must finish before the next samples."""
 
     @property
     def callback_finished(self) -> bool:
-        """Whether that callback has finished."""
+        """Whether that callback has finished: all samples have been read."""
 
 
 class Chassis:
     """The instrument that is connected to a bench: its devices, its clock, and the tasks that use them.
 
-    `modules` are the devices that scripts can use, including the chassis itself. `terminals` are those of a bench that
-    has not been advanced yet. `clock` advances the bench.
+    `modules` are the devices that scripts can use, including the chassis itself. `terminals` connect a bench that has
+    not been advanced yet. `clock` advances the bench.
     """
 
     def __init__(self, modules: Sequence[Module], terminals: Terminals, clock: Clock) -> None:
@@ -86,30 +86,30 @@ class Chassis:
         # Called with every block at the sample rate of the bench, for example by the scope or a recording.
         self.listeners: list[Callable[[Bench, Block], None]] = []
         # Called with the inputs of a task before they are sampled.
-        self.wiring_listeners: list[Callable[[Sequence[Channel]], None]] = []
+        self.conditioning_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._output_taken = False  # a task uses the outputs instead of the test of the scene
-        self._read = False  # an acquisition has been started
-        # Times of the bench, s, with the actions that are due then.
-        self._alarms: list[tuple[float, Callable[[], None]]] = []
-        # Resources of each task, with their names for messages; see `reserve`.
+        self._has_output_task = False  # tasks drive the outputs instead of the test of the scene
+        self._has_acquired = False  # an acquisition has been started
+        # Bench time in s, and the action that is due then.
+        self._scheduled: list[tuple[float, Callable[[], None]]] = []
+        # Resources of each task, and their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
         # Tasks that have been started and are still open: bench time runs for them.
-        self._live_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
-        # Consecutive events of each task whose callback did not finish in time.
+        self._open_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
+        # Number of consecutive events of each task whose callback did not finish in time.
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
         self.position = 0  # ticks since the bench was switched on
-        # Ticks and their wall-clock times, ns: bench time may stop and continue later.
+        # Ticks at which bench time continued after a stop, and their wall-clock times, ns.
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
         self.last_volts = np.zeros(len(terminals.drive_per_volt))  # present voltage of each output
 
     def anchor(self) -> None:
         """Store the wall-clock time of the next tick; see `Timeline.anchor` in `daq.instrument.clock`."""
-        # The fast and the manual clock have no date; their times count from power-on of the bench.
-        now_ns = time.time_ns() if self.clock.runs_free else round(self.position * 1e9 / self.rate)
+        # Times of the fast and the manual clock count from power-on of the bench, not from 1970.
+        now_ns = time.time_ns() if self.clock.is_free_running else round(self.position * 1e9 / self.rate)
         self._anchors.append((self.position, now_ns))
 
     @property
@@ -119,29 +119,29 @@ class Chassis:
 
     @property
     def elapsed(self) -> float:
-        """Seconds that have passed on the bench since it was connected."""
+        """Time that has passed on the bench since power-on, s."""
         return self.position / self.rate
 
-    def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Schedule an action at a time of the bench, s; see `elapsed`."""
-        self._alarms.append((seconds, action))
+    def schedule(self, seconds: float, action: Callable[[], None]) -> None:
+        """Schedule an action for a time since power-on, s."""
+        self._scheduled.append((seconds, action))
 
     def pass_time(self, seconds: float) -> None:
-        """Wait until a duration, s, has passed on the bench; on the wall clock while no task needs the bench."""
+        """Wait for a duration, s, in bench time; while bench time is stopped, wait only on the real clock."""
         with self.changed:
             end = self.position + round(seconds * self.rate)
 
             def has_passed() -> bool:
-                return not self.live or self.position >= end
+                return not self.is_in_use or self.position >= end
 
-            if self.live:
+            if self.is_in_use:
                 self.clock.wait(self, has_passed, lambda: end - self.position, -1.0)
                 return
-        if self.clock.runs_free:
+        if self.clock.is_free_running:
             threading.Event().wait(seconds)
 
     def time_ns(self, tick: int) -> int:
-        """Time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
+        """Return the time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
         anchor, anchor_ns = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
         return anchor_ns + round((tick - anchor) * 1e9 / self.rate)
 
@@ -167,14 +167,14 @@ class Chassis:
         """Remove a closed task."""
         with self.changed:
             self.release(task)
-            self._live_tasks.discard(task)
+            self._open_tasks.discard(task)
             self.tasks.pop(task.name, None)
 
     def reserve(self, task: Runner, resources: Mapping[Hashable, str]) -> None:
         """Reserve the resources that a task needs.
 
-        `resources` maps each resource to its name for messages. A resource is the inputs of a device (text), or a
-        drive of the bench (its row, an integer). Raises `DaqError` -50103 if another task has reserved a resource.
+        `resources` maps each resource to its name for messages. A resource is all inputs of a device (a string), or an
+        output (its index on the bench). Raises `DaqError` -50103 if another task has reserved a resource.
         """
         with self.changed:
             for other, reserved in self._reserved.items():
@@ -182,22 +182,22 @@ class Chassis:
                 if other is not task and conflicts:
                     raise DaqError(
                         f"{', '.join(sorted(conflicts))} is in use by task {other.name!r}. Stop or close that task, or "
-                        "put the channels into one task.",
+                        "put all channels into one task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            if any(isinstance(resource, int) for resource in resources) and not self._output_taken:
-                self._output_taken = True
+            if any(isinstance(resource, int) for resource in resources) and not self._has_output_task:
+                self._has_output_task = True
                 self.terminals.release_outputs()
             self._reserved[task] = resources
 
     def release(self, task: Runner) -> None:
-        """Stop running a task and release the resources that it reserved."""
+        """Stop the run of a task and release the resources that it reserved."""
         with self.changed:
             self._reserved.pop(task, None)
             self.halt(task)
 
     def return_outputs(self) -> None:
-        """Return the outputs to the test of the scene; `DaqError` -50103 while a task has reserved an output."""
+        """Let the test of the scene drive the outputs again; `DaqError` -50103 if a task has reserved an output."""
         with self.changed:
             for task, resources in self._reserved.items():
                 if names := [name for resource, name in resources.items() if isinstance(resource, int)]:
@@ -205,10 +205,10 @@ class Chassis:
                         f"{', '.join(sorted(names))} is in use by task {task.name!r}. Stop or close that task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            self._output_taken = False
+            self._has_output_task = False
 
     def halt(self, task: Runner) -> None:
-        """Stop running a task; its resources stay reserved."""
+        """Stop the run of a task; its resources stay reserved."""
         with self.changed:
             self.inputs.pop(task, None)
             self.outputs.pop(task, None)
@@ -217,26 +217,28 @@ class Chassis:
     def keep_time_running(self, task: Runner) -> None:
         """Keep bench time running from now on, until this task is closed."""
         with self.changed:
-            if not self.live:
+            if not self.is_in_use:
                 self.anchor()
-            self._live_tasks.add(task)
+            self._open_tasks.add(task)
             self.clock.start(self)
 
     @property
-    def live(self) -> bool:
+    def is_in_use(self) -> bool:
         """Whether any task that has been started is still open."""
-        return len(self._live_tasks) > 0
+        return len(self._open_tasks) > 0
 
-    def wire(self, task: Runner, channels: Sequence[Channel]) -> None:
-        """Set the input couplings and sensor supplies of a task's channels; see `Terminals.wire`."""
-        in_use = {row for other, acquisition in self.inputs.items() if other is not task for row in acquisition.plan.rows}
-        self.terminals.wire(channels, in_use)
-        for listener in self.wiring_listeners:
+    def set_conditioning(self, task: Runner, channels: Sequence[Channel]) -> None:
+        """Set the input couplings and sensor supplies of a task's channels; see `Terminals.set_conditioning`."""
+        in_use = {
+            row for other, acquisition in self.inputs.items() if other is not task for row in acquisition.plan.rows
+        }
+        self.terminals.set_conditioning(channels, in_use)
+        for listener in self.conditioning_listeners:
             listener(channels)
 
     def run_input(self, task: Runner, plan: InputPlan) -> Acquisition:
         """Start an acquisition at the present tick and return it."""
-        self._read = True
+        self._has_acquired = True
         self.inputs[task] = Acquisition(plan, self.rate, self.position, self.terminals.dtype)
         return self.inputs[task]
 
@@ -246,9 +248,9 @@ class Chassis:
         return self.outputs[task]
 
     @property
-    def read_at_rest(self) -> bool:
-        """Whether inputs were read, but neither a task nor the test has excited the bench."""
-        return self._read and not self._output_taken and self.terminals.quiet
+    def was_read_without_drive(self) -> bool:
+        """Whether inputs were read, but neither a task nor the test has driven the bench."""
+        return self._has_acquired and not self._has_output_task and self.terminals.is_idle
 
     def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
         """Wait until a condition is met, and return whether it was; see `Clock.wait`."""
@@ -264,53 +266,53 @@ class Chassis:
                 self._step(target - self.position)
 
     def _step(self, limit: int) -> None:
-        """Advance by at most `limit` ticks, such that every event is processed at its tick."""
+        """Advance by at most `limit` ticks, and not beyond the next event that must be processed at its tick."""
         terminals, tick = self.terminals, self.position
         ticks = terminals.limit_ticks(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_output()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
         volts = None
-        if self._output_taken:
+        if self._has_output_task:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
             for generation in self.outputs.values():
                 rows = list(generation.plan.rows)
                 volts[rows] = generation.produce(tick, ticks, self.event_tick)
                 self.last_volts[rows] = generation.last_volts
-        # Include the rates of tasks that are only configured: their filters continue while the tasks do not run.
+        # Rates of tasks that do not run are included, so that their filters stay settled.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)
         self.position += ticks
-        # Tasks that other tasks start are processed last.
+        # Tasks that are started by other tasks are processed last.
         in_order = sorted(self.inputs.values(), key=lambda run: isinstance(run.plan.start, OtherTask))
         for acquisition in in_order:
             self._pass_block(acquisition, blocks[acquisition.plan.rate])
-        full_rate = blocks[self.bench.rate]
-        for listener in self.listeners if full_rate.samples.size else ():
-            listener(self.bench, full_rate)
+        bench_block = blocks[self.bench.rate]
+        for listener in self.listeners if bench_block.samples.size else ():
+            listener(self.bench, bench_block)
         self.changed.notify_all()
         self.sleepers.wake(self.position)
         notified = [task for task in (*self.inputs, *self.outputs) if task.notify_samples()]
-        if notified and not self.clock.runs_free:
+        if notified and not self.clock.is_free_running:
             self._await_callbacks(notified)
-        for alarm in [alarm for alarm in self._alarms if alarm[0] <= self.elapsed]:
-            self._alarms.remove(alarm)
-            alarm[1]()
+        for seconds, action in [entry for entry in self._scheduled if entry[0] <= self.elapsed]:
+            self._scheduled.remove((seconds, action))
+            action()
 
     def _await_callbacks(self, notified: Sequence[Runner]) -> None:
-        """Wait for callbacks of events, except those that did not answer several events in a row."""
+        """Wait for the callbacks of tasks, except of tasks whose callbacks were late at several events in a row."""
         awaited = [task for task in notified if self._unanswered.get(task, 0) < _MAX_UNANSWERED]
         self.changed.wait_for(lambda: all(task.callback_finished for task in awaited), _CALLBACK_WAIT_S)
         for task in notified:
             self._unanswered[task] = 0 if task.callback_finished else self._unanswered.get(task, 0) + 1
 
     def _pass_block(self, acquisition: Acquisition, block: Block) -> None:
-        """Pass samples to an acquisition, up to the first sample that was lost after the converter."""
+        """Pass a block to an acquisition; stop it at the first sample that was lost after the converter."""
         if acquisition.done:
             return
         stop = block.first + block.samples.shape[1]
-        losses = self.bench.lost_at(acquisition.plan.rate)
-        lost = [first for first, last in losses if block.first <= last and first < stop]
+        lost_ranges = self.bench.lost_at(acquisition.plan.rate)
+        lost = [first for first, last in lost_ranges if block.first <= last and first < stop]
         valid = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
         samples, overload = block.samples[:, valid], block.overload[:, valid]
         if samples.shape[1]:
@@ -325,8 +327,11 @@ class Chassis:
             )
 
     def event_tick(self, source: OtherTask) -> int | None:
-        """Return the tick of the start or reference trigger of the task that `source` names; None before it."""
-        runs: dict[Any, Any] = self.inputs if source.kind == "ai" else self.outputs
+        """Return the tick of the start or reference trigger of another task; None before the trigger.
+
+        If no running task is on the device of `source`, the task may be on any device.
+        """
+        runs: dict[Any, Any] = self.inputs if source.direction == "ai" else self.outputs
         device = source.device.lower()
         on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
         for run in on_device or runs.values():
@@ -336,16 +341,16 @@ class Chassis:
         return None
 
     def _ticks_to_output(self) -> int:
-        """Return the number of ticks until the next sample of an input that may start an output."""
-        awaited = [
+        """Return the number of ticks until the next sample of an input whose trigger starts an output."""
+        awaited_sources = [
             run.plan.start
             for run in self.outputs.values()
-            if not run.has_started and isinstance(run.plan.start, OtherTask) and run.plan.start.kind == "ai"
+            if not run.has_started and isinstance(run.plan.start, OtherTask) and run.plan.start.direction == "ai"
         ]
         return min(
             (
                 run.ticks_until(1, self.position)
-                for source in awaited
+                for source in awaited_sources
                 for run in self.inputs.values()
                 if (source.reference or (not run.has_started and isinstance(run.plan.start, AnalogSource)))
                 and self.event_tick(source) is None
@@ -354,7 +359,7 @@ class Chassis:
         )
 
     def fail(self, error: BaseException) -> None:
-        """Report a failure of the simulation, and end all waiting calls."""
+        """Report an error of the simulation, and end all waiting calls."""
         traceback.print_exception(error)
         self._stop_all(
             DaqError(f"the simulation of the scene has failed: {error!r}. Change the scene or the drive.", Code.UNKNOWN)
@@ -371,12 +376,12 @@ class Chassis:
                 task.notify_samples()
 
     def _wake_all(self) -> None:
-        """Wake all waiting threads: the condition for which they wait may have changed."""
+        """Wake all waiting threads, because their conditions may have changed."""
         self.changed.notify_all()
         self.sleepers.wake()
 
     def report_delay(self, seconds: float) -> bool:
-        """Return whether a delay relative to the wall clock, s, overflows the buffers; if so, stop all runs."""
+        """Stop all runs if the delay relative to the wall clock, s, exceeds `_MAX_DELAY_S`; return whether it does."""
         if seconds < _MAX_DELAY_S:
             return False
         self._stop_all(

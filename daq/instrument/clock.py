@@ -5,7 +5,7 @@ Only the clock decides when the next ticks are due. A call that must wait (a rea
 `wait_until_done`) waits by the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
-  deterministic: nothing happens between two calls. Repeated queries of a task's progress count as waiting
+  deterministic: no time passes between two calls. Repeated queries of a task's progress count as waiting
   (see `Clock.pass_query`). Time pauses briefly at an event, so that its callback can respond.
 * `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
   reader overflows as with hardware.
@@ -49,9 +49,8 @@ def raise_priority() -> None:
 class Sleepers:
     """Threads that wait until a bench has reached a position, in ticks.
 
-    A thread is woken when its position is reached. If the bench woke every thread at each step of 4 ms, a reader that
-    waits for 100 ms would wake 25 times, and delay the reader whose samples are available. The calling thread holds
-    the `lock` of the bench, which is released while the thread sleeps.
+    A thread is woken only when its position is reached. A reader that waits for 100 ms would otherwise wake 25 times,
+    at each step of 4 ms, and delay other readers. Callers hold the `lock` of the bench; it is released while they sleep.
     """
 
     def __init__(self, lock: threading.RLock) -> None:
@@ -75,13 +74,13 @@ class Sleepers:
 
 
 def seconds(timeout: float) -> float:
-    """Return a timeout in s, -1 or another negative number for an infinite timeout; `DaqError` -200077 for NaN.
+    """Return a timeout in s; negative if the timeout is infinite. Raises `DaqError` -200077 for NaN.
 
     >>> seconds(2), seconds(-1.0), seconds(float("inf"))
     (2.0, -1.0, -1.0)
     """
     if math.isnan(timeout):
-        raise invalid_value(f"timeout is {timeout}; expected seconds, or -1 to wait without limit.")
+        raise invalid_value(f"timeout is {timeout}, which is not a time. Give seconds, or -1 to wait without limit.")
     return -1.0 if timeout == math.inf else float(timeout)
 
 
@@ -91,35 +90,34 @@ class Timeline(Protocol):
     position: int  # ticks that have passed
     # Notified whenever ticks have passed; its lock protects the bench.
     changed: threading.Condition
-    # Threads that wait for ticks; woken when enough ticks have passed, and whenever a task ends.
-    sleepers: Sleepers
+    sleepers: Sleepers  # threads that wait for a position; all are woken when a task ends
 
     @property
     def rate(self) -> float:
         """Ticks per second."""
 
     @property
-    def live(self) -> bool:
-        """Whether bench time must pass (a task has been started and is still open)."""
+    def is_in_use(self) -> bool:
+        """Whether bench time must pass: a task has been started and is still open."""
 
     def advance(self, ticks: int) -> None:
         """Advance by a number of ticks."""
 
     def fail(self, error: BaseException) -> None:
-        """Process an error that stops bench time."""
+        """Handle an error of the simulation, after which bench time stops."""
 
     def anchor(self) -> None:
         """Store the wall-clock time at which bench time continues after a stop."""
 
     def report_delay(self, seconds: float) -> bool:
-        """Process the delay of the bench relative to the wall clock, s; return whether to skip the delayed time."""
+        """Handle a delay of the bench relative to the wall clock, s; return whether to skip the missing time."""
 
 
 class Clock:
     """Base class of all clocks; time on this clock does not pass."""
 
-    # Whether time passes without waiting calls.
-    runs_free = False
+    # Whether time passes by itself, also without waiting calls.
+    is_free_running = False
 
     def start(self, bench: Timeline) -> None:
         """Start to advance a bench; called whenever a task starts."""
@@ -134,9 +132,9 @@ class Clock:
     def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
         """Wait until `ready` is true; return whether that was before the timeout.
 
-        The caller holds the lock of the bench. `ticks_needed` returns a lower bound of the ticks until the condition
-        can be met; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks once, a
-        negative timeout is infinite.
+        The caller holds the lock of the bench. `ticks_needed` returns a lower bound of the ticks until `ready` can be
+        true; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks once, a negative
+        timeout is infinite.
         """
         return ready()
 
@@ -144,12 +142,12 @@ class Clock:
 class FastClock(Clock):
     """Time passes during waiting calls, as fast as the computer simulates."""
 
-    # A long wait pauses at this interval of wall-clock time, so that other threads can take the lock.
+    # Interval and duration of the pauses of a long wait (wall-clock time), in which other threads can take the lock.
     PAUSE_INTERVAL_S = 0.05
     PAUSE_S = 0.002
 
     def pass_query(self, bench: Timeline) -> None:
-        """Let 10 ms pass, so that a loop which only queries the progress terminates."""
+        """Let 10 ms pass, so that a loop that only queries the progress ends."""
         bench.advance(max(1, int(bench.rate / 100)))
 
     def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
@@ -162,7 +160,7 @@ class FastClock(Clock):
                 return False
             bench.advance(int(ticks))
             if time.monotonic() > next_pause:
-                # The condition may depend on another client, or may never be met.
+                # `ready` may depend on the call of another client.
                 bench.changed.wait(self.PAUSE_S)
                 next_pause = time.monotonic() + self.PAUSE_INTERVAL_S
         return True
@@ -195,12 +193,12 @@ class RealClock(Clock):
     The thread ends when no task needs the bench and restarts with the next task; bench time stops in between.
     """
 
-    runs_free = True
+    is_free_running = True
     # Interval at which bench time is updated: on average a reader waits half of it for its last sample.
     UPDATE_INTERVAL_S = 0.004
     # Upper limit of one step: other threads need the lock in between.
     MAX_STEP_S = 0.04
-    # A delayed bench runs at this multiple of real time. If it were faster, the buffers of clients would overflow.
+    # Speed of a delayed bench, as a multiple of real time. If it were faster, the buffers of clients would overflow.
     CATCH_UP_SPEED = 2.0
     # Interval at which a waiting call checks its condition.
     CHECK_INTERVAL_S = 0.02
@@ -209,7 +207,7 @@ class RealClock(Clock):
         self._running: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
-        """Start to advance a bench unless it is running."""
+        """Start a thread that advances a bench, unless there is one."""
         with bench.changed:
             if bench in self._running:
                 return
@@ -220,45 +218,46 @@ class RealClock(Clock):
         """See `Clock.wait`."""
         self.start(bench)
         end = math.inf if timeout < 0 else bench.position + timeout * bench.rate
-        # Bench time, not the wall clock, decides: during compilation, bench time is late.
+        # The timeout is in bench time, which is late during compilation.
         while not ready() and bench.position < end and bench in self._running:
-            # The run may also end early.
+            # Check again after `CHECK_INTERVAL_S`, because the run may end early.
             ticks = min(max(1, ticks_needed()), math.ceil(self.CHECK_INTERVAL_S * bench.rate), end - bench.position)
             bench.sleepers.sleep(bench.position + math.ceil(ticks))
         return ready()
 
 
-# A longer step of the bench is attributed to the compilation of kernels.
+# A step of the bench that takes longer than this wall-clock time is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
 # Maximum number of steps that are attributed to compilation.
 _MAX_COMPILATIONS = 20
 # Minimum delay that is reported.
-_REPORTED_DELAY_S = 0.25
+_MIN_REPORTED_DELAY_S = 0.25
 # Minimum interval between two reports.
 _REPORT_INTERVAL_S = 10.0
 
 
-class _Delays:
-    """Reports the largest delay of the bench relative to the wall clock, when the delay is over."""
+class _DelayReport:
+    """Logs the largest delay of the bench relative to the wall clock, when the bench has caught up."""
 
     def __init__(self) -> None:
-        self._largest, self._reported = 0.0, -math.inf
+        self._largest_s, self._reported_at_s = 0.0, -math.inf
 
-    def note(self, delay: float, now: float) -> None:
-        """Add the delay of the bench at a time of the wall clock, both in s."""
-        self._largest = max(self._largest, delay)
-        caught_up = delay < RealClock.MAX_STEP_S
-        if self._largest >= _REPORTED_DELAY_S and caught_up and now - self._reported >= _REPORT_INTERVAL_S:
+    def add(self, delay_s: float, now_s: float) -> None:
+        """Add the delay of the bench at a time of the wall clock."""
+        self._largest_s = max(self._largest_s, delay_s)
+        has_caught_up = delay_s < RealClock.MAX_STEP_S
+        is_due = now_s - self._reported_at_s >= _REPORT_INTERVAL_S
+        if self._largest_s >= _MIN_REPORTED_DELAY_S and has_caught_up and is_due:
             _LOG.warning(
                 "the bench was up to %.2f s behind real time: samples were delayed. Run fewer programs on this "
                 "machine, or enlarge the buffers of tasks.",
-                self._largest,
+                self._largest_s,
             )
-            self._largest, self._reported = 0.0, now
+            self._largest_s, self._reported_at_s = 0.0, now_s
 
 
 def longest_step(elapsed: float) -> float:
-    """Return the longest step of a bench in real time, s, given the wall-clock time since the previous step, s.
+    """Return the longest step of a delayed bench, s, given the wall-clock time since the previous step, s.
 
     >>> longest_step(0.004), longest_step(1.0)
     (0.008, 0.04)
@@ -269,8 +268,8 @@ def longest_step(elapsed: float) -> float:
 def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeline]) -> None:
     """Keep a bench at wall-clock time while it is live."""
     raise_priority()
-    pause, delays = threading.Event(), _Delays()
-    # Wall-clock time in ns, position and rate from which the due position is computed.
+    pause, delay_report = threading.Event(), _DelayReport()
+    # Wall-clock time (ns), position and tick rate at a common instant, from which the due position is computed.
     origin: tuple[int, int, float] | None = None
     compilations, last = 0, time.monotonic_ns()  # number of compilations; wall-clock time of the last step, ns
     while True:
@@ -278,7 +277,7 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
         if bench is None:
             return
         with bench.changed:
-            if not bench.live:
+            if not bench.is_in_use:
                 running.discard(bench)
                 bench.sleepers.wake()
                 return
@@ -286,23 +285,22 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
             if origin is None or origin[2] != bench.rate or bench.position < origin[1]:
                 origin = (now, bench.position, bench.rate)
                 bench.anchor()
-            # Ticks by which the bench is behind the wall clock.
-            due = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
+            due_ticks = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
             elapsed, last = (now - last) * 1e-9, now
-            if due > 0:
+            if due_ticks > 0:
                 try:
-                    bench.advance(int(min(due, math.ceil(longest_step(elapsed) * bench.rate))))
+                    bench.advance(int(min(due_ticks, math.ceil(longest_step(elapsed) * bench.rate))))
                 except BaseException as error:
                     running.discard(bench)
                     bench.fail(error)
                     return
                 # The compilation of a kernel at its first use is not a delay of the scene.
-                compiled = compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
-                compilations += compiled
-                if compiled or bench.report_delay(due / bench.rate):
-                    origin, due = None, 0
-            delays.note(due / bench.rate, now * 1e-9)
-        is_late = due > RealClock.MAX_STEP_S * bench.rate
+                has_compiled = compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
+                compilations += has_compiled
+                if has_compiled or bench.report_delay(due_ticks / bench.rate):
+                    origin, due_ticks = None, 0
+            delay_report.add(due_ticks / bench.rate, now * 1e-9)
+        is_late = due_ticks > RealClock.MAX_STEP_S * bench.rate
         del bench
         # Even if the bench is late, a pause lets other threads take the lock.
         pause.wait(RealClock.UPDATE_INTERVAL_S / 4 if is_late else RealClock.UPDATE_INTERVAL_S)
@@ -311,14 +309,14 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
 CLOCKS: dict[str, Callable[[], Clock]] = {"real": RealClock, "fast": FastClock, "manual": ManualClock}
 
 
-def clock(kind: str | Clock) -> Clock:
-    """Return the clock of a name ('real', 'fast' or 'manual'), or the given clock.
+def clock(name_or_clock: str | Clock) -> Clock:
+    """Return a new clock by its name ('real', 'fast' or 'manual'); return a given clock unchanged.
 
     >>> type(clock("fast")).__name__
     'FastClock'
     """
-    if not isinstance(kind, str):
-        return kind
-    if kind not in CLOCKS:
-        raise SceneError(f"clock {kind!r}; expected one of {', '.join(CLOCKS)}.")
-    return CLOCKS[kind]()
+    if not isinstance(name_or_clock, str):
+        return name_or_clock
+    if name_or_clock not in CLOCKS:
+        raise SceneError(f"there is no clock {name_or_clock!r}. Choose {', '.join(CLOCKS)}.")
+    return CLOCKS[name_or_clock]()

@@ -69,10 +69,10 @@ DRIVER_TEXTS: Mapping[int, str] = {
 }
 
 
-def meaning(code: int) -> str:
-    """Return the driver's text of a code, or its name where that text is not known; empty for an unknown code.
+def driver_text(code: int) -> str:
+    """Return the driver's text of a code; the name of the code if its text is not known; empty for an unknown code.
 
-    >>> meaning(-200220), meaning(-200709), meaning(-12345)
+    >>> driver_text(-200220), driver_text(-200709), driver_text(-12345)
     ('Device identifier is invalid.', 'Teds sensor not detected.', '')
     """
     if code in DRIVER_TEXTS:
@@ -83,8 +83,8 @@ def meaning(code: int) -> str:
 class DaqError(ShotrigError):
     """An error in a call of the instrument.
 
-    `message`: cause and remedy; `code`: the driver's code of the error; `samples_done`: samples per channel that were
-    read or written before the error.
+    `message` is the cause and the remedy, `code` the driver's code, `samples_done` the number of samples per channel
+    that were read or written before the error.
 
     >>> error = DaqError("no such device", Code.INVALID_DEVICE_ID)
     >>> int(error.code), str(error)

@@ -8,7 +8,8 @@ from typing import Any
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import EverySamples, Signal, enum_member
 
-# Function that is called with the value of an event: the number of samples, the status at the end, or the signal.
+# Function that is called with the value of an event: number of samples since the last event, status at the end, or
+# number of the signal.
 Listener = Callable[[int], None]
 
 _ALREADY_REGISTERED = {
@@ -19,8 +20,8 @@ _NOT_SUPPORTED = {
     EverySamples.ACQUIRED: Code.EVERY_N_SAMPLES_ACQ_INTO_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
     EverySamples.TRANSFERRED: Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE,
 }
-# Signals that occur with every sample; the other signals occur once.
-_EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
+# Signals that occur with every sample; the other signals occur once in a run.
+_SIGNALS_OF_EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
 
 
 def _already_registered(event: str, code: Code) -> DaqError:
@@ -31,37 +32,39 @@ class Events:
     """The listeners of a task; they are called with the chassis locked and must return immediately."""
 
     def __init__(self) -> None:
-        # Kind of samples, number of samples between two events, listener.
-        self._every: tuple[EverySamples, int, Listener] | None = None
+        # Type of the event, number of samples between two events, listener.
+        self._every_n_samples: tuple[EverySamples, int, Listener] | None = None
         self._done: Listener | None = None
         self._signals: dict[Signal, Listener] = {}
         self._end_listeners: list[Callable[[None], None]] = []
         self.begin()
 
-    def listen_every(self, kind: int, samples: int, listener: Listener | None, outputs: bool = False) -> None:
-        """Register a listener that is called after every `samples` samples acquired or generated; None removes it.
+    def listen_every(
+        self, event_type: int, n_samples: int, listener: Listener | None, has_outputs: bool = False
+    ) -> None:
+        """Register a listener that is called after every `n_samples` samples acquired or generated; None removes it.
 
-        Raises `DaqError` with -200966 or -200967 if there is a listener already, -200980 or -200981 for output
-        samples of an input task or input samples of an output task, -200880 for zero samples.
+        `has_outputs`: whether the task has outputs. Raises `DaqError` -200966 or -200967 if there is already a listener,
+        -200980 or -200981 for the other direction than that of the task, -200880 for zero samples.
         """
-        event = enum_member(EverySamples, kind, "every_n_samples_event_type")
+        event = enum_member(EverySamples, event_type, "every_n_samples_event_type")
         if listener is None:
-            self._every = None
+            self._every_n_samples = None
             return
-        if event != (EverySamples.TRANSFERRED if outputs else EverySamples.ACQUIRED):
+        if event != (EverySamples.TRANSFERRED if has_outputs else EverySamples.ACQUIRED):
             raise DaqError(
-                f"an event for samples {event.name.lower()}: the task has {'outputs' if outputs else 'inputs'}. "
-                f"Register for samples {'transferred' if outputs else 'acquired'}.",
+                f"the task has {'outputs' if has_outputs else 'inputs'}, which cause no events for samples "
+                f"{event.name.lower()}. Register for samples {'transferred' if has_outputs else 'acquired'}.",
                 _NOT_SUPPORTED[event],
             )
-        if self._every is not None:
+        if self._every_n_samples is not None:
             raise _already_registered("an every-N-samples event", _ALREADY_REGISTERED[event])
-        if samples < 1:
+        if n_samples < 1:
             raise DaqError(
-                f"an event every {samples} samples. Give at least 1.",
+                f"an event every {n_samples} samples is impossible. Give at least 1.",
                 Code.EVERY_N_SAMPS_EVENT_INTERVAL_ZERO_NOT_SUPPORTED,
             )
-        self._every = event, samples, listener
+        self._every_n_samples = event, n_samples, listener
 
     def listen_done(self, listener: Listener | None) -> None:
         """Register a listener that is called with the status when the task ends; None removes it."""
@@ -84,15 +87,15 @@ class Events:
 
     def remove_listener(self, listener: Callable[[Any], None]) -> None:
         """Remove a listener from all events."""
-        if self._every is not None and self._every[2] == listener:
-            self._every = None
+        if self._every_n_samples is not None and self._every_n_samples[2] == listener:
+            self._every_n_samples = None
         if self._done == listener:
             self._done = None
         self._signals = {signal: other for signal, other in self._signals.items() if other != listener}
         self._end_listeners = [other for other in self._end_listeners if other != listener]
 
     def at_end(self, listener: Callable[[None], None]) -> None:
-        """Register a listener that is called with None when the task is closed."""
+        """Register a listener that is called, with None, when the task is closed."""
         self._end_listeners.append(listener)
 
     def close(self) -> None:
@@ -102,34 +105,37 @@ class Events:
 
     def begin(self) -> None:
         """Reset the counts at the start of a run."""
-        self._sent = 0  # every-N-samples events
-        self._signaled = 0  # samples whose signals have been sent
+        self._n_sent = 0  # every-N-samples events
+        self._n_signaled = 0  # samples whose signals have been sent
         self._done_sent = False
         self._triggered: set[Signal] = set()  # triggers whose signals have been sent
 
     def next_due(self, n_samples: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""
-        return None if self._every is None else (n_samples // self._every[1] + 1) * self._every[1]
+        if self._every_n_samples is None:
+            return None
+        interval = self._every_n_samples[1]
+        return (n_samples // interval + 1) * interval
 
     def notify(self, n_samples: int, run: Any) -> bool:
         """Send all events that are due; return whether an every-N-samples event was sent, whose callback may read.
 
-        `n_samples` is the number of samples per channel that the run has acquired or generated.
+        `n_samples` is the number of samples per channel that `run` has acquired or generated.
         """
-        sent = False
-        if self._every is not None:
-            _, interval, listener = self._every
-            while self._sent < n_samples // interval:
-                self._sent += 1
+        was_sent = False
+        if self._every_n_samples is not None:
+            _, interval, listener = self._every_n_samples
+            while self._n_sent < n_samples // interval:
+                self._n_sent += 1
                 listener(interval)
-                sent = True
-        for signal in _EACH_SAMPLE:
+                was_sent = True
+        for signal in _SIGNALS_OF_EACH_SAMPLE:
             if signal in self._signals:
-                for _ in range(n_samples - self._signaled):
+                for _ in range(n_samples - self._n_signaled):
                     self._signals[signal](int(signal))
-        self._signaled = n_samples
+        self._n_signaled = n_samples
         if run is None:
-            return sent
+            return was_sent
         has_triggered = getattr(run, "trigger", None) is not None
         occurred = {Signal.START_TRIGGER: run.has_started, Signal.REFERENCE_TRIGGER: has_triggered}
         for signal, has_occurred in occurred.items():
@@ -139,4 +145,4 @@ class Events:
         if self._done is not None and not self._done_sent and run.done:
             self._done_sent = True
             self._done(0 if run.error is None else run.error.code)
-        return sent
+        return was_sent

@@ -1,6 +1,6 @@
-"""Checks the settings of a task and converts them into triggers and plans for the engines.
+"""Checks the settings of a task and converts them into the plan of an acquisition (inputs) or generation (outputs).
 
-An engine runs a task: an acquisition (inputs) or a generation (outputs). Its plan has all settings that it needs.
+A plan has all settings of a run, including its triggers.
 """
 
 from __future__ import annotations
@@ -32,23 +32,24 @@ if TYPE_CHECKING:
     from daq.instrument.settings.task_settings import TaskSettings
     from daq.virtual_bench.bench import Bench
 
-# Names of the bench's own sample clock; the source of a clock may also be empty.
+# Sources of a sample clock that mean the bench's own sample clock, among them the empty string.
 _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)
 
 
 def check_timing(task: TaskSettings) -> None:
-    """Check the timing of a task.
+    """Check that the settings of channels and timing are complete and consistent.
 
-    Raises `DaqError` -201087 for channels that need a sample clock, -89136 for a clock that does not exist, -200077
-    for invalid rates and numbers, -89121 for a signal that is exported to an invalid terminal.
+    Raises `DaqError` -201087 for channels that require a sample clock, -89136 for a clock that does not exist, -200077
+    for invalid rates and numbers of samples, -89121 for a signal that is exported to an invalid terminal, and the
+    errors of `Channel.check_complete`.
     """
     timing = task.groups["timing"]
-    for side, attribute, problem in (
-        ("ai", "on_demand", "cannot be read on demand"),
-        ("ao", "output_on_demand", "has no on-demand output"),
+    for direction, attribute, problem in (
+        ("ai", "on_demand", "cannot be read without a sample clock"),
+        ("ao", "output_on_demand", "cannot be written without a sample clock"),
     ):
         if (
-            task.kind == side
+            task.direction == direction
             and not task.clocked
             and not all(getattr(channel.module, attribute) for channel in task.channels)
         ):
@@ -56,80 +57,82 @@ def check_timing(task: TaskSettings) -> None:
                 f"{task.channels[0].module.product_type} {problem}. Call timing.cfg_samp_clk_timing first.",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
             )
-    if task.kind == "ai":
+    if task.direction == "ai":
         for channel in task.channels:
             channel.check_complete()
     if task.clocked:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(
                 f"sample clock source {timing['samp_clk_src']!r}: the bench has only one sample clock. Leave the "
-                "source empty, or name OnboardClock or another task's ai/SampleClock.",
+                "source empty, or give OnboardClock or another task's ai/SampleClock.",
                 Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
             )
-        rates = {channel.module.coerced(timing["samp_clk_rate"], task.kind == "ao") for channel in task.channels}
+        rates = {
+            channel.module.coerced_rate(timing["samp_clk_rate"], task.direction == "ao") for channel in task.channels
+        }
         if len(rates) > 1:
             raise invalid_value(
-                f"the task's modules convert {timing['samp_clk_rate']:g} S/s to different rates, "
-                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Choose a common rate, or several tasks."
+                f"the task's modules coerce {timing['samp_clk_rate']:g} S/s to different rates, "
+                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate that all have."
             )
-        _ = task.samples
-        if task.kind == "ai" and task.input_size < 1:
-            raise invalid_value("in_stream.input_buf_size is 0: expected 1 at least")
+        _ = task.samples  # Raises an error for fewer than 2.
+        if task.direction == "ai" and task.input_buffer_size < 1:
+            raise invalid_value("in_stream.input_buf_size is 0. Give 1 or more samples.")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
         terminal = task.groups["exported_signal"][name]
         if terminal and not re.fullmatch(r"(/?[^/]+/)?PFI\d+", terminal, re.IGNORECASE):
             raise DaqError(
-                f"{name} {terminal!r} is not a terminal for signals. Give a name such as /cDAQ1/PFI0.",
+                f"{name} {terminal!r} is not a terminal for exported signals. Give a name such as /cDAQ1/PFI0.",
                 Code.INVALID_ROUTING_DESTINATION_TERMINAL_NAME_ROUTING,
             )
 
 
-def sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
-    """Return the sources of the start trigger and of the reference trigger; None without that trigger.
+def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
+    """Return the sources of the start trigger and of the reference trigger, each None without that trigger.
 
     Raises `DaqError` -200262 for a trigger without a sample clock, -200358 for a reference trigger of a continuous
     task, -200213 for more pretrigger samples than the record has, -200265 for a source that does not exist.
     """
     settings = task.groups["trig"]
-    kinds = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
-    if any(kind != TriggerType.NONE for kind in kinds) and not task.clocked:
+    types = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
+    if any(trigger_type != TriggerType.NONE for trigger_type in types) and not task.clocked:
         raise DaqError(
-            "a trigger needs a sample clock. Call timing.cfg_samp_clk_timing.", Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING
+            "a trigger requires a sample clock. Call timing.cfg_samp_clk_timing.", Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING
         )
     for name in ("start", "ref"):
         if settings[f"{name}_trig_delay"]:
             raise unsupported(f"a delay of the {name} trigger")
-    start, reference = _source(task, "start", chassis), _source(task, "ref", chassis)
+    start, reference = _trigger_source(task, "start", chassis), _trigger_source(task, "ref", chassis)
     if reference is None:
         return start, reference
-    before, samples = settings["ref_trig_pretrig_samples"], task.samples
-    if not task.finite or task.kind == "ao":
+    pretrigger, samples = settings["ref_trig_pretrig_samples"], task.samples
+    if not task.finite or task.direction == "ao":
         raise DaqError(
-            "a reference trigger needs a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the total "
+            "a reference trigger requires a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the total "
             "number of samples before and after the trigger.",
             Code.REF_TRIG_WHEN_CONTINUOUS,
         )
-    if not 0 <= before < samples:
+    if not 0 <= pretrigger < samples:
         raise DaqError(
-            f"{before} pretrigger samples: expected 0 to {samples - 1} of the {samples} samples of the record",
+            f"{pretrigger} pretrigger samples exceed a record of {samples} samples. Give 0 to {samples - 1}.",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference
 
 
-def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
-    """Return the source of the trigger `name`, "start" or "ref"; None without that trigger."""
+def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source | None:
+    """Return the source of the start trigger (`role` "start") or reference trigger ("ref"); None without it."""
     settings = task.groups["trig"]
-    kind = settings[f"{name}_trig_type"]
+    trigger_type = settings[f"{role}_trig_type"]
 
     def setting(key: str) -> Any:
-        return settings[f"{prefix}_{name}_trig_{key}"]
+        return settings[f"{prefix}_{role}_trig_{key}"]
 
-    def on_channel(source: str, condition: Condition) -> tuple[int, Condition]:
+    def condition_on_channel(source: str, condition: Condition) -> tuple[int, Condition]:
         terminal = source.lower().lstrip("/")
-        for row, channel in enumerate(task.channels):
+        for index, channel in enumerate(task.channels):
             if terminal in (channel.name.lower(), channel.port.name.lower()):
-                return row, condition
+                return index, condition
         names = ", ".join(channel.name for channel in task.channels)
         remedy = f"Give one of {names}." if names else "Add an input channel first."
         raise DaqError(
@@ -137,37 +140,37 @@ def _source(task: TaskSettings, name: str, chassis: Chassis) -> Source | None:
             Code.INVALID_ANALOG_TRIG_SRC,
         )
 
-    if kind == TriggerType.NONE:
+    if trigger_type == TriggerType.NONE:
         return None
-    if kind == TriggerType.TIME:
+    if trigger_type == TriggerType.TIME:
         start_delay_s = settings["start_trig_trig_when"] - chassis.time_ns(chassis.position) * 1e-9
         return AtTime(chassis.elapsed + max(0.0, start_delay_s))
-    if kind == TriggerType.DIGITAL_EDGE:
+    if trigger_type == TriggerType.DIGITAL_EDGE:
         prefix = "dig_edge"
         return digital_source(setting("src"), Slope(setting("edge")))
-    if kind == TriggerType.ANALOG_EDGE:
+    if trigger_type == TriggerType.ANALOG_EDGE:
         prefix = "anlg_edge"
         return AnalogSource(
-            (on_channel(setting("src"), edge(Slope(setting("slope")), setting("lvl"), setting("hyst"))),)
+            (condition_on_channel(setting("src"), edge(Slope(setting("slope")), setting("lvl"), setting("hyst"))),)
         )
-    if kind == TriggerType.ANALOG_WINDOW:
+    if trigger_type == TriggerType.ANALOG_WINDOW:
         prefix = "anlg_win"
-        inside = window(WindowCondition(setting("when")), setting("btm"), setting("top"))
-        return AnalogSource((on_channel(setting("src"), inside),))
-    if kind == TriggerType.ANALOG_MULTI_EDGE:
+        condition = window(WindowCondition(setting("when")), setting("btm"), setting("top"))
+        return AnalogSource((condition_on_channel(setting("src"), condition),))
+    if trigger_type == TriggerType.ANALOG_MULTI_EDGE:
         prefix = "anlg_multi_edge"
         names, slopes, levels = unflatten(setting("srcs")), setting("slopes"), setting("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
-                f"the trigger has {len(names)} sources, {len(slopes)} slopes and {len(levels)} levels. Give the same "
-                "number of each.",
+                f"the trigger has {len(names)} sources, {len(slopes)} slopes and {len(levels)} levels. Give equal "
+                "numbers.",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         conditions = [
             edge(enum_member(Slope, slope, "trigger_slope"), level) for slope, level in zip(slopes, levels, strict=True)
         ]
-        return AnalogSource(tuple(map(on_channel, names, conditions)))
-    raise unsupported(f"a {name} trigger of type {kind}")
+        return AnalogSource(tuple(map(condition_on_channel, names, conditions)))
+    raise unsupported(f"a {role} trigger of type {trigger_type}")
 
 
 def input_plan(
@@ -177,30 +180,32 @@ def input_plan(
 
     `on_demand` is the number of samples to acquire immediately, without the task's sample clock.
     """
-    samples, size, rate = on_demand, on_demand or 1, bench.rate
+    samples, buffer_size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
         samples = task.samples if task.finite else None
-        size, rate = task.input_size, task.rate
-    volts = [bench.channels[channel.row].volts_per_count or 1.0 for channel in task.channels]
+        buffer_size, rate = task.input_buffer_size, task.rate
+    volts_per_count = [bench.channels[channel.row].volts_per_count or 1.0 for channel in task.channels]
     return InputPlan(
         rows=tuple(channel.row for channel in task.channels),
-        factors=np.array([volt / channel.volts_per_unit for volt, channel in zip(volts, task.channels, strict=True)]),
+        factors=np.array(volts_per_count) / [channel.volts_per_unit for channel in task.channels],
         scales=tuple(task.scale_of(channel) for channel in task.channels),
         rate=rate,
         samples=samples,
-        buffer=max(size, samples or 0) if reference is not None else size,
+        buffer_size=max(buffer_size, samples or 0) if reference is not None else buffer_size,
         stops_when_full=task.groups["read"]["overwrite"] == Overwrite.NOT_ALLOWED,
         start=start,
         reference=reference,
         pretrigger=task.groups["trig"]["ref_trig_pretrig_samples"] if reference is not None else 0,
-        rearms=bool(task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None),
+        is_retriggerable=bool(
+            task.groups["trig"]["start_trig_retriggerable"] and start is not None and samples is not None
+        ),
     )
 
 
 def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
-    """Return the plan of a generation, and the start of the task whose clock it uses, if any.
+    """Return the plan of a generation, and the start of the task whose sample clock it uses, if any.
 
-    An output on the clock of the inputs starts with the inputs. `tick_rate` is in ticks of the bench per second.
+    An output on the sample clock of the inputs starts with the inputs. `tick_rate` is in ticks of the bench per second.
     """
     if isinstance(start, AnalogSource):
         raise unsupported("an analog start trigger of an output", "Start it by ai/StartTrigger.")
@@ -212,7 +217,7 @@ def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> t
         tick_rate=tick_rate,
         per_tick=samples_per_tick(task.rate, tick_rate),
         samples=task.samples if task.finite else None,
-        regenerate=task.regenerates,
+        regenerates=task.regenerates,
         start=start,
     )
     return plan, clock_task

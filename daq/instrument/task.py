@@ -1,7 +1,7 @@
 """Tasks of clients, as in NI-DAQmx: settings (channels, timing, triggers, streams), states, reads and writes.
 
-A run lasts from the start of a task to its stop. Only a task with a sample clock has runs; without the clock, a task
-reads or writes on demand, one call at a time.
+A run lasts from the start of a task to its stop. Only a task with a sample clock has runs; without a sample clock, each
+read or write takes its samples at once (on demand).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.clock import seconds
 from daq.instrument.engines.acquisition import Acquisition
 from daq.instrument.engines.generation import Generation
-from daq.instrument.engines.ring_buffer import memory
+from daq.instrument.engines.ring_buffer import allocate
 from daq.instrument.errors import STOPPED_BEFORE_DONE, Code, DaqError, invalid_value
 from daq.instrument.events import Events
-from daq.instrument.plans import check_timing, sources
+from daq.instrument.plans import check_timing, trigger_sources
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
 from daq.instrument.task_input import Reading, TaskInput
@@ -41,9 +41,9 @@ class Task:
         self.output = TaskOutput(chassis, self.settings, self)
         self.events = Events()
         self.running = self.closed = False
-        self._automatic = False  # started by a read, not by the script
-        self._committed = False  # modules stay reserved after a stop
-        self._reported = False  # the failure of the run has been raised
+        self._was_started_by_read = False
+        self._is_committed = False  # modules stay reserved after a stop
+        self._was_failure_raised = False  # the error that ended the run has been raised
         self._query_positions: dict[str, int] = {}  # tick of the last query of each kind
         self.name = ""
         self.name = chassis.register(self, name)
@@ -53,7 +53,7 @@ class Task:
     @property
     def sample_rate(self) -> float | None:
         """See `daq.instrument.chassis.Runner`."""
-        if self.settings.kind != "ai" or not self.settings.channels or not self.settings.clocked:
+        if self.settings.direction != "ai" or not self.settings.channels or not self.settings.clocked:
             return None
         try:
             return self.settings.rate
@@ -61,20 +61,20 @@ class Task:
             return None
 
     def check_idle(self, operation: str, code: Code = Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING) -> None:
-        """Check that the task is not running."""
+        """Raise `DaqError` with the code if the task is running."""
         if self.running:
-            raise DaqError(f"{operation}: not possible while the task is running. Call stop() first.", code)
+            raise DaqError(f"{operation} is not possible while the task is running. Call stop() first.", code)
 
     # States
 
     def verify(self) -> None:
         """Check that the settings are consistent."""
         check_timing(self.settings)
-        sources(self.settings, self.chassis)
+        trigger_sources(self.settings, self.chassis)
 
-    def start(self, automatic: bool = False) -> None:
-        """Start the task: arm its triggers and keep bench time running; `automatic` if a read starts it."""
-        self.check_idle("start")
+    def start(self, by_read: bool = False) -> None:
+        """Start the task, or arm its start trigger, and keep bench time running; `by_read` if a read starts it."""
+        self.check_idle("starting")
         if not self.settings.channels:
             raise DaqError(
                 "the task has no channels. Add a channel before starting it.",
@@ -88,11 +88,11 @@ class Task:
             except BaseException:
                 self._end()
                 raise
-            self._automatic, self.running, self._reported = automatic, True, False
+            self._was_started_by_read, self.running, self._was_failure_raised = by_read, True, False
 
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
-        if self.settings.kind == "ao":
+        if self.settings.direction == "ao":
             self.chassis.reserve(self, {channel.row: channel.port.name for channel in self.settings.channels})
         else:
             self.chassis.reserve(self, {f"{name}/ai": f"{name}/ai" for name in self.settings.device_names})
@@ -102,18 +102,17 @@ class Task:
         self.input.run = self.output.run = None
         self.events.begin()
         if self.settings.clocked:
-            self._used_direction.start(*sources(self.settings, self.chassis))
+            self._used_part.start(*trigger_sources(self.settings, self.chassis))
 
     def stop(self) -> int:
-        """Stop the task.
+        """Stop the task; return NI's warning 200010 if a finite task is not done yet, otherwise 0.
 
-        Returns the code of NI's warning 200010 if a finite task is not done yet, otherwise 0. Raises `DaqError` if
-        the run ended early and the error has not been raised yet.
+        If an error ended the run and has not been raised yet, raise it.
         """
         if not self.running:
             return 0
-        is_early = not self.endless and not self.finished
-        failure = None if self._reported else self.failure
+        is_early = not self.runs_until_stopped and not self.finished
+        failure = None if self._was_failure_raised else self.failure
         self.end()
         if failure is not None:
             raise failure
@@ -126,11 +125,11 @@ class Task:
 
     def _end(self) -> None:
         self.running = False
-        if self._committed:
+        if self._is_committed:
             self.chassis.halt(self)
         else:
             self.chassis.release(self)
-        self._used_direction.stop()
+        self._used_part.stop()
 
     def close(self) -> None:
         """Stop the task and release its resources; it cannot be used again."""
@@ -144,9 +143,12 @@ class Task:
             self.chassis.unregister(self)
 
     def control(self, action: int) -> int:
-        """Change the state of the task; COMMIT and RESERVE keep its modules reserved until UNRESERVE or close."""
+        """Change the state of the task as a `TaskMode` requires; return the status of `stop`, otherwise 0.
+
+        COMMIT and RESERVE keep its modules reserved until UNRESERVE or ABORT.
+        """
         if action not in list(TaskMode):
-            raise invalid_value(f"task mode {action}; expected one of {', '.join(mode.name for mode in TaskMode)}.")
+            raise invalid_value(f"there is no task mode {action}. Choose {', '.join(mode.name for mode in TaskMode)}.")
         if action == TaskMode.START:
             self.start()
         elif action == TaskMode.STOP:
@@ -156,35 +158,35 @@ class Task:
         elif action in (TaskMode.COMMIT, TaskMode.RESERVE):
             self.verify()
             self.reserve()
-            self._committed = True
+            self._is_committed = True
         else:
-            self._committed = False
+            self._is_committed = False
             self.end()
         return 0
 
     @property
-    def _used_direction(self) -> TaskInput | TaskOutput:
+    def _used_part(self) -> TaskInput | TaskOutput:
         """The output of a task with output channels, otherwise the input."""
-        return self.output if self.settings.kind == "ao" else self.input
+        return self.output if self.settings.direction == "ao" else self.input
 
     @property
     def run(self) -> Acquisition | Generation | None:
         """The present run, or the last run; None before the first."""
-        return self._used_direction.run
+        return self._used_part.run
 
     @property
     def finished(self) -> bool:
-        """Whether the run is complete."""
+        """Whether the present or last run is complete, or was ended by an error."""
         return self.run is not None and self.run.done
 
     @property
-    def endless(self) -> bool:
-        """Whether the task runs until it is stopped."""
-        return not self.settings.clocked or not self.settings.finite or self._used_direction.retriggers
+    def runs_until_stopped(self) -> bool:
+        """Whether the task has no end: it is continuous, retriggerable or on demand."""
+        return not self.settings.clocked or not self.settings.finite or self._used_part.is_retriggerable
 
     @property
     def memory(self) -> int:
-        """Size of the buffers, bytes."""
+        """Size of all buffers, bytes."""
         return self.input.memory + self.output.memory
 
     def free_memory(self) -> None:
@@ -196,20 +198,19 @@ class Task:
 
     @property
     def failure(self) -> DaqError | None:
-        """Reason why the run ended early; None without an error."""
+        """Error that ended the present or last run; None without an error."""
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:
-        """Raise the reason if the run ended early, at every call until the task is stopped."""
+        """Raise the error that ended the run, if any, at every call until the task is stopped."""
         if self.failure is not None and self.running:
-            self._reported = True
+            self._was_failure_raised = True
             raise self.failure
 
     def note_query(self, query: str) -> None:
-        """Note that a script queries the progress of the run.
+        """Note that a script queries the progress of the run; `query` names the queried quantity.
 
-        A script that repeats a query while no samples have passed is waiting in a loop: the fast clock then lets a
-        short time pass.
+        A script that repeats a query at the same bench time is polling: the fast clock then lets a short time pass.
         """
         chassis = self.chassis
         is_repeated = self._query_positions.get(query) == chassis.position
@@ -231,17 +232,15 @@ class Task:
             is_done = (
                 not self.running
                 or not self.settings.clocked
-                or self.chassis.wait(
-                    lambda: self.finished or not self.running, self._used_direction.ticks_to_end, timeout
-                )
+                or self.chassis.wait(lambda: self.finished or not self.running, self._used_part.ticks_to_end, timeout)
             )
             self.raise_failure()
         if not is_done:
-            hint = "Wait longer, or check its trigger."
+            remedy = "Wait longer, or check its trigger."
             if not self.settings.finite:
-                hint = "A continuous task does not end. Stop it."
+                remedy = "A continuous task does not end by itself. Stop it."
             raise DaqError(
-                f"the task is not done after {timeout:g} s. {hint}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
+                f"the task is not done after {timeout:g} s. {remedy}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
             )
 
     # Interface for the chassis (`Runner`)
@@ -253,20 +252,20 @@ class Task:
 
     def max_ticks(self) -> int:
         """See `daq.instrument.chassis.Runner`."""
-        direction = self._used_direction
-        log_ticks = direction.ticks_until_log()
-        due = None if self.chassis.clock.runs_free else self.events.next_due(direction.samples_passed)
-        return log_ticks if due is None else min(log_ticks, direction.ticks_until(due))
+        part = self._used_part
+        log_ticks = part.ticks_until_log()
+        due = None if self.chassis.clock.is_free_running else self.events.next_due(part.samples_passed)
+        return log_ticks if due is None else min(log_ticks, part.ticks_until(due))
 
     def notify_samples(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        self._used_direction.write_log()
-        return self.running and self.events.notify(self._used_direction.samples_passed, self.run)
+        self._used_part.write_log()
+        return self.running and self.events.notify(self._used_part.samples_passed, self.run)
 
     @property
     def callback_finished(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        return not self.running or self._used_direction.all_read
+        return not self.running or self._used_part.all_read
 
     # Samples
 
@@ -275,13 +274,23 @@ class Task:
     ) -> Reading:
         """Read samples; start the task if necessary.
 
-        `samples` per channel: -1 reads all samples of a finite task, or the available samples of a continuous task.
-        `timeout` in s: 0 tries once, a negative timeout is infinite. `raw` returns the counts of the converter instead
-        of readings. `check` is called with the samples per channel before the read and may raise an exception.
+        Parameters
+        ----------
+        samples
+            Samples per channel. -1 reads all samples of a finite task, or the available samples of a continuous task.
+        timeout
+            Timeout, s. 0 checks once; a negative timeout is infinite.
+        raw
+            Whether to return the counts of the converter instead of readings.
+        check
+            Called with the number of samples per channel before the read; it may raise an exception.
 
-        The result has the samples before an error, and the error: -200284 after the timeout, -200279 if samples were
-        overwritten (the next read begins with the oldest stored sample), -200278 after the end of a finite
-        acquisition, or the reason why the acquisition stopped.
+        Returns
+        -------
+        Reading
+            The samples before an error, and the error: -200284 after the timeout, -200279 if samples were overwritten
+            (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or the
+            error that ended the acquisition.
         """
         timeout = seconds(timeout)
         with self.chassis.changed:
@@ -290,28 +299,28 @@ class Task:
             if samples < 0:
                 samples = self.default_count()
             check(samples)
-            rows = self.settings.rows_to_read()
-            out = memory(len(rows), samples, np.int32 if raw else np.float64)
+            indices = self.settings.indices_to_read()
+            out = allocate(len(indices), samples, np.int32 if raw else np.float64)
             if not self.settings.clocked:
                 with self._on_demand():
-                    return self.input.read_on_demand(rows, out, timeout, raw)
+                    return self.input.read_on_demand(indices, out, timeout, raw)
             self._start_for_read()
             if timeout == 0:
                 self.note_query("read")
             try:
-                reading = self.input.read(rows, out, timeout, raw)
-                self._reported |= reading.error is not None and reading.error is self.failure
+                reading = self.input.read(indices, out, timeout, raw)
+                self._was_failure_raised |= reading.error is not None and reading.error is self.failure
                 return reading
             finally:
                 # A read that started a finite task and read all its samples also stops it.
-                if self._automatic and self.running and self.finished and self.input.all_read:
+                if self._was_started_by_read and self.running and self.finished and self.input.all_read:
                     self.end()
 
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
         """Write samples, V, shape (channels, n); return the number of samples per channel written.
 
         Raises `DaqError` -200292 after the timeout, -200561 for samples beyond the limits of a channel, -200524 for
-        a wrong number of channels, or the reason why the output stopped.
+        a wrong number of channels, or the error that ended the generation.
         """
         timeout = seconds(timeout)
         self.settings.require("ao")
@@ -328,7 +337,7 @@ class Task:
             try:
                 written = self.output.write(volts, timeout)
             except DaqError:
-                self._reported |= self.running and self.failure is not None
+                self._was_failure_raised |= self.running and self.failure is not None
                 raise
             if auto_start and not self.running:
                 self.start()
@@ -336,25 +345,25 @@ class Task:
 
     @contextmanager
     def _on_demand(self) -> Iterator[None]:
-        """Reserve the modules and keep bench time running for samples without a sample clock."""
+        """Reserve the modules and keep bench time running while the body takes samples without a sample clock."""
         self.verify()
         self.reserve()
         try:
             self.chassis.keep_time_running(self)
             yield
         finally:
-            if not (self.running or self._committed):
+            if not (self.running or self._is_committed):
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Return the samples per channel of a read without a number: all of a finite task, otherwise the available."""
+        """Return the samples per channel of a read without a number: all of a finite task, else those available."""
         settings = self.settings
         settings.require("ai")
         if not settings.clocked:
             return 1
         run = self.input.run if self.running else None
         if settings.finite and not settings.groups["read"]["read_all_avail_samp"]:
-            if run is None or run.plan.rearms:
+            if run is None or run.plan.is_retriggerable:
                 return settings.samples
             end = settings.samples if run.trigger is None else run.first_readable + settings.samples
             return max(end - run.position, 0) or settings.samples
@@ -368,11 +377,11 @@ class Task:
 
     @property
     def raw_width(self) -> int:
-        """Size of a count of the converter, bytes."""
+        """Size of the integer type of the converter's counts, bytes."""
         return 2 if all((channel.module.bits or 32) <= 16 for channel in self.settings.channels) else 4
 
     def _start_for_read(self) -> None:
-        """Start the task for a read, unless the script forbids it."""
+        """Start the task for a read; `DaqError` -200473 if the script has disabled the automatic start."""
         if self.running or not self.settings.clocked:
             return
         if not self.settings.groups["read"]["auto_start"]:
@@ -380,10 +389,10 @@ class Task:
                 "the task is not running, and in_stream.auto_start is False. Call start() before reading.",
                 Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
             )
-        self.start(automatic=True)
+        self.start(by_read=True)
 
     def start_new_file(self, path: str) -> None:
-        """Continue the log in another file; before the start, log into that file."""
+        """Continue the log in another file; the next run also logs into this file."""
         with self.chassis.changed:
             self.input.start_new_file(Path(path))
             self.settings.groups["read"]["logging_file_path"] = path

@@ -1,7 +1,7 @@
 """The input of a task: its acquisition, its log, and the reads that wait for samples.
 
-The acquisition stores samples in a buffer. The log is a file with the same samples. The read position is the number
-of the sample that the next read returns first.
+The acquisition stores samples in a buffer, the log in a file. The read position is the number of the sample that the
+next read returns first.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Reading:
     """Result of a read."""
 
     samples: NDArray[Any]  # shape (channels, n)
-    first: int = 0  # number of the first sample
-    error: DaqError | None = None  # reason why there are fewer samples than requested
+    first: int = 0  # number of the first sample in the acquisition
+    error: DaqError | None = None  # cause if there are fewer samples than requested
 
 
 class TaskInput:
@@ -43,14 +43,14 @@ class TaskInput:
         self._chassis, self._settings, self._task = chassis, settings, task
         self.run: Acquisition | None = None  # present or last acquisition
         self.log: TaskLog | None = None  # of the present acquisition
-        self._overloads_reported: list[str] | None = None  # names of channels
+        self._overloaded_names: list[str] | None = None  # of channels, at the last query; None before it
 
     # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
         """Start an acquisition, and its log; `start` and `reference` are the sources of its triggers."""
         chassis, read = self._chassis, self._settings.groups["read"]
-        chassis.wire(self._task, self._settings.channels)
+        chassis.set_conditioning(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, start, reference)
         self.run = chassis.run_input(self._task, plan)
         if read["logging_mode"] == LoggingMode.OFF or not read["logging_file_path"]:
@@ -76,13 +76,13 @@ class TaskInput:
 
     @property
     def memory(self) -> int:
-        """Bytes of the buffers."""
+        """Size of the buffers, bytes."""
         return 0 if self.run is None else self.run.ring.bytes + self.run.overloads.bytes
 
     @property
-    def retriggers(self) -> bool:
+    def is_retriggerable(self) -> bool:
         """Whether the start trigger is re-armed after each complete record."""
-        return self.run is not None and self.run.plan.rearms
+        return self.run is not None and self.run.plan.is_retriggerable
 
     # Progress
 
@@ -97,9 +97,9 @@ class TaskInput:
         return self.run is None or self.run.position >= self.run.readable
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the acquisition is complete; 10 ms if it does not end."""
+        """Return a lower bound of the ticks until the acquisition is complete; the ticks in 10 ms if it has no end."""
         run = self.run
-        if run is None or run.plan.samples is None or run.plan.rearms:
+        if run is None or run.plan.samples is None or run.plan.is_retriggerable:
             return max(1, int(self._chassis.rate / 100))
         return run.ticks_until(run.samples_to_wait(run.plan.samples - run.position), self._chassis.position)
 
@@ -113,10 +113,10 @@ class TaskInput:
         """Return the number of ticks that may pass before the log must be written."""
         if self.run is None or self.log is None or not self.log.logs_only or self.run.done:
             return UNLIMITED_TICKS
-        return self.run.ticks_until(self.run.plan.buffer, self._chassis.position)
+        return self.run.ticks_until(self.run.plan.buffer_size, self._chassis.position)
 
     def write_log(self) -> None:
-        """Write new samples to the log of a task that only logs."""
+        """Write new samples to the log if the task only logs."""
         if self.run is not None and self.log is not None and self.log.logs_only:
             self.log.write_new(self.run)
             self.run.position = max(self.run.position, self.run.readable)
@@ -136,53 +136,53 @@ class TaskInput:
     # Overloads
 
     def overloaded_exist(self) -> bool:
-        """Return whether any channel was overloaded since the last query; clears the flags."""
+        """Return whether any channel was overloaded since the last query."""
         flags = [] if self.run is None else self.run.overloaded.tolist()
         names = [channel.name for channel in self._settings.channels]
-        self._overloads_reported = [name for name, flag in zip(names, flags, strict=False) if flag]
+        self._overloaded_names = [name for name, flag in zip(names, flags, strict=False) if flag]
         if self.run is not None:
             self.run.overloaded[:] = False
-        return bool(self._overloads_reported)
+        return bool(self._overloaded_names)
 
     def overloaded(self) -> list[str]:
         """Return the names of the channels that `overloaded_exist` reported."""
-        if self._overloads_reported is None:
+        if self._overloaded_names is None:
             raise DaqError(
                 "overloaded_chans is not available yet. Read in_stream.overloaded_chans_exist first.",
                 Code.OVERLOADED_CHANS_EXIST_NOT_READ,
             )
-        return list(self._overloads_reported)
+        return list(self._overloaded_names)
 
     # Reads
 
     def check_readable(self) -> None:
-        """Reject reads of a task that only logs."""
+        """Raise `DaqError` -201301 if the task only logs."""
         if self._settings.groups["read"]["logging_mode"] == LoggingMode.LOG:
             raise DaqError(
                 "the task only logs (LoggingMode.LOG). To read as well, log with LoggingMode.LOG_AND_READ.",
                 Code.READ_NOT_SUPPORTED_FOR_LOGGING_MODE,
             )
 
-    def read_on_demand(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Acquire samples from now on, without the task's sample clock; see `_collect`."""
+    def read_on_demand(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+        """Acquire samples at once, at the rate of the bench; see `_collect`."""
         chassis = self._chassis
-        chassis.wire(self._task, self._settings.channels)
+        chassis.set_conditioning(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, None, None, on_demand=out.shape[1])
         self.run = chassis.run_input(self._task, plan)
         try:
-            return self._collect(self.run, rows, out, timeout, raw)
+            return self._collect(self.run, indices, out, timeout, raw)
         finally:
             chassis.halt(self._task)
             self.run = None
 
-    def read(self, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+    def read(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
         """Read from the position that the script has set; see `_collect`."""
         assert self.run is not None
         self._seek(self.run)
-        return self._collect(self.run, rows, out, timeout, raw)
+        return self._collect(self.run, indices, out, timeout, raw)
 
     def _seek(self, run: Acquisition) -> None:
-        """Set the read position as `in_stream.relative_to` and `in_stream.offset` require.
+        """Set the read position by `in_stream.relative_to` and `in_stream.offset`.
 
         Raises `DaqError` -200277 for a position before the first sample, -200282 for a missing reference trigger.
         """
@@ -202,8 +202,8 @@ class TaskInput:
                 Code.NO_REF_TRIG_CONFIGURED,
             )
         elif run.trigger is not None:
-            at_trigger = origin == RelativeTo.REFERENCE_TRIGGER
-            position = (run.trigger if at_trigger else run.first_readable) + offset
+            is_at_trigger = origin == RelativeTo.REFERENCE_TRIGGER
+            position = (run.trigger if is_at_trigger else run.first_readable) + offset
         if position < 0:
             raise DaqError(
                 f"the read would begin {-position} samples before the first sample: in_stream.relative_to is "
@@ -213,10 +213,12 @@ class TaskInput:
             )
         run.position = position
 
-    def _collect(self, run: Acquisition, rows: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
-        """Read from the present position into `out`, shape (len(rows), n), and return the part that was read.
+    def _collect(
+        self, run: Acquisition, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
+    ) -> Reading:
+        """Read from the present position into `out`, shape (len(indices), n), and return the part that was read.
 
-        `rows` are the indexes of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
+        `indices` are those of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
         `timeout` and errors. The caller holds the lock of the chassis.
         """
         chassis, channels = self._chassis, self._settings.channels
@@ -224,7 +226,7 @@ class TaskInput:
 
         def chunk_size() -> int:
             # A read may be longer than the buffer: it waits for half the buffer at a time.
-            return min(n_requested - n_read, max(1, run.plan.buffer // 2))
+            return min(n_requested - n_read, max(1, run.plan.buffer_size // 2))
 
         def reading(error: DaqError | None) -> Reading:
             return Reading(out[:, :n_read], first, error)
@@ -243,22 +245,23 @@ class TaskInput:
             if n_available > 0:
                 first = first if n_read else run.position
                 samples = run.read_next(n_available)
-                for index, row in enumerate(rows):
-                    values = _counts(channels[row], samples[row]) if raw else run.plan.physical(row, samples[row])
-                    out[index, n_read : n_read + n_available] = values
+                for row, index in enumerate(indices):
+                    taken = samples[index]
+                    values = _to_counts(channels[index], taken) if raw else run.plan.to_units(index, taken)
+                    out[row, n_read : n_read + n_available] = values
                 n_read += n_available
                 if self.log is not None:
                     self.log.write_new(run)
             if n_read == n_requested:
                 return reading(None)
             if run.done and run.readable <= run.position:
-                # A finite task acquires no more; only a read without any sample reports that as an error.
-                exhausted = DaqError(
+                # A read that ends with the acquisition is complete; an error is reported if it has no sample at all.
+                no_samples_left = DaqError(
                     "the acquisition has ended and all its samples have been read. Read fewer samples, acquire more "
                     "(samps_per_chan), or stop and start the task to acquire again.",
                     Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
                 )
-                return reading(None if n_read and run.error is None else run.error or exhausted)
+                return reading(None if n_read and run.error is None else run.error or no_samples_left)
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
             ready = chassis.wait(
                 lambda: run.done or run.readable - run.position >= chunk_size(),
@@ -268,16 +271,15 @@ class TaskInput:
             if not ready and run.readable <= run.position:
                 return reading(
                     DaqError(
-                        f"{n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"
-                        f"{_missing_trigger(run)}. Wait longer (timeout), read fewer samples, or check that the task "
-                        "is triggered.",
+                        f"only {n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"
+                        f"{_missing_trigger(run)}. Increase the timeout, read fewer samples, or check the triggers.",
                         Code.SAMPLES_NOT_YET_AVAILABLE,
                     )
                 )
 
 
-def _counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
-    """Return the counts of samples, which are in volts if the scene's converter is ideal."""
+def _to_counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
+    """Convert samples to counts; they are in volts only if the scene's converter is ideal."""
     if np.issubdtype(samples.dtype, np.integer):
         return samples
     bits = channel.module.bits

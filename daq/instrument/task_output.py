@@ -24,14 +24,15 @@ if TYPE_CHECKING:
 class TaskOutput:
     """The output of a task."""
 
-    # See `TaskInput`: an output has no retriggerable start, and no event waits until its samples are read.
-    retriggers, all_read = False, True
+    # The properties of `TaskInput`: an output is not retriggerable, and no event waits until its samples are read.
+    is_retriggerable, all_read = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
         self.run: Generation | None = None  # present or last generation
         self.buffer: OutputBuffer | None = None  # written samples
-        self._running = self._has_played = False
+        self._is_running = False
+        self._has_played = False  # the samples of the buffer
 
     # States
 
@@ -43,13 +44,13 @@ class TaskOutput:
             )
         plan, clock_task = output_plan(self._settings, self._chassis.rate, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
-        self._running = self._has_played = True
+        self._is_running = self._has_played = True
         if clock_task is not None:
             self.run.start_if_clock_runs(self._chassis.event_tick(clock_task))
 
     def stop(self) -> None:
         """End the generation."""
-        self._running = False
+        self._is_running = False
         if self.run is not None:
             self.run.stop()
 
@@ -59,7 +60,7 @@ class TaskOutput:
 
     @property
     def memory(self) -> int:
-        """Bytes of the buffer."""
+        """Size of the buffer, bytes."""
         return 0 if self.buffer is None else self.buffer.data.nbytes
 
     # Progress
@@ -96,16 +97,16 @@ class TaskOutput:
 
     @property
     def space(self) -> int:
-        """Samples per channel for which the buffer has room."""
+        """Samples per channel for which the buffer has space."""
         if self.buffer is None:
             return self.size
-        return min(self.buffer.free(self.samples_passed, self._running, self._settings.regenerates), 1 << 31)
+        return min(self.buffer.space(self.samples_passed, self._is_running, self._settings.regenerates), 1 << 31)
 
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples, V, as the buffer has room; return their number per channel. See `Task.write`."""
-        if not self._running and (self.buffer is None or self._has_played):
+        """Write samples, V, as soon as the buffer has space; return their number per channel. See `Task.write`."""
+        if not self._is_running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]
             size = int(settings["output_buf_size"]) if settings.was_set("output_buf_size") else None
@@ -115,26 +116,28 @@ class TaskOutput:
         chassis, n_requested, n_written = self._chassis, volts.shape[1], 0
         start_s = chassis.clock.now(chassis)
 
-        def running() -> Generation | None:
-            return self.run if self._running else None
+        def present_run() -> Generation | None:
+            return self.run if self._is_running else None
 
-        def free() -> int:
-            run = running()
-            return buffer.free(0 if run is None else run.generated, self._running, self._settings.regenerates)
+        def space() -> int:
+            run = present_run()
+            return buffer.space(0 if run is None else run.generated, self._is_running, self._settings.regenerates)
 
         def chunk_size() -> int:
             # A write may be longer than the buffer: it waits for half the buffer at a time.
             return min(n_requested - n_written, max(1, buffer.size // 2))
 
         while True:
-            run = running()
+            run = present_run()
             if run is not None and run.error is not None:
                 raise DaqError(str(run.error), run.error.code, n_written)
             if run is not None and run.done:
                 raise DaqError(
-                    "the output has ended. Start the task again.", Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, n_written
+                    "the output has ended. Stop the task before writing.",
+                    Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
+                    n_written,
                 )
-            n_accepted = min(free(), n_requested - n_written)
+            n_accepted = min(space(), n_requested - n_written)
             if n_accepted > 0:
                 buffer.write(volts[:, n_written : n_written + n_accepted], run is not None)
                 n_written += n_accepted
@@ -143,10 +146,10 @@ class TaskOutput:
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
 
             def ready() -> bool:
-                present = running()
-                return present is None or present.done or free() >= chunk_size()
+                run = present_run()
+                return run is None or run.done or space() >= chunk_size()
 
-            if run is None or not chassis.wait(ready, lambda: chunk_size() - free(), time_left):
+            if run is None or not chassis.wait(ready, lambda: chunk_size() - space(), time_left):
                 raise DaqError(
                     f"{n_written} of {n_requested} samples per channel were written within {timeout:g} s: the buffer "
                     "is full. Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
@@ -155,11 +158,11 @@ class TaskOutput:
                 )
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples, V, at the rate of the bench; return their number per channel. The last value is kept."""
+        """Output samples, V, at the tick rate of the bench, and keep the last value; return their number per channel."""
         chassis, rows = self._chassis, [channel.row for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
-            buffer.write(volts, running=False)
+            buffer.write(volts, is_running=False)
             per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
             plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
             run = chassis.run_output(self._task, plan, buffer)
@@ -173,7 +176,7 @@ class TaskOutput:
 
 
 def check_volts(channels: Sequence[Channel], volts: Array) -> None:
-    """Check samples, V, shape (channels, n); raise `DaqError` -200524 for their shape, -200561 beyond the limits."""
+    """Raise `DaqError` -200524 if the shape of samples is not (channels, n), -200561 if they exceed the limits, V."""
     if volts.ndim != 2 or volts.shape[0] != len(channels):
         raise DaqError(
             f"the data have {volts.shape[0]} channels, the task has {len(channels)}. Write a row for each channel.",
@@ -182,11 +185,11 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
     for channel, row in zip(channels, volts, strict=True):
         low, high = channel.settings["ao_min"], channel.settings["ao_max"]
         # The negated comparison also rejects NaN.
-        wrong = ~((row >= low) & (row <= high))
-        if wrong.any():
+        is_outside = ~((row >= low) & (row <= high))
+        if is_outside.any():
             raise DaqError(
-                f"{channel.name}: {row[wrong][0]:g} V is outside its limits, {low:g} to {high:g} V. Write less, or "
-                "extend the limits of the channel.",
+                f"{channel.name}: {row[is_outside][0]:g} V is outside the limits, {low:g} to {high:g} V. Write voltages "
+                "within the limits, or extend them.",
                 Code.INVALID_AO_DATA_WRITE,
                 samples_done=0,
             )

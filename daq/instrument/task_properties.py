@@ -1,4 +1,4 @@
-"""Reads, sets and resets the properties of a task, stored or computed, by NI's names of the properties."""
+"""Reads, sets and resets the properties of a task by NI's names; some are stored settings, others are computed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from daq.instrument.settings.properties import WHILE_RUNNING, coerce
 from daq.instrument.task import Task
 from daq.instrument.values import TimestampEvent
 
-# Names of the terminals of NI's devices, without the device.
+# Names of the terminals of NI's devices, without the name of the device.
 _TERMINAL = re.compile(r"A?PFI\d+|RTSI\d+|(a[io]/)?\w*(Clock|Timebase|Trigger)\w*|Ctr\d\w*", re.IGNORECASE)
 
 
-def get_channel(task: Task, names: str, name: str) -> Any:
-    """Return a property of the channels with the given names, by NI's name.
+def get_channel_property(task: Task, names: str, name: str) -> Any:
+    """Return the common value of a property of the channels with the given names; no names select all channels.
 
     Raises `DaqError` -200077 if the channels have different values, -200478 if the task has no channels.
     """
@@ -35,49 +35,50 @@ def get_channel(task: Task, names: str, name: str) -> Any:
     values = [channel.get(name) for channel in channels]
     if any(value != values[0] for value in values):
         raise invalid_value(
-            f"{name} differs among {', '.join(channel.name for channel in channels)}. Read one channel at a time."
+            f"{name} differs among {', '.join(channel.name for channel in channels)}. Query one channel at a time."
         )
     return values[0]
 
 
-def set_channel(task: Task, names: str, name: str, value: Any) -> None:
+def set_channel_property(task: Task, names: str, name: str, value: Any) -> None:
     """Set a property of the channels with the given names; no names select all channels."""
-    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    task.check_idle(f"setting {name}", Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     for channel in task.settings.find(names):
         channel.set(name, value)
 
 
-def reset_channel(task: Task, names: str, name: str) -> None:
+def reset_channel_property(task: Task, names: str, name: str) -> None:
     """Reset a property of the channels with the given names to its default."""
-    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    task.check_idle(f"resetting {name}", Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     for channel in task.settings.find(names):
         channel.reset(name)
 
 
 def get_value(task: Task, group: str, name: str) -> Any:
-    """Return a setting or a computed value by NI's name; `DaqError` -200452 if there is no such property."""
+    """Return a setting or a computed value of a group; `DaqError` -200452 if there is no such property."""
     computed = _COMPUTED.get((group, name))
     with task.chassis.changed:
         return task.settings.groups[group][name] if computed is None else computed(task)
 
 
 def set_value(task: Task, group: str, name: str, value: Any) -> None:
-    """Change a setting; `DaqError` -200557 while the task runs, -200077 for an invalid value."""
+    """Change a setting of a group; `DaqError` -200557 while the task runs, -200077 for an invalid value."""
     if name not in WHILE_RUNNING.get(group, ()):
-        task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+        task.check_idle(f"setting {name}", Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     if name == "samp_clk_timebase_div":
         divisor = coerce(name, value, 1.0)
         if divisor <= 0.0:
-            raise invalid_value(f"{name} is {divisor:g}; expected a positive number.")
+            raise invalid_value(f"{name} is {divisor:g}. Give a positive number.")
         name, value = "samp_clk_rate", _module(task).timebase / divisor
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
-        task.settings.channels[0].module.coerced(value, output=task.settings.kind == "ao")
+        # Raises an error for an impossible rate.
+        task.settings.channels[0].module.coerced_rate(value, output=task.settings.direction == "ao")
     if name == "channels_to_read":
-        task.settings.find(value)
+        task.settings.find(value)  # Raises an error for a missing channel.
     if name.endswith("_buf_size") and value < 0:
-        raise invalid_value(f"{name} is {value}; expected 0 or more samples.")
+        raise invalid_value(f"{name} is {value}. Give 0 or more samples.")
     settings[name] = value
     if name == "output_buf_size":
         task.output.buffer = None
@@ -91,24 +92,24 @@ def set_values(task: Task, group: str, **settings: Any) -> None:
 
 def reset_value(task: Task, group: str, name: str) -> None:
     """Reset a setting to its default."""
-    task.check_idle(name, Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
+    task.check_idle(f"resetting {name}", Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     task.settings.groups[group].reset("samp_clk_rate" if name == "samp_clk_timebase_div" else name)
 
 
 def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
-    """Return the time of the start or of a trigger of the task, ns.
+    """Wait for the first sample or a trigger of the task, and return its time, ns; see `Chassis.time_ns`.
 
     Raises `DaqError` -209842 if the timestamp of the trigger is disabled, and -200284 if the event does not occur
     before the timeout.
     """
-    name = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
-    settings, key = task.settings.groups["trig"], f"{name}_trig_timestamp_enable"
-    if name is not None and settings.was_set(key) and not settings[key]:
+    role = {TimestampEvent.START_TRIGGER: "start", TimestampEvent.REFERENCE_TRIGGER: "ref"}.get(event)
+    settings, key = task.settings.groups["trig"], f"{role}_trig_timestamp_enable"
+    if role is not None and settings.was_set(key) and not settings[key]:
         raise DaqError(
             f"{event.name.lower()}: its time was not stored. Set timestamp_enable to True before starting the task.",
             Code.TIMESTAMP_NOT_ENABLED,
         )
-    if name is None:
+    if role is None:
         task.settings.groups["timing"]["first_samp_timestamp_enable"] = True
 
     def tick() -> int | None:
@@ -131,7 +132,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 
 
 def full_terminal(task: Task, name: str) -> str:
-    """Return NI's full name of a terminal, which begins with the device.
+    """Return NI's full name of a terminal, such as "/cDAQ1/PFI0"; an empty name stays empty.
 
     Raises `DaqError` -89120 if it is not a terminal.
     """
@@ -149,7 +150,7 @@ def full_terminal(task: Task, name: str) -> str:
 
 
 def _counter(query: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
-    """Return a function that reads a count of samples and notes the query; see `Task.note_query`."""
+    """Return a function that returns a count of samples and notes the query; see `Task.note_query`."""
 
     def read_count(task: Task) -> int:
         task.note_query(query)
@@ -169,17 +170,17 @@ def _of_input_run(task: Task, value: Callable[[Any], int]) -> int:
 
 
 def _module(task: Task) -> Module:
-    """Return the module whose clock the task uses; `DaqError` -200478 if the task has no channels."""
+    """Return the module that provides the sample clock; `DaqError` -200478 if the task has no channels."""
     if not task.settings.channels:
         raise DaqError("the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     return task.settings.channels[0].module
 
 
 def _trigger_source(task: Task, name: str) -> str:
-    """Return the source of a trigger: the name of a channel, or the full name of a terminal."""
+    """Return the source of a trigger, the setting `name`: the name of a channel, or the full name of a terminal."""
     source = str(task.settings.groups["trig"][name])
-    names = {name.lower() for channel in task.settings.channels for name in (channel.name, channel.port.name)}
-    return source if source.lower() in names else full_terminal(task, source)
+    channel_names = {name.lower() for channel in task.settings.channels for name in (channel.name, channel.port.name)}
+    return source if source.lower() in channel_names else full_terminal(task, source)
 
 
 # Properties that are computed when a script reads them, by group and NI's name.
@@ -187,24 +188,24 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
     ("timing", "samp_clk_max_rate"): lambda task: _module(task).rates.fastest,
     ("timing", "samp_clk_src"): lambda task: full_terminal(
-        task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.kind}/SampleClockTimebase"
+        task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.direction}/SampleClockTimebase"
     ),
-    ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.kind}/SampleClock"),
+    ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.direction}/SampleClock"),
     ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples,
     ("timing", "samp_clk_timebase_div"): lambda task: round(_module(task).timebase / task.settings.rate),
     ("timing", "samp_clk_timebase_rate"): lambda task: _module(task).timebase,
     ("timing", "first_samp_timestamp_val"): partial(_seconds_of, event=TimestampEvent.FIRST_SAMPLE),
     ("trig", "start_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.START_TRIGGER),
     ("trig", "ref_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.REFERENCE_TRIGGER),
-    ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/StartTrigger"),
-    ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.kind}/ReferenceTrigger"),
-    ("buffer", "input_buf_size"): lambda task: task.settings.input_size,
+    ("trig", "start_trig_term"): lambda task: full_terminal(task, f"{task.settings.direction}/StartTrigger"),
+    ("trig", "ref_trig_term"): lambda task: full_terminal(task, f"{task.settings.direction}/ReferenceTrigger"),
+    ("buffer", "input_buf_size"): lambda task: task.settings.input_buffer_size,
     ("buffer", "output_buf_size"): lambda task: task.output.size,
     # Constant, in samples: the emulated modules have no buffers of their own.
     ("buffer", "input_onbrd_buf_size"): lambda task: 4095,
     ("buffer", "output_onbrd_buf_size"): lambda task: 8191,
-    ("read", "num_chans"): lambda task: len(task.settings.rows_to_read()),
-    ("read", "raw_data_width"): lambda task: 4 * len(task.settings.rows_to_read()),
+    ("read", "num_chans"): lambda task: len(task.settings.indices_to_read()),
+    ("read", "raw_data_width"): lambda task: 4 * len(task.settings.indices_to_read()),
     ("read", "avail_samp_per_chan"): _counter(
         "available", lambda task: _of_input_run(task, lambda run: max(0, run.readable - run.position))
     ),
@@ -219,7 +220,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("write", "total_samp_per_chan_generated"): _counter("generated", lambda task: task.output.samples_passed),
     **{
         ("trig", name): partial(_trigger_source, name=name)
-        for kind in ("anlg_edge", "anlg_win", "dig_edge")
-        for name in (f"{kind}_start_trig_src", f"{kind}_ref_trig_src")
+        for trigger_type in ("anlg_edge", "anlg_win", "dig_edge")
+        for name in (f"{trigger_type}_start_trig_src", f"{trigger_type}_ref_trig_src")
     },
 }

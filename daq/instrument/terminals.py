@@ -1,4 +1,7 @@
-"""Connects the bench of a scene to the instrument: output voltages, settings of the inputs, and the scene's test."""
+"""Connects the bench of a scene to the instrument: output voltages, input conditioning, and the scene's test.
+
+Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import Excitation as PlayedSignal
+from daq.excitation import Excitation as TestExcitation
 from daq.excitation import Station, excitation
 from daq.instrument.background_test import BackgroundTest
-from daq.instrument.devices.modules import DIVIDED
+from daq.instrument.devices.modules import DEFAULT_RATES
 from daq.instrument.devices.teds import with_sensitivity
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
@@ -27,25 +30,26 @@ from rig.scene.teds import electronic_data_sheet
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
     from daq.virtual_bench.bench import Block
+    from rig.scene.measurement_chain import Channel as SceneChannel
     from rig.scene.scene import Scene
 
 
 class Terminals:
     """The interface between a bench and its instrument.
 
-    A tick is one step of the bench, short enough for the fastest module. The motion and the samples therefore do not
+    A tick is a time step of the bench, short enough for the fastest module. The motion and the samples therefore do not
     depend on which tasks run.
     """
 
     def __init__(self, scene: Scene) -> None:
-        # The tick rate is a multiple of the converter's rate, at least the fastest rate of each module and the rate
-        # that oversampling requires. The samples of modules that divide one clock then coincide with ticks.
+        # The tick rate is the smallest multiple of the converter's rate that reaches the fastest rate of each module and
+        # the rate that oversampling requires. Samples of modules that divide the same clock then coincide with ticks.
         sample_rate, input_preset = scene.converter.sample_rate, scene.converter.preset
         output_presets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
         inputs = None if input_preset is None else module(input_preset).inputs
         outputs = [None if preset is None else module(preset).outputs for preset in output_presets]
         fastest_input, *fastest_outputs = (
-            DIVIDED.fastest if ports is None else ports.rates.fastest for ports in (inputs, *outputs)
+            DEFAULT_RATES.fastest if ports is None else ports.rates.fastest for ports in (inputs, *outputs)
         )
         min_tick_rates = [sample_rate * choose_oversampling(scene), *fastest_outputs]
         if fastest_input > sample_rate:
@@ -53,13 +57,13 @@ class Terminals:
         self.bench = bench = Bench(scene, math.ceil(max(min_tick_rates) / sample_rate - 1e-6))
         has_counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # of samples: counts or volts
-        # Rows of the outputs among the drives of the bench.
-        self._outputs = [row for row, name in enumerate(bench.inputs) if name != "hammer"]
+        # Indices of the outputs among the inputs of the rig, to which the hammer also belongs.
+        self._outputs = [index for index, name in enumerate(bench.inputs) if name != "hammer"]
         # Factor from output voltage to drive (N, m or V), shape (outputs,).
-        self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[row]] for row in self._outputs])
+        self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[index]] for index in self._outputs])
         self._converter = complete_from_preset(scene.converter)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None)
-        self._test = BackgroundTest(station, bench.ticks, bench.physical)
+        self._test = BackgroundTest(station, bench.ticks_per_sample, bench.to_units)
 
     def warm_up(self) -> None:
         """Compile the kernels before the clock starts, so that no read waits for them."""
@@ -68,13 +72,13 @@ class Terminals:
     # Time
 
     def limit_ticks(self, ticks: int) -> int:
-        """Limit a number of ticks to those for which the drive of the test is known."""
+        """Limit a number of ticks to those for which the drive of the test is already known."""
         return self._test.limit_ticks(ticks)
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Block]:
         """Advance the bench and return its samples by rate; see `Bench.advance`.
 
-        The drive is that of the output voltages, shape (outputs, ticks), or that of the test if `volts` is None.
+        `volts` are the voltages of the outputs, shape (outputs, ticks); if None, the test drives the outputs.
         """
         drive = self._test.drive(ticks).copy()
         if volts is not None and self._outputs:
@@ -85,74 +89,80 @@ class Terminals:
 
     # The test
 
-    def play(
+    def run_test(
         self,
         scene: Scene,
         position: int,
         mark: Callable[..., Any],
         report: FractionProgress,
-        ended: Callable[[str], None],
-        excite: Callable[[Station], PlayedSignal] = excitation,
+        on_end: Callable[[str], None],
+        make_excitation: Callable[[Station], TestExcitation] = excitation,
     ) -> BackgroundTest:
-        """Play the test of a scene once, from the first sample at or after `position` ticks; see `BackgroundTest`.
+        """Run the test of a scene once, from the first sample at or after `position` ticks; see `BackgroundTest`.
 
         `mark` adds markers to a recording, `report` receives the progress.
         """
         bench = self.bench
-        first_sample = -(-position // bench.ticks)
+        first_sample = -(-position // bench.ticks_per_sample)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first_sample)
-        lead_ticks = first_sample * bench.ticks - position
-        self._test = BackgroundTest(station, bench.ticks, bench.physical, lead_ticks, excite, ended)
+        lead_ticks = first_sample * bench.ticks_per_sample - position
+        self._test = BackgroundTest(
+            station, bench.ticks_per_sample, bench.to_units, lead_ticks, make_excitation, on_end
+        )
         return self._test
 
     def release_outputs(self) -> None:
-        """End the drive of the test because a task uses an output."""
+        """End the test because a task uses an output; see `BackgroundTest.release_outputs`."""
         self._test.release_outputs()
 
     @property
-    def quiet(self) -> bool:
-        """Whether the test drives no output."""
-        return self._test.quiet
+    def is_idle(self) -> bool:
+        """Whether no test is running."""
+        return self._test.is_idle
 
     # Inputs
 
-    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
+    def set_conditioning(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """Set the couplings and sensor supplies of a task's channels.
 
-        `in_use` are the rows of the inputs that other tasks are reading; `DaqError` -50103 if one of them has another
-        coupling or supply.
+        `in_use` are the indices of the inputs that other tasks are reading. Raises `DaqError` -50103 if one of them has
+        another coupling or supply.
         """
-        wiring, used = list(self.bench.wiring), set(in_use)
-        for each in channels:
-            before = wiring[each.row]
+        scene_channels, fixed = list(self.bench.channel_settings), set(in_use)
+        for channel in channels:
             supply = self._converter.excitation  # current, A; None if the scene does not model the supply
-            if supply is not None and each.settings["ai_excit_src"] == Excitation.NONE:
+            if supply is not None and channel.settings["ai_excit_src"] == Excitation.NONE:
                 supply = 0.0
             elif supply is not None:
-                supply = supply or each.module.currents[0]
-            coupling = Coupling(each.settings["ai_coupling"]).name
-            requested = before.replace(coupling=coupling, excitation=supply)
-            present, new = (input_settings(self.bench.scene.converter, channel) for channel in (before, requested))
-            if (present.coupling or "DC", present.excitation) == (new.coupling or "DC", new.excitation):
+                supply = supply or channel.module.currents[0]
+            present = scene_channels[channel.row]
+            coupling = Coupling(channel.settings["ai_coupling"]).name
+            requested = present.replace(coupling=coupling, excitation=supply)
+            if self._conditioning(requested) == self._conditioning(present):
                 continue
-            if each.row in used:
+            if channel.row in fixed:
                 raise DaqError(
-                    f"the resource is reserved: {each.port.name} is in use with another coupling or sensor supply. "
-                    "Stop the task that uses it, or choose the same settings.",
+                    f"{channel.port.name} is in use with another coupling or sensor supply. Stop the task that uses "
+                    "it, or choose the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            wiring[each.row] = requested
-            used.add(each.row)
-        self.bench.rewire(wiring)
+            scene_channels[channel.row] = requested
+            fixed.add(channel.row)
+        self.bench.set_conditioning(scene_channels)
+
+    def _conditioning(self, scene_channel: SceneChannel) -> tuple[str, float | None]:
+        """Return coupling and supply current of a channel, which may be those of the converter."""
+        settings = input_settings(self.bench.scene.converter, scene_channel)
+        return settings.coupling or "DC", settings.excitation
 
     def supply(self, row: int) -> float | None:
         """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
-        channel = self.bench.wiring[row]
-        return input_settings(self.bench.scene.converter, channel).excitation if needs_supply(channel) else None
+        channel = self.bench.channel_settings[row]
+        return self._conditioning(channel)[1] if needs_supply(channel) else None
 
-    def data_sheet(self, row: int) -> bytes | None:
-        """Return the electronic data sheet (TEDS) of a channel's sensor; None without a readable data sheet."""
-        channel = self.bench.wiring[row]
+    def teds(self, row: int) -> bytes | None:
+        """Return the TEDS (electronic data sheet) of a channel's sensor; None if the input cannot read any."""
+        channel = self.bench.channel_settings[row]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
         if sheet is None:
             return None

@@ -10,15 +10,12 @@ from daq.instrument.errors import invalid_value
 Member = TypeVar("Member", bound=IntEnum)
 
 
-def enum_member(kind: type[Member], value: int, setting: str) -> Member:
-    """Return the named value of a number.
-
-    `setting` is the name of the setting, for the message. Raises `DaqError` -200077 for an unknown number.
-    """
-    if value not in list(kind):
-        names = ", ".join(f"{member.name} ({int(member)})" for member in kind)
-        raise invalid_value(f"{setting} is {value}: expected {names}")
-    return kind(value)
+def enum_member(values: type[Member], value: int, setting: str) -> Member:
+    """Return the named value of a number; `DaqError` -200077, with the name of the setting, for an unknown number."""
+    if value not in list(values):
+        names = ", ".join(f"{member.name} ({int(member)})" for member in values)
+        raise invalid_value(f"{setting} {value} is not supported. Choose {names}.")
+    return values(value)
 
 
 SampleMode = IntEnum("SampleMode", {"FINITE": 10178, "CONTINUOUS": 10123})
@@ -45,7 +42,7 @@ Regeneration = IntEnum("Regeneration", {"ALLOWED": 10097, "NOT_ALLOWED": 10158})
 
 
 class RelativeTo(IntEnum):
-    """Origin of a read position."""
+    """Sample relative to which a read position is given."""
 
     FIRST_SAMPLE = 10424
     CURRENT_READ_POSITION = 10425
@@ -56,14 +53,14 @@ class RelativeTo(IntEnum):
 
 
 LoggingMode = IntEnum("LoggingMode", {"OFF": 10231, "LOG": 15844, "LOG_AND_READ": 15842})
-# Handling of an existing log file.
+# Whether a log is appended to an existing file, or replaces it.
 LoggingOperation = IntEnum(
     "LoggingOperation", {"OPEN": 10437, "OPEN_OR_CREATE": 15846, "CREATE_OR_REPLACE": 15847, "CREATE": 15848}
 )
 
 
 class TaskMode(IntEnum):
-    """Transition between the states of a task."""
+    """Requested transition of a task to another state."""
 
     START = 0
     STOP = 1
@@ -78,8 +75,9 @@ Coupling = IntEnum("Coupling", {"AC": 10045, "DC": 10050, "GND": 10066})
 # Source of a sensor's supply.
 Excitation = IntEnum("Excitation", {"INTERNAL": 10200, "EXTERNAL": 10167, "NONE": 10230})
 # Terminal configuration of an input.
-Wiring = IntEnum(
-    "Wiring", {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529}
+TerminalConfiguration = IntEnum(
+    "TerminalConfiguration",
+    {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529},
 )
 # Signals that can be exported or registered for as events.
 Signal = IntEnum(

@@ -125,7 +125,7 @@ class BenchLoop(ABC):
             block = self.bench.acquire(drive[:, start:stop])
             # With a removed filter delay, the first blocks have fewer samples than drive.
             columns = slice(stop - block.samples.shape[1], stop)
-            readings[:, columns] = self.bench.physical(block.samples)
+            readings[:, columns] = self.bench.to_units(block.samples)
             overload[:, columns] = block.overload
             self.on_block(block, readings[:, columns])
         self.station.now = first + n_samples

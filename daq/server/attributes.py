@@ -10,18 +10,25 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from daq.instrument.devices.measurements import SUPPORTED_TYPES, VOLTAGE
-from daq.instrument.devices.modules import WIRING_BITS
+from daq.instrument.devices.modules import TERMINAL_CONFIGURATION_BITS
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.settings.storage import Storage
-from daq.instrument.task_properties import get_channel, get_value, reset_channel, reset_value, set_channel, set_value
+from daq.instrument.task_properties import (
+    get_channel_property,
+    get_value,
+    reset_channel_property,
+    reset_value,
+    set_channel_property,
+    set_value,
+)
 from daq.server.protocol import attribute_name, decode
 
 if TYPE_CHECKING:
     from daq.instrument.task import Task
-    from daq.server.calls.call import Call
+    from daq.server.calls.call import Call, Handler, ResponseFields
 
-# Parts of a call's name: action, owner, "Ex" if it names a device of the task, and type of the value.
+# Parts of a call's name, as in GetTimingAttributeExDouble: action, owner, "Ex" if it names a device, type of the value.
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")
 # Groups of a task's settings, by their names in the calls.
 _GROUPS = {
@@ -36,51 +43,54 @@ _GROUPS = {
 DRIVER_VERSION = (26, 0, 0)
 
 
-def attribute_call(name: str) -> Callable[[Call], dict[str, Any] | None] | None:
+def attribute_handler(name: str) -> Handler | None:
     """Return the handler of a call that reads, sets or resets an attribute; None for other calls."""
     match = _CALL.fullmatch(name)
     if not match:
         return None
-    action, owner, per_device, kind = match[1], match[2], bool(match[3]), match[4]
+    action, owner, names_device, value_type = match[1], match[2], bool(match[3]), match[4]
 
-    def answer(call: Call) -> dict[str, Any] | None:
+    def handle(call: Call) -> ResponseFields | None:
         attribute = attribute_name(call.message)
         if attribute is None:
             raise unsupported(f"attribute {decode(call.message).get('attribute', 0)}")
-        if per_device:
+        if names_device:
             raise DaqError(
                 f"{attribute} applies to the whole task. Omit the device name.",
                 Code.M_STUDIO_OPERATION_DOES_NOT_SUPPORT_DEVICE_CONTEXT,
             )
         if action == "Get":
-            return {"value": _to_call_type(_get(call, owner, attribute), kind)}
+            return {"value": _to_call_type(_get(call, owner, attribute), value_type)}
         is_set = action == "Set"
         if owner in _GROUPS:
             change: Callable[..., None] = set_value if is_set else reset_value
-            target = _GROUPS[owner]
+            group_or_channels = _GROUPS[owner]
         elif owner == "Chan":
-            change, target = (set_channel if is_set else reset_channel), call.fields["channel"]
+            change, group_or_channels = (
+                (set_channel_property if is_set else reset_channel_property),
+                call.fields["channel"],
+            )
         elif owner == "Scale" and is_set:
             storage, scale = call.instrument.storage, call.fields["scale_name"]
             storage.scales[scale] = storage.scale(scale).changed(attribute, call.fields["value"])
             return None
         else:
             raise unsupported(f"{'setting' if is_set else 'resetting'} {attribute}")
-        change(call.task, target, attribute, *([call.fields["value"]] if is_set else []))
+        change(call.task, group_or_channels, attribute, *([call.fields["value"]] if is_set else []))
         return None
 
-    return answer
+    return handle
 
 
-def _to_call_type(value: Any, kind: str) -> Any:
-    """Convert a value to the type of the call, which ends the call's name, such as "Int32"."""
-    if kind == "String":
+def _to_call_type(value: Any, value_type: str) -> Any:
+    """Convert a value to the type at the end of a call's name, such as "Int32"."""
+    if value_type == "String":
         return ", ".join(value) if isinstance(value, list) else str(value)
-    if kind in ("Int32", "UInt32", "UInt64"):
+    if value_type in ("Int32", "UInt32", "UInt64"):
         return int(value)
-    if kind == "Bool":
+    if value_type == "Bool":
         return bool(value)
-    return [int(number) for number in value] if kind == "Int32Array" else value
+    return [int(number) for number in value] if value_type == "Int32Array" else value
 
 
 def _get(call: Call, owner: str, name: str) -> Any:
@@ -88,7 +98,7 @@ def _get(call: Call, owner: str, name: str) -> Any:
     if owner in _GROUPS:
         return get_value(call.task, _GROUPS[owner], name)
     if owner == "Chan":
-        return get_channel(call.task, call.fields["channel"], name)
+        return get_channel_property(call.task, call.fields["channel"], name)
     if owner not in _OWNERS:
         raise unsupported(f"property {name} of {owner}")
     return _OWNERS[owner](call, name)
@@ -99,7 +109,7 @@ def _of_device(call: Call, name: str) -> Any:
     module = chassis.devices.module(call.fields["device_name"])
     attributes = module.attributes(chassis.devices.modules_of(module.name))
     if name not in attributes:
-        raise DaqError(f"{module.product_type} has no property {name}", Code.ATTR_NOT_SUPPORTED)
+        raise DaqError(f"{module.product_type} has no property {name}. Do not query it.", Code.ATTR_NOT_SUPPORTED)
     return attributes[name]
 
 
@@ -108,18 +118,18 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     port = parse_port(call.fields["physical_channel"])
     chassis = call.instrument.chassis
     module = chassis.devices.module(port.device)
-    module.row(port.kind, port.number)
+    module.row(port.direction, port.number)
     attributes: dict[str, Any] = {
         "ai_supported_meas_types": SUPPORTED_TYPES,
-        "ai_term_cfgs": sum(WIRING_BITS.get(wiring, 0) for wiring in module.wirings),
+        "ai_term_cfgs": sum(TERMINAL_CONFIGURATION_BITS.get(value, 0) for value in module.terminal_configurations),
         "ai_input_srcs": [port.name],
     }
-    if port.kind == "ao":
+    if port.direction == "ao":
         attributes = {"ao_supported_output_types": [VOLTAGE], "ao_term_cfgs": 1}
     elif name.startswith("teds_"):
         return call.instrument.teds.read(port, name)
     if name not in attributes:
-        raise DaqError(f"{port.name} has no property {name}", Code.ATTR_NOT_SUPPORTED)
+        raise DaqError(f"{port.name} has no property {name}. Do not query it.", Code.ATTR_NOT_SUPPORTED)
     return attributes[name]
 
 
@@ -157,12 +167,14 @@ def _of_system(call: Call, name: str) -> Any:
 def _of_scale(call: Call, name: str) -> Any:
     scale = call.instrument.storage.scale(call.fields["scale_name"])
     if name not in scale.settings:
-        raise DaqError(f"a scale of this type has no {name}", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE)
+        raise DaqError(
+            f"a scale of this type has no {name}. Do not query it.", Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE
+        )
     return scale.settings[name]
 
 
 def _of_persisted(call: Call, name: str) -> Any:
-    """Return an attribute of a saved task, channel or scale: its author, or true for what it permits."""
+    """Return the author of a saved task, channel or scale; True for its other attributes, which are permissions."""
     storage: Storage = call.instrument.storage
     groups: tuple[tuple[str, dict[str, Any], Code], ...] = (
         ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
@@ -191,11 +203,11 @@ def _of_calibration(call: Call, name: str) -> Any:
 
 
 def _reject(call: Call, name: str) -> Any:
-    """Reject an attribute that no device here has."""
-    raise DaqError(f"the property {name} does not exist", Code.ATTR_NOT_SUPPORTED)
+    """Reject an attribute that no device on the bench has."""
+    raise DaqError(f"no device on the bench has the property {name}. Do not query it.", Code.ATTR_NOT_SUPPORTED)
 
 
-# Functions that return an attribute of the call's object, by its kind in the names of the calls.
+# Functions that return an attribute of an owner, by the owner in the name of the call.
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "Device": _of_device,
     "PhysicalChan": _of_physical_channel,

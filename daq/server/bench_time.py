@@ -19,22 +19,22 @@ _MAX_STEP_S = 100.0
 
 
 class TimeLimit:
-    """Interrupts a process when the bench time reaches `seconds`; None is no limit."""
+    """Interrupts a process when the bench time reaches `seconds`; None for no limit."""
 
     def __init__(self, chassis: Chassis, seconds: float | None) -> None:
         self._chassis, self._seconds = chassis, seconds
         self.process: int | None = None  # id of the process
         self.reached = False
         if seconds is not None:
-            chassis.at(seconds, self._interrupt)
+            chassis.schedule(seconds, self._interrupt)
 
     @property
-    def endless(self) -> bool:
+    def is_unlimited(self) -> bool:
         """Whether there is no limit."""
         return self._seconds is None
 
-    def take_remaining(self) -> float:
-        """Return the bench time for which a prompt waits, s. From now on the limit no longer interrupts the process."""
+    def use_for_prompt(self) -> float:
+        """Return the bench time for which a prompt waits, s; the limit then no longer interrupts the process."""
         self.reached = True
         return PROMPT_TIMEOUT_S if self._seconds is None else max(0.0, self._seconds - self._chassis.elapsed)
 
@@ -52,8 +52,8 @@ class TimeLimit:
 class BenchTime(grpc.GenericRpcHandler):
     """Handles two calls of shotrig's own service, which wait in bench time.
 
-    /shotrig.Bench/Pass waits for the seconds in the request, /shotrig.Bench/Prompt until the time `limit`. Both return
-    the bench time, s, as text.
+    /shotrig.Bench/Pass waits for the seconds in the request. /shotrig.Bench/Prompt waits until the time `limit`, or for
+    `PROMPT_TIMEOUT_S` without a limit. Both return the bench time, s, as text.
     """
 
     def __init__(self, chassis: Chassis, limit: TimeLimit | None = None) -> None:
@@ -61,23 +61,23 @@ class BenchTime(grpc.GenericRpcHandler):
 
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> grpc.RpcMethodHandler | None:
         """Return the handler of a call; see the class."""
-        calls: dict[str, Callable[[bytes], float]] = {
+        waiting_times: dict[str, Callable[[bytes], float]] = {
             "/shotrig.Bench/Pass": float,
-            "/shotrig.Bench/Prompt": lambda request: self._limit.take_remaining(),
+            "/shotrig.Bench/Prompt": lambda request: self._limit.use_for_prompt(),
         }
-        handler = calls.get(handler_call_details.method)
-        if handler is None:
+        waiting_time = waiting_times.get(handler_call_details.method)
+        if waiting_time is None:
             return None
 
-        def answer(request: bytes, context: grpc.ServicerContext) -> bytes:
+        def wait(request: bytes, context: grpc.ServicerContext) -> bytes:
             try:
-                seconds = handler(request)
+                seconds = waiting_time(request)
             except ValueError:
-                context.abort(grpc.StatusCode.INVALID_ARGUMENT, "expected a number of seconds")
+                context.abort(grpc.StatusCode.INVALID_ARGUMENT, "the time is not a number. Send a number of seconds.")
             # If the client has disconnected, the remaining time is not needed.
             while 0 < seconds < math.inf and context.is_active():
                 self._chassis.pass_time(min(seconds, _MAX_STEP_S))
                 seconds -= _MAX_STEP_S
             return repr(self._chassis.elapsed).encode()
 
-        return grpc.unary_unary_rpc_method_handler(answer)
+        return grpc.unary_unary_rpc_method_handler(wait)

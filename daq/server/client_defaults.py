@@ -1,8 +1,8 @@
 """Connects scripts without gRPC options to the rig, through changed defaults of NI's client.
 
-When Python starts, public names are changed: the client's classes with a parameter `grpc_options` receive default
-options, and `System.local` returns `System.remote`. This applies to the process of the script and to its child
-processes, by fork and by spawn.
+When Python starts, `prepare` changes public names: the client's classes with a parameter `grpc_options` receive default
+options, and `System.local` returns `System.remote`. This also applies to child processes of the script, whether forked
+or spawned.
 
 On the fast clock, bench time passes only during calls to the server. `time.sleep` and `input` are therefore replaced by
 such calls; Python has no other public way to do this.
@@ -18,16 +18,17 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-# Environment variables of the script's process: address of the server; fast clock; run with a time limit.
+# Environment variables of the script's process: address of the server; set if the clock is the fast clock; set if the
+# run has a time limit.
 SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
-# API key of clients that do not use sessions: a duplicate name of a task is then the error of NI's driver.
+# API key of clients that do not share sessions: for them a duplicate name of a task is an error, as in NI's driver.
 STRICT = "shotrig: no sessions"
 # Connection of each process, by its id.
 _channels: dict[int, Any] = {}
 
 
 def prepare() -> None:
-    """Connect the client to the rig, and let bench time pass while the script sleeps or waits for Enter."""
+    """Connect the client to the rig; let bench time pass while the script sleeps (fast clock) or waits for Enter."""
     _set_default_connection()
     if os.environ.get(FAST):
         time.sleep = functools.partial(_pass_bench_time, "Pass")
@@ -35,7 +36,7 @@ def prepare() -> None:
         builtins.input = _wait_for_enter
     if os.environ.get(LIMITED):
         print_traceback = sys.excepthook
-        # Ctrl-C at the time limit is a regular end.
+        # Ctrl-C at the time limit is a regular end, so it prints no traceback.
         sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else print_traceback(kind, *rest)
 
 
@@ -47,8 +48,8 @@ def _set_default_connection() -> None:
     persisted = (storage.PersistedTask, storage.PersistedChannel, storage.PersistedScale)
     for owner in (nidaqmx.Task, Scale, system.Device, system.PhysicalChannel, *persisted):
         owner.__init__ = _with_options(owner.__init__)
-    kinds = ("lin", "map", "polynomial", "table")
-    for name in ("calculate_reverse_poly_coeff", *(f"create_{kind}_scale" for kind in kinds)):
+    scale_types = ("lin", "map", "polynomial", "table")
+    for name in ("calculate_reverse_poly_coeff", *(f"create_{scale_type}_scale" for scale_type in scale_types)):
         setattr(Scale, name, staticmethod(_with_options(getattr(Scale, name))))
     remote = system.System.remote
     system.System.local = staticmethod(lambda: remote(_options()))
@@ -67,7 +68,7 @@ def _with_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _options() -> Any:
-    """Return session options for this process; a duplicate name is an error, as without a network."""
+    """Return session options of this process; a duplicate name of a task is an error, as with a local driver."""
     from nidaqmx import GrpcSessionOptions
 
     return GrpcSessionOptions(_channel(), "", api_key=STRICT)

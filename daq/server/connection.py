@@ -21,15 +21,15 @@ from rig.scene.scene import Scene
 
 
 class Connection(GrpcSessionOptions):
-    """A rig in this process, for NI's client: ``nidaqmx.Task(grpc_options=connection)``.
+    """A rig in this process, as session options of NI's client: ``nidaqmx.Task(grpc_options=connection)``.
 
-    It extends the client's session options. Close it, or use it in a `with` block. `chassis` is the instrument,
-    `address` the address of the server for other processes.
+    Close it, or use it in a `with` block. `chassis` is the instrument, `address` the address of the server for other
+    processes.
     """
 
     def __init__(self, scene: Scene | str | Path | None, clock: str | Clock | None, limits: Limits) -> None:
         self.chassis = connect_scene(scene, clock)
-        self._server = Server(self.chassis, limits=limits, further=(BenchTime(self.chassis),))
+        self._server = Server(self.chassis, limits=limits, other_handlers=(BenchTime(self.chassis),))
         self.address = f"127.0.0.1:{self._server.port}"
         self._open = True
         super().__init__(open_channel(self.address), "")
@@ -37,12 +37,12 @@ class Connection(GrpcSessionOptions):
 
     @property
     def options(self) -> GrpcSessionOptions:
-        """Session options of the client: this object."""
+        """Session options of the client: the connection itself."""
         return self
 
     @property
     def sensors(self) -> tuple[ChannelInfo, ...]:
-        """Sensors at ai0, ai1, ..., each with its position, quantity and sensitivity."""
+        """Descriptions of the channels at ai0, ai1, ...: location, quantity, sensitivity and more."""
         return tuple(self.chassis.bench.channels)
 
     def pass_time(self, seconds: float) -> None:
@@ -70,12 +70,12 @@ _open_connections: set[Connection] = set()
 
 
 def _close_open_connections() -> None:
-    # Closing with a grace period starts a thread, which Python does not allow during its shutdown.
+    # A grace period would start a thread, which Python does not allow during its shutdown.
     for connection in list(_open_connections):
         connection.close(grace=None)
 
 
-# Before it runs `atexit` functions, Python waits for the threads that answer calls: they must end earlier.
+# Python waits for the threads that answer calls before it runs `atexit` functions, so the threads must end earlier.
 getattr(threading, "_register_atexit", atexit.register)(_close_open_connections)
 
 

@@ -22,7 +22,7 @@ SERVICES = (SERVICE, SESSION_SERVICE, _HEALTH, _REFLECTION)
 
 
 class Discovery:
-    """The reflection service and the health service; `handlers` are the handlers of their calls."""
+    """The reflection service and the health service; `handlers` handle their calls."""
 
     def __init__(self) -> None:
         names = [service.full_name for service in SERVICES]
@@ -37,33 +37,36 @@ class Discovery:
 
 
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
-    """Return the handler of a service; an invalid request is an error of the client, without a traceback here."""
+    """Return the handler of a service; an invalid request is reported to the client, without a traceback here."""
     # Some releases of the packages describe calls that their servicers do not implement.
-    described = [method for method in service.methods if method.name in vars(type(servicer))]
+    implemented = [method for method in service.methods if method.name in vars(type(servicer))]
     return grpc.method_handlers_generic_handler(
-        service.full_name, {method.name: _method_handler(method, getattr(servicer, method.name)) for method in described}
+        service.full_name,
+        {method.name: _method_handler(method, getattr(servicer, method.name)) for method in implemented},
     )
 
 
-def _method_handler(method: Any, answer: Callable[..., Any]) -> Any:
-    request = message_factory.GetMessageClass(method.input_type)
+def _method_handler(method: Any, servicer_method: Callable[..., Any]) -> Any:
+    request_class = message_factory.GetMessageClass(method.input_type)
 
-    def parsed(data: bytes, context: grpc.ServicerContext) -> Any:
+    def parse(data: bytes, context: grpc.ServicerContext) -> Any:
         try:
-            return request.FromString(data)
+            return request_class.FromString(data)
         except DecodeError:
-            return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"expected a {request.DESCRIPTOR.full_name}")
+            expected = request_class.DESCRIPTOR.full_name
+            return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"the request cannot be decoded. Send a {expected}.")
 
     def respond(request: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:
-            return answer((parsed(message, context) for message in request), context)
-        return answer(parsed(request, context), context)
+            return servicer_method((parse(data, context) for data in request), context)
+        return servicer_method(parse(request, context), context)
 
-    make = grpc.unary_unary_rpc_method_handler
+    make_handler = grpc.unary_unary_rpc_method_handler
     if method.server_streaming:
-        streams = method.client_streaming
-        make = grpc.stream_stream_rpc_method_handler if streams else grpc.unary_stream_rpc_method_handler
-    return make(respond, None, lambda message: bytes(message.SerializeToString()))
+        make_handler = grpc.unary_stream_rpc_method_handler
+        if method.client_streaming:
+            make_handler = grpc.stream_stream_rpc_method_handler
+    return make_handler(respond, None, lambda message: bytes(message.SerializeToString()))
 
 
 def write_proto_files(folder: Path) -> list[Path]:
@@ -71,7 +74,7 @@ def write_proto_files(folder: Path) -> list[Path]:
 
     Raises `SceneError` if a file of that name has different text, or cannot be written.
     """
-    files: dict[str, Any] = {}
+    files: dict[str, Any] = {}  # descriptors by path
 
     def collect(file: Any) -> None:
         for dependency in file.dependencies:

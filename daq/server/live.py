@@ -25,7 +25,7 @@ _MAX_WAITING_BLOCKS = 64
 
 
 class LiveView:
-    """Shows the bench of a chassis in the rerun viewer, from a separate thread; `stream` is the connection to it."""
+    """Shows the bench of a chassis in the rerun viewer, from a separate thread; `stream` leads to the viewer."""
 
     def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
         from daq.live_scope.screen import Screen
@@ -40,7 +40,7 @@ class LiveView:
 
     def _on_block(self, bench: Any, block: Any) -> None:
         if not self._blocks.full():
-            self._blocks.put_nowait((block, bench.physical(block.samples)))
+            self._blocks.put_nowait((block, bench.to_units(block.samples)))
 
     def _show(self) -> None:
         while (block := self._blocks.get()) is not None:
@@ -57,15 +57,15 @@ class LiveView:
 class LiveRecording:
     """Records all channels of a bench while clients use it, and marks overloads in the recording.
 
-    A change of the input settings starts another file, with a number appended to its name. An error while it records
-    is reported on stderr and ends the recording; clients continue. Raises `RecordingError` if the folder of `path`
-    cannot be created.
+    A change of a coupling or sensor supply starts another file, with a number appended to its name. If writing fails,
+    the error is reported on stderr and the recording ends; clients continue. Raises `RecordingError` if the folder of
+    `path` cannot be created.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         make_folder(path)
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self._channels: Any = None  # descriptions of the channels in the present file
+        self._recorded_channels: Any = None  # descriptions of the channels in the present file
         self._recording: MarkedRecording | None = None
         self._has_failed = False
         self.paths: list[Path] = []
@@ -81,13 +81,13 @@ class LiveRecording:
             self._report(f"the recording has stopped: {error}")
 
     def _record(self, bench: Any, block: Any) -> None:
-        """Write a block; first start a file if there is none, or if the input settings have changed."""
-        if bench.channels is not self._channels:
+        """Write a block; start a file if there is none, or if a coupling or supply has changed."""
+        if bench.channels is not self._recorded_channels:
             self._complete()
             number = f"-{len(self.paths) + 1}" if self.paths else ""
             self.paths.append(self._path.with_name(f"{self._path.stem}{number}{self._path.suffix}"))
             start_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            self._channels = bench.channels
+            self._recorded_channels = bench.channels
             self._recording = MarkedRecording(
                 self.paths[-1], bench.scene, bench.channels, bench.rate, start_ns, self._overwrite
             )

@@ -31,9 +31,9 @@ def proto_text(file: Any) -> str:
     return "\n".join(lines)
 
 
-def _block(head: str, body: Iterator[str] | Any) -> Iterator[str]:
-    """Yield the lines of a block in braces, with its body indented."""
-    yield f"{head} {{"
+def _block(declaration: str, body: Iterator[str] | Any) -> Iterator[str]:
+    """Yield the lines of a declaration with a body in braces, which is indented."""
+    yield f"{declaration} {{"
     for line in body:
         yield f"{_INDENT}{line}"
     yield "}"
@@ -41,8 +41,8 @@ def _block(head: str, body: Iterator[str] | Any) -> Iterator[str]:
 
 def _method(method: Any) -> str:
     request_type = f"{'stream ' if method.client_streaming else ''}{method.input_type}"
-    answer = f"{'stream ' if method.server_streaming else ''}{method.output_type}"
-    return f"rpc {method.name}({request_type}) returns ({answer});"
+    response_type = f"{'stream ' if method.server_streaming else ''}{method.output_type}"
+    return f"rpc {method.name}({request_type}) returns ({response_type});"
 
 
 def _enum(enum: Any) -> Iterator[str]:
@@ -59,25 +59,25 @@ def _message(message: Any, scope: str) -> Iterator[str]:
         body += _enum(enum)
     for nested in message.nested_type:
         body += [] if nested.options.map_entry else _message(nested, scope)
-    written: set[int] = set()
+    written_oneofs: set[int] = set()  # indices
     for field in message.field:
-        if not _in_choice(field):
+        if not _in_oneof(field):
             body.append(_field(field, maps))
-        elif field.oneof_index not in written:
-            written.add(field.oneof_index)
-            members = [each for each in message.field if _in_choice(each) and each.oneof_index == field.oneof_index]
+        elif field.oneof_index not in written_oneofs:
+            written_oneofs.add(field.oneof_index)
+            members = [other for other in message.field if _in_oneof(other) and other.oneof_index == field.oneof_index]
             name = message.oneof_decl[field.oneof_index].name
             body += _block(f"oneof {name}", [_field(field, maps) for field in members])
     return _block(f"message {message.name}", body)
 
 
-def _in_choice(field: Any) -> bool:
-    """Return whether a field belongs to a `oneof`; the implicit `oneof` of an optional field does not count."""
+def _in_oneof(field: Any) -> bool:
+    """Return whether a field belongs to an explicit oneof; every optional field has an implicit oneof."""
     return field.HasField("oneof_index") and not field.proto3_optional
 
 
 def _field(field: Any, maps: dict[str, Any]) -> str:
-    """Return the line of a field; `maps` are the descriptors of map entries by full name."""
+    """Return the line of a field; `maps` are the descriptors of the map entry types by full name."""
     entry = maps.get(field.type_name)
     if entry is not None:
         key, value = (_type(field) for field in entry.field)

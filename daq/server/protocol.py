@@ -21,18 +21,21 @@ from daq.instrument.errors import invalid_value
 from daq.recording.protobuf import varint
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
+# The client's reads use this attribute, but the protocol does not name it.
+DEFAULT_NUMBER_OF_SAMPLES = 0x31E8
 # The service of NI's server for devices of any driver.
 _SESSION_FILE = next(file for file in nidaqmx_pb2.DESCRIPTOR.dependencies if file.name.endswith("session.proto"))
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Maximum number of entries of a list other than samples.
 _MAX_ENTRIES = 10_000
-# Maximum length of a text, characters: it may name thousands of channels.
+# Maximum length of a string, characters: it may name thousands of channels.
 _MAX_CHARACTERS = 1 << 16
 # Lists of samples, whose length is not limited here.
 _SAMPLES = ("write_array", "waveforms")
-# Full names of the messages for a session and a time; suffix of a choice between a named and a raw number.
-_SESSION, _TIMESTAMP, _ENUM = "nidevice_grpc.Session", "google.protobuf.Timestamp", "_enum"
-
+# Full names of the message types of a session and a time.
+_SESSION, _TIMESTAMP = "nidevice_grpc.Session", "google.protobuf.Timestamp"
+# Suffix of the name of a oneof that has either an enum value or its raw number.
+_ENUM = "_enum"
 
 DeviceProperties = message_factory.GetMessageClass(_SESSION_FILE.message_types_by_name["DeviceProperties"])
 
@@ -63,74 +66,77 @@ def methods(service: Any = SERVICE) -> list[Method]:
 def decode(request: Any) -> dict[str, Any]:
     """Return the fields of a request by name, as Python values.
 
-    A choice (`oneof`) between a named and a raw value becomes its number, under the name of the choice, 0 if absent.
-    A session becomes its name, a time seconds since 1970, a list of numbers an array, any other list a list.
+    * oneof of an enum value and its raw number: the number, 0 if absent; the key is the oneof's name without `_enum`
+    * session: its name
+    * timestamp: seconds since 1970
+    * repeated double: array; other repeated field: list
 
-    Raises `DaqError` -200077 for a text, or a list other than samples, above the maximum length, and for a text with a
-    null character.
+    Raises `DaqError` -200077 for a string, or a list other than samples, above the maximum length, and for a string
+    with a null character.
     """
     fields: dict[str, Any] = {}
-    for name, choice, kind, repeated in _fields(request.DESCRIPTOR):
-        if choice:
-            field_name = request.WhichOneof(choice)
+    for name, oneof, value_type, repeated in _fields(request.DESCRIPTOR):
+        if oneof:
+            field_name = request.WhichOneof(oneof)
             fields[name] = 0 if field_name is None else getattr(request, field_name)
             continue
         value = getattr(request, name)
         if repeated and name not in _SAMPLES and len(value) > _MAX_ENTRIES:
-            raise invalid_value(f"{name} has {len(value)} entries; expected {_MAX_ENTRIES} at most.")
+            raise invalid_value(f"{name} has {len(value)} entries; the maximum is {_MAX_ENTRIES}. Shorten the list.")
         if isinstance(value, str):
-            _check_text(name, value)
-        if repeated and kind != "message":
-            fields[name] = np.array(value, dtype=np.float64) if kind == "double" else list(value)
-        elif kind == _SESSION:
-            _check_text(name, value.name)
+            _check_string(name, value)
+        if repeated and value_type != "message":
+            fields[name] = np.array(value, dtype=np.float64) if value_type == "double" else list(value)
+        elif value_type == _SESSION:
+            _check_string(name, value.name)
             fields[name] = value.name
-        elif kind == _TIMESTAMP:
+        elif value_type == _TIMESTAMP:
             fields[name] = value.seconds + value.nanos * 1e-9
         else:
             fields[name] = value
     return fields
 
 
-def _check_text(name: str, text: str) -> None:
-    if len(text) > _MAX_CHARACTERS:
-        raise invalid_value(f"{name} is a text of {len(text)} characters; expected {_MAX_CHARACTERS} at most.")
-    if "\0" in text:
-        raise invalid_value(f"{name} contains a null character, which ends a text of NI's driver. Remove it.")
+def _check_string(name: str, value: str) -> None:
+    if len(value) > _MAX_CHARACTERS:
+        raise invalid_value(f"{name} has {len(value)} characters; the maximum is {_MAX_CHARACTERS}. Shorten it.")
+    if "\0" in value:
+        raise invalid_value(f"{name} contains a null character, which ends a string in NI's driver. Remove it.")
 
 
 @cache
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
-    """Return name, choice ('' if none), kind of value, and whether it is a list, of each field of a request.
+    """Return name, oneof, type, and whether it is repeated, of each field of a request.
 
-    The kind is "double", "message", the full name of a session or time message, or '' for any other type.
+    The oneof is '' if the field has none; its fields are one entry. The type is "double", "message", the full name of
+    a session or timestamp message, or '' for any other type.
     """
     fields, names = [], set()
     for field in descriptor.fields:
-        choice = field.containing_oneof.name if field.containing_oneof is not None else ""
-        if choice in names:
+        oneof = field.containing_oneof.name if field.containing_oneof is not None else ""
+        if oneof in names:
             continue
-        names.add(choice or field.name)
-        kind = ""
+        names.add(oneof or field.name)
+        value_type = ""
         if field.message_type is not None:
-            kind = field.message_type.full_name
-            kind = kind if kind in (_SESSION, _TIMESTAMP) else "message"
+            value_type = field.message_type.full_name
+            value_type = value_type if value_type in (_SESSION, _TIMESTAMP) else "message"
         elif field.cpp_type == field.CPPTYPE_DOUBLE:
-            kind = "double"
-        fields.append((choice.removesuffix(_ENUM) or field.name, choice, kind, _is_list(field)))
+            value_type = "double"
+        fields.append((oneof.removesuffix(_ENUM) or field.name, oneof, value_type, is_repeated(field)))
     return fields
 
 
-def _is_list(field: Any) -> bool:
-    """Return whether a field is repeated; the attribute depends on the release of protobuf."""
-    return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == 3)
+def is_repeated(field: Any) -> bool:
+    """Return whether a field is repeated (a list); the attribute depends on the release of protobuf."""
+    return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == field.LABEL_REPEATED)
 
 
 def encode(response: Any, values: Mapping[str, Any]) -> bytes:
-    """Encode a response from values by field name; a value also becomes the raw form of its field, if there is one.
+    """Encode a response from values by field name; a value is also written to the field `<name>_raw`, if it exists.
 
-    Samples are copied from memory, which has the format of the protocol. The conversion of thousands of samples to
-    Python numbers would delay all other clients.
+    Arrays of doubles are appended as bytes, because their memory layout is that of the protocol. The conversion of
+    thousands of samples to Python numbers would delay all other clients.
     """
     names, samples = response.DESCRIPTOR.fields_by_name, b""
     for name, value in values.items():
@@ -144,8 +150,9 @@ def encode(response: Any, values: Mapping[str, Any]) -> bytes:
                 getattr(response, field_name).CopyFrom(timestamp(value))
             elif isinstance(value, np.ndarray) and field.cpp_type == field.CPPTYPE_DOUBLE:
                 data = value.astype("<f8").tobytes()
+                # The tag of a length-delimited field, the length, and the data.
                 samples += varint(field.number << 3 | 2) + varint(len(data)) + data
-            elif _is_list(field):
+            elif is_repeated(field):
                 getattr(response, field_name).extend(value.ravel().tolist() if isinstance(value, np.ndarray) else value)
             else:
                 setattr(response, field_name, value)
@@ -159,7 +166,7 @@ def timestamp(seconds: float) -> Timestamp:
 
 
 def attribute_name(request: Any) -> str | None:
-    """Return NI's name of the attribute in a request, without the prefix of its group; None without a name."""
+    """Return NI's name of the attribute in a request, such as "samp_clk_rate"; None if its number has no name."""
     field = request.DESCRIPTOR.fields_by_name["attribute"]
     member = request.WhichOneof("attribute_enum")
     number = getattr(request, member) if member else 0
@@ -169,7 +176,3 @@ def attribute_name(request: Any) -> str | None:
     if value is None or not number:
         return None
     return str(value.name).partition("_ATTRIBUTE_")[2].lower()
-
-
-# The client's reads use this attribute, but the protocol does not name it.
-DEFAULT_NUMBER_OF_SAMPLES = 0x31E8

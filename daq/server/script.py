@@ -51,8 +51,8 @@ def run_script(
     Returns
     -------
     int
-        Exit code: the script's own; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal
-        n ended it, possibly forwarded from this process.
+        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal n
+        ended it, also if the signal was forwarded from this process.
 
     Raises
     ------
@@ -61,18 +61,18 @@ def run_script(
     """
     path = Path(path)
     if seconds is not None and not 0 < seconds < math.inf:
-        raise SceneError(f"seconds {seconds:g}: expected a time above 0 s. Omit it for no limit.")
+        raise SceneError(f"seconds: {seconds:g} is not a time above 0 s. Give a longer time, or omit it for no limit.")
     if not path.is_file():
-        raise SceneError(f"there is no script {path}. Give the path of a Python file.")
+        raise SceneError(f"{path}: the script does not exist. Give the path of a Python file.")
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
     limit = TimeLimit(chassis, seconds)
-    server = Server(chassis, further=(BenchTime(chassis, limit),))
+    server = Server(chassis, other_handlers=(BenchTime(chassis, limit),))
     try:
-        code = _run([str(path), *arguments], server.port, chassis.clock.runs_free, limit)
+        code = _run([str(path), *arguments], server.port, chassis.clock.is_free_running, limit)
     finally:
         server.close()
-    if chassis.read_at_rest:
+    if chassis.was_read_without_drive:
         print(
             "note: nothing drove the bench while the script read its inputs. Write to an output "
             "(daq/examples/live_control.py), or add a test to the scene (rig help test).",
@@ -85,16 +85,16 @@ def run_script(
 run = run_script
 
 
-def _run(command: list[str], port: int, real: bool, limit: TimeLimit) -> int:
+def _run(command: list[str], port: int, is_real_time: bool, limit: TimeLimit) -> int:
     """Run a Python command as a client of the server at a port; return the exit code of `run_script`.
 
-    `real` is true if the clock follows the wall clock.
+    `is_real_time`: whether the clock follows the wall clock.
     """
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
     # Forked child processes open new connections, which grpc allows only if this is set before the fork.
     environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
-    environment |= ({} if real else {FAST: "1"}) | ({} if limit.endless else {LIMITED: "1"})
+    environment |= ({} if is_real_time else {FAST: "1"}) | ({} if limit.is_unlimited else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)
     limit.process = process.pid
     with forward_signals(process):

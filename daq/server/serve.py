@@ -32,11 +32,11 @@ from rig.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Certificates:
-    """Certificate files of the server, and of the authority that signs clients' certificates; format PEM."""
+    """Certificate files in PEM format."""
 
     certificate: Path  # certificate chain of the server
     key: Path  # private key of the server
-    clients: Path | None = None  # of the authority; with it, clients must have a certificate
+    clients: Path | None = None  # certificate of the authority that must have signed clients' certificates, if required
 
     def credentials(self) -> grpc.ServerCredentials:
         """Read the files; raises `SceneError` if a file cannot be read."""
@@ -46,8 +46,10 @@ class Certificates:
                 contents.append(read_file(path))
             except OSError as error:
                 raise SceneError(f"cannot read {path}: {error.strerror}. Give a PEM file.") from None
-        root = None if self.clients is None else contents[2]
-        return grpc.ssl_server_credentials([(contents[0], contents[1])], root, require_client_auth=root is not None)
+        client_authority = None if self.clients is None else contents[2]
+        return grpc.ssl_server_credentials(
+            [(contents[0], contents[1])], client_authority, require_client_auth=client_authority is not None
+        )
 
 
 def serve(
@@ -117,7 +119,7 @@ def serve(
             stream = stack.enter_context(outputs.recording_stream())
             stream.connect_grpc(viewer_window.url)
             stack.callback(LiveView(chassis, stream).close)
-        # Python's garbage collector need not scan the present objects again while clients wait.
+        # Exclude the present objects from later garbage collections, which would delay clients.
         gc.collect()
         gc.freeze()
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
@@ -126,16 +128,16 @@ def serve(
 
 
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:
-    """Return the text with the address of the rig, its devices, and the connection of a script."""
+    """Return the text that `daq serve` prints: address, devices with their channels, and a script for clients."""
     address = _endpoint(host, port)
     lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
     for module in modules:
-        spans = []
+        ranges = []  # of channel names, such as "ai0:3"
         for names in (module.channel_names("ai"), module.channel_names("ao")):
             last = f":{len(names) - 1}" if len(names) > 1 else ""
-            spans += [f"{name.partition('/')[2]}{last}" for name in names[:1]]
-        lines.append(", ".join([f"{module.name}: {module.product_type}", *spans]))
+            ranges += [f"{name.partition('/')[2]}{last}" for name in names[:1]]
+        lines.append(", ".join([f"{module.name}: {module.product_type}", *ranges]))
         for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.bench.channels[row]
             supply_note = "" if chassis.terminals.supply(row) is None else ", IEPE"
@@ -158,13 +160,14 @@ def parse_address(address: str, port: int) -> tuple[str, int]:
     (('::1', 31763), ('::1', 4000), ('localhost', 0))
     """
     match = re.fullmatch(
-        r"\[(?P<six>[^\[\]]*)\](?P<port>:.*)?|(?P<six_only>[^\[\]]*:[^\[\]]*:[^\[\]]*)|(?P<name>[^:\[\]]*)(?P<at>:.*)?",
+        r"\[(?P<ipv6>[^\[\]]*)\](?P<ipv6_port>:.*)?|(?P<bare_ipv6>[^\[\]]*:[^\[\]]*:[^\[\]]*)|"
+        r"(?P<name>[^:\[\]]*)(?P<name_port>:.*)?",
         address,
     )
-    host = match and (match["six"] or match["six_only"] or match["name"])
-    digits = match and (match["port"] or match["at"] or "")[1:]
+    host = match and (match["ipv6"] or match["bare_ipv6"] or match["name"])
+    digits = match and (match["ipv6_port"] or match["name_port"] or "")[1:]
     if not host or (digits and not (digits.isdecimal() and int(digits) < 65536)):
-        raise SceneError(f"address {address!r}; expected HOST, HOST:PORT or [IPV6]:PORT.")
+        raise SceneError(f"address {address!r} is not valid. Give HOST, HOST:PORT or [IPV6]:PORT.")
     return host, int(digits) if digits else port
 
 
@@ -184,9 +187,11 @@ def _is_loopback(host: str) -> bool:
 def wait_for_signal() -> None:
     """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
-    # Under nohup the server must continue.
+    # Under nohup, SIGHUP is ignored and must stay so: the server continues.
     signals = [
-        number for number in TERMINATION_SIGNALS if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
+        number
+        for number in TERMINATION_SIGNALS
+        if number == signal.SIGINT or signal.getsignal(number) is not signal.SIG_IGN
     ]
     previous_handlers = {number: signal.signal(number, lambda *_: ended.set()) for number in signals}
     try:

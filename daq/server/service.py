@@ -17,12 +17,12 @@ from google.protobuf.message import DecodeError
 from daq.instrument.clock import raise_priority
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.task import Task
-from daq.server.calls.answers import handler_of, rejection
 from daq.server.calls.call import Call
+from daq.server.calls.handlers import handler_of, rejection
 from daq.server.client_defaults import STRICT
 from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
-from daq.server.served_instrument import Limits, ServedInstrument, error_text, truncated
+from daq.server.served_instrument import Limits, ServedInstrument, format_error, truncate
 from daq.server.sessions import SessionExists
 from rig.command_line import describe_unexpected
 
@@ -40,8 +40,7 @@ class Server:
     """An instrument on the network.
 
     `address` is host and port; port 0 selects a free port, and the attribute `port` is the selected port. Without
-    `credentials` the connection is not encrypted. `limits` are those of the resources of clients. `further` are
-    handlers of services other than NI's.
+    `credentials` the connection is not encrypted. `other_handlers` are the handlers of services other than NI's.
     """
 
     def __init__(
@@ -50,20 +49,20 @@ class Server:
         address: str = "127.0.0.1:0",
         credentials: grpc.ServerCredentials | None = None,
         limits: Limits | None = None,
-        further: Sequence[grpc.GenericRpcHandler] = (),
+        other_handlers: Sequence[grpc.GenericRpcHandler] = (),
     ) -> None:
         self.limits = limits or Limits()
         self.instrument = ServedInstrument(chassis, self.limits)
         self.sessions = self.instrument.sessions
-        self._unexpected: dict[tuple[str, type[Exception]], str] = {}
+        self._unexpected: dict[tuple[str, type[Exception]], str] = {}  # message of each unexpected error
         self._running_calls, self._count_lock = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
-            ThreadPoolExecutor(self.limits.all_calls, thread_name_prefix="client", initializer=raise_priority),
-            maximum_concurrent_rpcs=self.limits.all_calls,
+            ThreadPoolExecutor(self.limits.max_calls, thread_name_prefix="client", initializer=raise_priority),
+            maximum_concurrent_rpcs=self.limits.max_calls,
             options=[
-                ("grpc.max_receive_message_length", self.limits.message),
-                ("grpc.max_send_message_length", self.limits.message),
+                ("grpc.max_receive_message_length", self.limits.max_message_bytes),
+                ("grpc.max_send_message_length", self.limits.max_message_bytes),
                 ("grpc.so_reuseport", 0),
             ],
         )
@@ -74,7 +73,7 @@ class Server:
             )
             for service in (SERVICE, SESSION_SERVICE)
         ]
-        self._server.add_generic_rpc_handlers((*services, *self._discovery.handlers, *further))
+        self._server.add_generic_rpc_handlers((*services, *self._discovery.handlers, *other_handlers))
         if credentials is None:
             self.port = self._server.add_insecure_port(address)
         else:
@@ -82,7 +81,7 @@ class Server:
         self._server.start()
         self._previous_switch_interval = sys.getswitchinterval()
         sys.setswitchinterval(_SWITCH_INTERVAL_S)
-        threading.Thread(target=self._watch, name="sessions", daemon=True).start()
+        threading.Thread(target=self._end_abandoned_sessions, name="sessions", daemon=True).start()
 
     def close(self, grace: float | None = 0.5) -> None:
         """End all sessions and close the server; running calls may finish within `grace` s (None: they are aborted)."""
@@ -105,16 +104,16 @@ class Server:
 
         def respond(request: bytes, context: grpc.ServicerContext) -> Any:
             with self._decoded(method, request, context) as call:
-                answer = handler(call)
+                response_fields = handler(call)
                 if method.name.startswith(("Read", "Write", "Start")):
-                    self.sessions.check_memory(call.fields["task"], self.limits.memory)
-                return encode(method.response(), answer or {})
+                    self.sessions.check_memory(call.fields["task"], self.limits.max_buffer_bytes)
+                return encode(method.response(), response_fields or {})
 
         return grpc.unary_unary_rpc_method_handler(respond)
 
     @contextlib.contextmanager
     def _decoded(self, method: Method, request: bytes, context: grpc.ServicerContext) -> Iterator[Call]:
-        """Decode a request; report its errors, and those of the `with` body, to the client as the protocol requires."""
+        """Decode a request; report errors of the decoding and of the `with` body as the protocol requires."""
         peer, name = context.peer(), method.name
         api_key = dict(context.invocation_metadata()).get("ni-api-key", "")
         call = Call(self.instrument, peer, strict=api_key == STRICT, is_active=context.is_active)
@@ -124,10 +123,13 @@ class Server:
             call.fields = decode(call.message)
             yield call
         except DecodeError:
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"{name}: the message is not a request of this call")
+            context.abort(
+                grpc.StatusCode.INVALID_ARGUMENT,
+                f"{name}: the request cannot be decoded. Send a {method.request.DESCRIPTOR.name}.",
+            )
         except DaqError as error:
             task = self.sessions.task_name(call.fields.get("task", ""))
-            message = error_text(error, task)
+            message = format_error(error, task)
             direction = "written" if "Write" in name else "read"
             metadata = [("ni-error", str(error.code))]
             if error.samples_done is not None or name.startswith(("Read", "Write")):
@@ -135,27 +137,28 @@ class Server:
             context.set_trailing_metadata(tuple(metadata))
             context.abort(grpc.StatusCode.UNKNOWN, message)
         except SessionExists as error:
-            context.abort(grpc.StatusCode.ALREADY_EXISTS, truncated(str(error)))
+            context.abort(grpc.StatusCode.ALREADY_EXISTS, truncate(str(error)))
         except Exception as error:
-            # An unexpected error of a kind is printed only once.
-            kind = name, type(error)
-            if kind not in self._unexpected:
-                self._unexpected[kind] = describe_unexpected(error)
-                print(self._unexpected[kind], file=sys.stderr, flush=True)
+            # An unexpected error is printed only once for each call and type of error.
+            error_type = name, type(error)
+            if error_type not in self._unexpected:
+                self._unexpected[error_type] = describe_unexpected(error)
+                print(self._unexpected[error_type], file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
-            context.abort(grpc.StatusCode.INVALID_ARGUMENT, truncated(f"{name}: {self._unexpected[kind]}"))
+            context.abort(grpc.StatusCode.INVALID_ARGUMENT, truncate(f"{name}: {self._unexpected[error_type]}"))
 
     def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
-        """Count a running call of a client; `DaqError` -50103 if the client has the maximum of running calls."""
+        """Count a running call of a client until it ends; `DaqError` -50103 if the maximum number is running."""
 
         def uncount() -> None:
             with self._count_lock:
                 self._running_calls -= Counter({peer: 1})
 
+        max_calls = self.limits.max_calls_per_client
         with self._count_lock:
-            if self._running_calls[peer] >= self.limits.calls:
+            if self._running_calls[peer] >= max_calls:
                 raise DaqError(
-                    f"this client has {self.limits.calls} unfinished calls, the maximum. Wait until a call has ended.",
+                    f"this client has {max_calls} unfinished calls, the maximum. Wait until a call has ended.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._running_calls[peer] += 1
@@ -188,21 +191,25 @@ class Server:
 
         return events
 
-    def _watch(self) -> None:
-        """End the sessions of disconnected clients, in a thread."""
-        while not self._closing.wait(min(1.0, self.limits.patience / 4)):
+    def _end_abandoned_sessions(self) -> None:
+        """End the sessions of disconnected clients until the server closes; runs in a separate thread."""
+        while not self._closing.wait(min(1.0, self.limits.disconnect_timeout / 4)):
             connected = _connected_to(self.port)
             if connected is None:
                 continue
-            for name in self.sessions.end_abandoned(connected, self.limits.patience):
-                print(f"task {name} was closed: its client has disconnected", file=sys.stderr, flush=True)
+            for name in self.sessions.end_abandoned(connected, self.limits.disconnect_timeout):
+                print(f"task {name} was closed, because its client has disconnected", file=sys.stderr, flush=True)
 
 
-# Calls that register for events: the function that registers the queue of a stream, and the fields of a response.
+# Calls that register for events: the function that registers the queue of a stream, and that which returns the fields
+# of a response from the fields of the request and the value of the event.
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
         lambda task, fields, queue_event: task.events.listen_every(
-            fields["every_n_samples_event_type"], fields["n_samples"], queue_event, outputs=task.settings.kind == "ao"
+            fields["every_n_samples_event_type"],
+            fields["n_samples"],
+            queue_event,
+            has_outputs=task.settings.direction == "ao",
         ),
         lambda fields, value: {"n_samples": value, "every_n_samples_event_type": fields["every_n_samples_event_type"]},
     ),
@@ -228,5 +235,8 @@ def _connected_to(port: int) -> set[tuple[str, int]] | None:
     return {
         (connection.raddr.ip.removeprefix("::ffff:"), connection.raddr.port)
         for connection in connections
-        if connection.laddr and connection.laddr.port == port and connection.raddr and connection.status == psutil.CONN_ESTABLISHED
+        if connection.laddr
+        and connection.laddr.port == port
+        and connection.raddr
+        and connection.status == psutil.CONN_ESTABLISHED
     }

@@ -1,6 +1,7 @@
-"""Sessions: the tasks of all clients, which client may end a task, the end of abandoned tasks, and reserved names.
+"""Sessions of clients (tasks under names), the end of abandoned sessions, and names that clients reserve.
 
-A session is a task under a name by which several clients can use it. A peer is the address of a client's connection.
+Several clients can use a session by its name; only the client that created it can end it. A peer is the address of a
+client's connection.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from daq.instrument.task import Task
 from daq.instrument.values import TaskMode
 from rig.errors import ShotrigError
 
-# Requested behaviors when a session is opened: only create a session, or only attach to an existing session.
+# Values of NI's initialization behavior: only create a session, or only attach to an existing session.
 INITIALIZE, ATTACH = 1, 2
 # Interval at which the server checks whether a client that waits for a name is still connected.
 _CHECK_INTERVAL_S = 0.1
@@ -32,9 +33,9 @@ class Session:
     """A task of a client."""
 
     task: Task
-    owner: str  # connection that created it
-    users: set[str] = field(default_factory=set)  # connections that have used it
-    disconnected_at: float | None = None  # time from which no user was connected, s; None while one is connected
+    owner: str  # peer that created it
+    users: set[str] = field(default_factory=set)  # peers that have used it
+    disconnected_at: float | None = None  # time (monotonic) from which no user was connected, s; None while one is
 
 
 class SessionExists(ShotrigError):
@@ -51,9 +52,9 @@ class Sessions:
         self._lock = threading.RLock()
 
     def open(self, name: str, behavior: int, peer: str, strict: bool = False) -> tuple[str, bool]:
-        """Open a session, or attach to the session of that name; with `strict`, do not attach.
+        """Open a session, or attach to the session of that name.
 
-        `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either.
+        `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either. With `strict`, an existing name is always an error.
 
         Returns
         -------
@@ -65,13 +66,13 @@ class Sessions:
         SessionExists
             If a new session was requested and the name exists.
         DaqError
-            With -200088, if there is no session to attach to; with -50103, if the client has reached its maximum; with
-            -200089, if there is a task of that name to which the session cannot attach.
+            -200088 if there is no session to attach to, -50103 if the client has the maximum number of sessions,
+            -200089 if there is a task of that name and `strict` is true.
         """
         with self._lock:
             if name and name in self._open and not strict:
                 if behavior == INITIALIZE:
-                    raise SessionExists(f"there is a session {name!r} already. Attach to it, or choose another name.")
+                    raise SessionExists(f"there is already a session {name!r}. Attach to it, or choose another name.")
                 self._open[name].users.add(peer)
                 return name, False
             if behavior == ATTACH:
@@ -87,12 +88,12 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, max_bytes: int) -> None:
-        """Raise `DaqError` -200077 and release the buffers of a session if its client has more than `max_bytes`."""
+        """Release the buffers of a session and raise `DaqError` -200077 if all its client's buffers exceed a size."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
                 return
-            size = sum(each.task.memory for each in self._open.values() if each.owner == session.owner)
+            size = sum(other.task.memory for other in self._open.values() if other.owner == session.owner)
         if size > max_bytes:
             session.task.free_memory()
             raise invalid_value(
@@ -131,20 +132,20 @@ class Sessions:
         """Abort the tasks of a client on a device; `DaqError` -50103 if other clients use the device."""
         with self._lock:
             sessions = [session for session in self._open.values() if device in session.task.settings.device_names]
-            others = [session.task.name for session in sessions if session.owner != peer]
-            if others:
+            other_tasks = [session.task.name for session in sessions if session.owner != peer]
+            if other_tasks:
                 raise DaqError(
-                    f"{device} is in use by other clients (task {', '.join(others)}). End their tasks before a reset.",
+                    f"{device} is in use by other clients (task {', '.join(other_tasks)}). End their tasks first.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             for session in sessions:
                 session.task.control(TaskMode.ABORT)
 
-    def end_abandoned(self, connected: Collection[tuple[str, int]], patience: float) -> list[str]:
+    def end_abandoned(self, connected: Collection[tuple[str, int]], disconnect_timeout: float) -> list[str]:
         """End the sessions of clients that disconnected without closing them; return the names of the ended tasks.
 
-        `connected` has the address and port of every connected client. A session is ended `patience` seconds after its
-        clients have disconnected.
+        `connected` has the address and port of every connected client, `disconnect_timeout` is the time in s from the
+        disconnection of the last client of a session to its end.
         """
         ended = []
         with self._lock:
@@ -154,7 +155,7 @@ class Sessions:
                     session.disconnected_at = None
                 elif session.disconnected_at is None:
                     session.disconnected_at = now
-                elif now - session.disconnected_at >= patience:
+                elif now - session.disconnected_at >= disconnect_timeout:
                     ended.append(self._open.pop(name).task)
         for task in ended:
             task.close()
@@ -182,7 +183,7 @@ class Reservations:
         self._changed = threading.Condition()
 
     def reserve(self, name: str, client: str, is_waiting: Callable[[], bool]) -> bool:
-        """Wait until no other client has reserved a name, and reserve it; return False if the client stops waiting."""
+        """Reserve a name as soon as no other client has reserved it; return False if the client stops waiting."""
         with self._changed:
             while self._holders.get(name, client) != client:
                 if not is_waiting():

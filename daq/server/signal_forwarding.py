@@ -14,16 +14,16 @@ from typing import Any
 
 from rig.ending_signals import handle_interrupts
 
-# Time from the request to end until a script is killed.
+# Time from the signal that requests the end of a script until it is killed.
 GRACE_PERIOD_S = 1.0
 # Time after which a signal to a process group has reached all its processes.
 _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process in the group of the script that ends at Ctrl-C.
+    """A process in the process group of the script that ends at Ctrl-C.
 
-    Its end shows that the whole process group, and thus the script, received Ctrl-C.
+    Its end shows that the whole group, and thus the script, received Ctrl-C.
     """
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
@@ -32,13 +32,13 @@ class _GroupProbe:
         self._start()
 
     def _start(self) -> None:
-        # It ends when its input closes, even if this process crashes.
+        # The process ends when its input closes, even if its parent crashes.
         self._process = subprocess.Popen(
             self._COMMAND, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
 
     def received(self) -> bool:
-        """Return whether the group received the latest Ctrl-C; the process then restarts for the next signal."""
+        """Return whether the group received the latest Ctrl-C; if so, restart the process for the next signal."""
         try:
             self._process.wait(_DELIVERY_S)
         except subprocess.TimeoutExpired:
@@ -57,21 +57,21 @@ class _GroupProbe:
 def forward_signals(process: subprocess.Popen[Any]) -> Iterator[None]:
     """Forward signals to the process of a script while the body runs, and end the process afterwards.
 
-    The script handles Ctrl-C, which in a terminal reaches the whole process group. Other signals request its end;
-    after `GRACE_PERIOD_S` it is killed.
+    Ctrl-C in a terminal reaches the whole process group; it is forwarded only if it did not. Any other signal is
+    forwarded, and the script is killed after `GRACE_PERIOD_S`.
     """
     kill_timer = threading.Timer(GRACE_PERIOD_S, process.kill)
     kill_timer.daemon = True
     try:
         with closing(_GroupProbe()) as probe:
 
-            def forward(number: int, frame: FrameType | None) -> None:
-                if number != signal.SIGINT:
-                    process.send_signal(number)
+            def forward(signal_number: int, frame: FrameType | None) -> None:
+                if signal_number != signal.SIGINT:
+                    process.send_signal(signal_number)
                     if kill_timer.ident is None:
                         kill_timer.start()
                 elif os.name == "posix" and not probe.received():
-                    process.send_signal(number)
+                    process.send_signal(signal_number)
 
             with handle_interrupts(forward):
                 yield

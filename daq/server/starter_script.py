@@ -15,12 +15,12 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 # Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
 _LIMIT_RATIO = 1 - 1e-5
-# Channels by quantity: the method of nidaqmx, the unit, and the factor from V per SI unit to the unit of sensitivity.
+# By quantity: function of nidaqmx, unit of readings, and factor from V per SI unit to the unit of sensitivity.
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
 }
-# Placeholder in a statement.
+# Placeholder for the names of terminals in a statement.
 _TERMINAL = "TERMINAL"
 # Classes of nidaqmx.constants that the script imports if it uses them.
 _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
@@ -29,10 +29,10 @@ _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
 def starter_script(chassis: Chassis, channel: str) -> list[str]:
     """Return the lines of a script that reads the inputs of a bench in their units; the first line is empty.
 
-    The modules of a chassis are one task. If there are several separate devices, the script uses the first. `channel`
-    is the expression for the connection to the server.
+    Modules of a chassis are read by one task. Of several separate devices, the script reads the first. `channel` is
+    the expression for the connection to the server.
     """
-    modules = [each for name in chassis.devices.names if (each := chassis.devices.module(name)).inputs]
+    modules = [module for name in chassis.devices.names if (module := chassis.devices.module(name)).inputs]
     first = modules[0]
     in_task = [module for module in modules if module is first or (module.chassis and module.chassis == first.chassis)]
     statements: list[str] = []
@@ -41,14 +41,14 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         numbered = [(_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)]
         for statement, group in groupby(numbered, key=lambda pair: pair[0]):
             numbers = [number for _, number in group]
-            span = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
-            lines = statement.replace(_TERMINAL, f"{module.name}/ai{span}").splitlines()
+            number_range = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+            lines = statement.replace(_TERMINAL, f"{module.name}/ai{number_range}").splitlines()
             statements += [f"    {line}" for line in lines]
-    used = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
+    used_constants = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
     return [
         "",
         "import grpc, nidaqmx, numpy",
-        *([f"from nidaqmx.constants import {', '.join(used)}"] if used else []),
+        *([f"from nidaqmx.constants import {', '.join(used_constants)}"] if used_constants else []),
         f"channel = {channel}",
         'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
         "with nidaqmx.Task(grpc_options=options) as task:",
@@ -60,7 +60,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
 
 
 def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
-    """Return the statements that create a channel, with a placeholder for the terminal."""
+    """Return the statements that create the input `row` of the bench, with a placeholder for the terminal."""
     info = chassis.bench.channels[row]
     needs_supply, current = chassis.terminals.supply(row) is not None, module.currents[0]
     if info.quantity in _SENSORS:
@@ -73,7 +73,7 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
     call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
     if not needs_supply:
         return call
-    # With an integrating amplifier the channel is a voltage, whose call has no argument for the excitation.
+    # A sensor with an integrating amplifier is read as a voltage, whose call has no argument for the excitation.
     lines = [
         f"voltage_channel = {call}",
         "voltage_channel.ai_excit_src = ExcitationSource.INTERNAL",
@@ -85,7 +85,7 @@ def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
 
 
 def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
-    """Return the text of the arguments that set a channel's limits to its full range; empty without a range."""
+    """Return the arguments of a call that set a channel's limits to its full range; empty without a range."""
     if info.range is None:
         return ""
     limit = info.range if volts_per_unit == 1.0 else _LIMIT_RATIO * info.range / volts_per_unit
@@ -116,4 +116,4 @@ def report_missing_excitation(chassis: Chassis) -> None:
                 flush=True,
             )
 
-    chassis.wiring_listeners.append(check)
+    chassis.conditioning_listeners.append(check)

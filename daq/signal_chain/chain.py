@@ -64,7 +64,7 @@ class Chain:
         # The first samples, before the removed delay of the filter has passed, are not returned.
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
         setups = [self._set_up(row, channel) for row, channel in enumerate(channels)]
-        self.wiring: tuple[Channel, ...] = tuple(channels)
+        self.channel_settings: tuple[Channel, ...] = tuple(channels)
         self.overload = np.zeros((len(channels), 0), dtype=bool)  # of the latest block, like its samples
         self._paths = [path for path, _, _ in setups]
         self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in setups)
@@ -82,16 +82,16 @@ class Chain:
             effects["1/f noise"] = path.noise_states
         return path, info, effects
 
-    def rewire(self, wiring: Sequence[Channel]) -> None:
+    def set_conditioning(self, channel_settings: Sequence[Channel]) -> None:
         """Change couplings and sensor supplies; a changed channel restarts from rest, as at power-on.
 
-        `wiring` has the new settings of all channels, in their order.
+        `channel_settings` has the new settings of all channels, in their order.
         """
         infos = list(self.channels)
-        for row, (previous, channel) in enumerate(zip(self.wiring, wiring, strict=True)):
+        for row, (previous, channel) in enumerate(zip(self.channel_settings, channel_settings, strict=True)):
             if channel != previous:
                 self._paths[row], infos[row], self.effects[channel.name] = self._set_up(row, channel)
-        self.wiring, self.channels = tuple(wiring), tuple(infos)
+        self.channel_settings, self.channels = tuple(channel_settings), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
         """Return the voltages of the next block, V, shape (channels, samples); see also `overload`.

@@ -50,15 +50,15 @@ class Bench:
 
     def __init__(self, scene: Scene, ticks: int | None = None) -> None:
         self.scene = scene
-        self.ticks = choose_oversampling(scene) if ticks is None else ticks
+        self.ticks_per_sample = choose_oversampling(scene) if ticks is None else ticks
         # Samples and ticks per second of the nominal clock; the bench runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
-        self.tick_rate = self.rate * self.ticks
-        self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks)
-        self._base_stream = Stream(scene, self.rate, Fraction(1, self.ticks), plant)
+        self.tick_rate = self.rate * self.ticks_per_sample
+        self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks_per_sample)
+        self._base_stream = Stream(scene, self.rate, Fraction(1, self.ticks_per_sample), plant)
         self._streams = {self.rate: self._base_stream}
         self._outputs = Outputs(scene, plant.inputs, plant.drive_units)
-        self._drive_interpolator = DriveInterpolator(len(plant.inputs), self.ticks)
+        self._drive_interpolator = DriveInterpolator(len(plant.inputs), self.ticks_per_sample)
         # Motion and drive of the last ticks of `advance`.
         self._past_motion: deque[tuple[Motion, Array]] = deque()
         self.latency = self._base_stream.latency
@@ -82,15 +82,15 @@ class Bench:
         return self._streams[rate].lost
 
     @property
-    def wiring(self) -> tuple[Channel, ...]:
-        """The channels of the scene with their present couplings and supplies; `rewire` changes them."""
-        return self._base_stream.wiring
+    def channel_settings(self) -> tuple[Channel, ...]:
+        """The channels of the scene with their present couplings and supplies; `set_conditioning` changes them."""
+        return self._base_stream.channel_settings
 
-    def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.rewire`."""
-        if tuple(wiring) != self.wiring:
+    def set_conditioning(self, channel_settings: Sequence[Channel]) -> None:
+        """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.set_conditioning`."""
+        if tuple(channel_settings) != self.channel_settings:
             for stream in self._streams.values():
-                stream.rewire(wiring)
+                stream.set_conditioning(channel_settings)
 
     def acquire(self, drive: Array) -> Block:
         """Drive the rig and return the samples at `rate`.
@@ -112,18 +112,18 @@ class Bench:
         drive = self._outputs.convert(drive)
         motion = self._plant.advance(drive)
         self._past_motion.append((motion, drive))
-        self.drive = drive[:, -motion.first % self.ticks :: self.ticks]
+        self.drive = drive[:, -motion.first % self.ticks_per_sample :: self.ticks_per_sample]
         while motion.first - self._past_motion[0][0].first > min(_SETTLING_S * self.tick_rate, _MAX_PAST_TICKS):
             self._past_motion.popleft()
         return {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
 
     def _new_stream(self, rate: float) -> Stream:
         per_tick = samples_per_tick(rate, self.tick_rate)
-        return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.wiring)
+        return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.channel_settings)
 
-    def physical(self, samples: Array | NDArray[np.int32]) -> Array:
+    def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
         """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
-        return self._base_stream.physical(samples)
+        return self._base_stream.to_units(samples)
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Stream:
         per_tick: Fraction,
         plant: Plant,
         past_motion: Iterable[tuple[Motion, Array]] = (),
-        wiring: Sequence[Channel] | None = None,
+        channel_settings: Sequence[Channel] | None = None,
     ) -> None:
         self._scene = at_rate(scene, rate)
         min_intervals = choose_oversampling(self._scene)
@@ -167,18 +167,18 @@ class Stream:
         self._motion = MotionAtRate(per_tick * intervals, intervals, 1.0 / plant.rate, self._first * intervals)
         self._converter = Quantizer(self._scene.converter)
         self.lost, self.latency = self._converter.lost, self._chain.latency
-        self.rewire(self._chain.wiring if wiring is None else wiring)
+        self.set_conditioning(self._chain.channel_settings if channel_settings is None else channel_settings)
         for motion, drive in past_motion:
             self.take(motion, drive)
 
     @property
-    def wiring(self) -> tuple[Channel, ...]:
+    def channel_settings(self) -> tuple[Channel, ...]:
         """The channels of the scene with their present couplings and supplies."""
-        return self._chain.wiring
+        return self._chain.channel_settings
 
-    def rewire(self, wiring: Sequence[Channel]) -> None:
-        """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.rewire`."""
-        self._chain.rewire(wiring)
+    def set_conditioning(self, channel_settings: Sequence[Channel]) -> None:
+        """Set couplings and supplies of the channels; see `daq.signal_chain.chain.Chain.set_conditioning`."""
+        self._chain.set_conditioning(channel_settings)
         self.channels = self._chain.channels
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
@@ -191,7 +191,7 @@ class Stream:
         first = self._first + max(motion.first - self.latency, 0)
         return Block(first, samples, overload | self._chain.overload, motion)
 
-    def physical(self, samples: Array | NDArray[np.int32]) -> Array:
+    def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
         """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
         return samples * self._scale
 

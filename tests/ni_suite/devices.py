@@ -16,7 +16,7 @@ from daq.instrument.settings.channels import Channel
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
 from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
-from daq.instrument.values import Coupling, SampleMode, TimingType, Wiring
+from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration, TimingType
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import samples_per_tick
 from rig.scene.modules import Rates
@@ -43,12 +43,19 @@ def modules() -> list[Module]:
         rates=Rates(0.01, 100e6),
         output_rates=Rates(0.01, 100e6),
         couplings=(Coupling.DC, Coupling.AC),
-        wirings=(Wiring.RSE, Wiring.NRSE, Wiring.DIFFERENTIAL),
+        terminal_configurations=(
+            TerminalConfiguration.RSE,
+            TerminalConfiguration.NRSE,
+            TerminalConfiguration.DIFFERENTIAL,
+        ),
         simultaneous=False,
     )
     x_series = replace(general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4])
     sensor_module = replace(
-        general, inputs=rows[:8], ranges=(10.0,), wirings=(Wiring.DIFFERENTIAL, Wiring.PSEUDO_DIFFERENTIAL)
+        general,
+        inputs=rows[:8],
+        ranges=(10.0,),
+        terminal_configurations=(TerminalConfiguration.DIFFERENTIAL, TerminalConfiguration.PSEUDO_DIFFERENTIAL),
     )
 
     def in_chassis(name: str, product: str, slot: int, **settings: Any) -> Module:
@@ -129,20 +136,20 @@ class SimulatedSignals:
         """See `Terminals.release_outputs`."""
 
     @property
-    def quiet(self) -> bool:
-        """See `Terminals.quiet`."""
+    def is_idle(self) -> bool:
+        """See `Terminals.is_idle`."""
         return True
 
     def supply(self, row: int) -> float | None:
         """See `Terminals.supply`."""
         return None
 
-    def data_sheet(self, row: int) -> bytes | None:
-        """See `Terminals.data_sheet`."""
+    def teds(self, row: int) -> bytes | None:
+        """See `Terminals.teds`."""
         return None
 
-    def wire(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
-        """See `Terminals.wire`."""
+    def set_conditioning(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
+        """See `Terminals.set_conditioning`."""
         for channel in channels:
             self._low[channel.row] = channel.settings["ai_min"] * channel.volts_per_unit
             self._high[channel.row] = channel.settings["ai_max"] * channel.volts_per_unit

@@ -16,7 +16,7 @@ from tests.ni_suite.devices import SimulatedSignals, modules, save_inputs, save_
 
 if __name__ == "__main__":
     chassis = Chassis(modules(), SimulatedSignals(), RealClock())
-    server = Server(chassis, limits=Limits(tasks=10_000))
+    server = Server(chassis, limits=Limits(max_tasks_per_client=10_000))
     for save in (save_inputs, save_outputs):
         task = Task(chassis, "", server.instrument.storage.scales)
         save(server.instrument.storage, task)

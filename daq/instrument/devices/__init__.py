@@ -1,1 +1,1 @@
-"""Devices that scripts can use: data sheets, names, kinds of measurement, and electronic data sheets of sensors."""
+"""Devices that scripts can use, names of devices and channels, types of measurement, and TEDS of sensors."""

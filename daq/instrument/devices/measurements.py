@@ -1,4 +1,4 @@
-"""Kinds of measurement, such as voltage or acceleration: settings of their channels, and volts per unit."""
+"""Types of measurement, such as voltage or acceleration: settings of their channels, and volts per unit."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from rig.scene.scene import STANDARD_GRAVITY
 # NI's numbers of the types of measurement (DAQmx_Val_...).
 VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966, 10354
 
-_G, _POUND, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254  # m/s^2, N, m
+# Standard gravity in m/s^2, a pound-force in N, an inch in m.
+_G, _POUND_FORCE, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
 
-# SI factors and names of the units of readings, by NI's numbers.
+# Units of readings by NI's numbers: SI value and name.
 UNITS: dict[int, tuple[float, str]] = {
     10348: (1.0, "V"),
     10186: (_G, "g"),
     12470: (1.0, "m/s^2"),
     12471: (_INCH, "in/s^2"),
     15875: (1.0, "N"),
-    15876: (_POUND, "lb"),
+    15876: (_POUND_FORCE, "lb"),
     15877: (_G, "kgf"),
     15959: (1.0, "m/s"),
     15960: (_INCH, "in/s"),
@@ -30,12 +31,12 @@ UNITS: dict[int, tuple[float, str]] = {
     FROM_CUSTOM_SCALE: (1.0, ""),
     FROM_TEDS: (1.0, ""),
 }
-# Volts per SI unit and names of the units of sensitivities, by NI's numbers.
+# Units of sensitivities by NI's numbers: value in V per SI unit, and name.
 SENSITIVITY_UNITS: dict[int, tuple[float, str]] = {
     12509: (1e-3 / _G, "mV/g"),
     12510: (1.0 / _G, "V/g"),
     15891: (1e-3, "mV/N"),
-    15892: (1e-3 / _POUND, "mV/lb"),
+    15892: (1e-3 / _POUND_FORCE, "mV/lb"),
     15963: (1.0, "V s/m"),
     15964: (1e-3 / _INCH, "mV s/in"),
 }
@@ -45,14 +46,14 @@ _MICROPHONE_UNIT_V_PER_PA = 1e-3
 
 @dataclass(frozen=True)
 class Measurement:
-    """A kind of measurement."""
+    """A type of measurement: the names of its settings, and conversions of its units."""
 
     type: int  # NI's number
     units: str  # name of the setting with the units of the readings
     sensitivity: str = ""  # name of the setting with the sensitivity; its units are in the setting with `_units` added
 
     def defaults(self) -> dict[str, Any]:
-        """Return the settings of this kind with their defaults."""
+        """Return the settings of this type with their defaults."""
         defaults: dict[str, Any] = {self.units: _UNITS_OF[self.units][0]}
         if self.type == MICROPHONE:
             defaults["ai_sound_pressure_max_sound_pressure_lvl"] = 100.0
@@ -63,7 +64,7 @@ class Measurement:
         return defaults
 
     def settings(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments with which a script creates a channel, by the names of the settings."""
+        """Rename the arguments with which a script creates a channel to the names of the settings."""
         names = _SETTINGS | {
             "units": self.units,
             "sensitivity": self.sensitivity,
@@ -81,28 +82,30 @@ class Measurement:
         return float(settings[self.sensitivity] * volts * UNITS[settings[self.units]][0])
 
     def check_units(self, settings: Mapping[str, Any]) -> None:
-        """Raise `DaqError` -200077 for units that do not belong to this kind."""
+        """Raise `DaqError` -200077 for units that do not belong to this type."""
         units = settings[self.units]
         supported = _UNITS_OF[self.units]
         if units not in (*supported, FROM_CUSTOM_SCALE, FROM_TEDS):
+            names = ", ".join(f"{UNITS[unit][1]} ({unit})" for unit in supported)
             raise invalid_value(
-                f"{self.units} is {units}; expected "
-                + ", ".join(f"{UNITS[unit][1]} ({unit})" for unit in supported)
-                + f" or those of a custom scale ({FROM_CUSTOM_SCALE})."
+                f"{self.units} {units} is not a unit of this measurement. "
+                f"Choose {names}, or the unit of a custom scale ({FROM_CUSTOM_SCALE})."
             )
         name = f"{self.sensitivity}_units"
         supported = _UNITS_OF.get(name, ())
         if supported and settings[name] not in supported:
-            raise invalid_value(
-                f"{name} is {settings[name]}; expected "
-                + ", ".join(f"{SENSITIVITY_UNITS[unit][1]} ({unit})" for unit in supported)
-            )
+            names = ", ".join(f"{SENSITIVITY_UNITS[unit][1]} ({unit})" for unit in supported)
+            raise invalid_value(f"{name} {settings[name]} is not a unit of this sensitivity. Choose {names}.")
 
     def sensitivity_settings(self, volts_per_unit: float) -> dict[str, Any]:
         """Return the settings for a sensitivity in V per SI unit, in the units of data sheets: V/g, mV/N, mV/Pa."""
-        factor, units = {ACCELERATION: (_G, 12510), FORCE: (1e3, 15891), VELOCITY: (1.0, 15963), MICROPHONE: (1e3, 0)}[
-            self.type
-        ]
+        # Factor from V per SI unit, and NI's number of the unit; the unit of a microphone's sensitivity is fixed.
+        factor, units = {
+            ACCELERATION: (_G, 12510),
+            FORCE: (1e3, 15891),
+            VELOCITY: (1.0, 15963),
+            MICROPHONE: (1e3, 0),
+        }[self.type]
         settings = {self.sensitivity: volts_per_unit * factor}
         return settings | ({f"{self.sensitivity}_units": units} if units else {})
 
@@ -111,7 +114,7 @@ class Measurement:
         return UNITS[settings[self.units]][1]
 
 
-# Units that a setting may have: those of readings, and those of sensitivities.
+# NI's numbers of the units that a setting may have: those of readings, and those of sensitivities.
 _UNITS_OF = {
     "ai_voltage_units": (10348,),
     "ai_accel_units": (10186, 12470, 12471),
@@ -123,7 +126,7 @@ _UNITS_OF = {
     "ai_sound_pressure_units": (10081,),
 }
 
-# Arguments of scripts that create a channel, and the settings that they become; for units and sensitivity see above.
+# Arguments of scripts that create a channel, and their settings; for units and sensitivity see `Measurement.settings`.
 _SETTINGS = {
     "min_val": "ai_min",
     "max_val": "ai_max",
@@ -135,8 +138,7 @@ _SETTINGS = {
     "max_snd_press_level": "ai_sound_pressure_max_sound_pressure_lvl",
 }
 
-# The measurements of the emulated modules. Keys are from the names of the driver's calls: "Accel" for
-# create_ai_accel_chan.
+# The measurements of the emulated modules, by the part of the calls' names: "Accel" in CreateAIAccelChan.
 MEASUREMENTS: dict[str, Measurement] = {
     "Voltage": Measurement(VOLTAGE, "ai_voltage_units"),
     "Accel": Measurement(ACCELERATION, "ai_accel_units", "ai_accel_sensitivity"),

@@ -8,55 +8,63 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from daq.instrument.devices.measurements import MEASUREMENTS, SUPPORTED_TYPES, VOLTAGE
-from daq.instrument.devices.names import GIVEN_BY_DRIVER
+from daq.instrument.devices.names import ASSIGNED_BY_DRIVER
 from daq.instrument.errors import Code, DaqError, invalid_value
-from daq.instrument.values import Coupling, SampleMode, Wiring
+from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration
 from rig.errors import SceneError
 from rig.scene.modules import Rates
 
-# NI's driver encodes a set of these values in one number, one bit for each.
+# Bit of each value in NI's encoding of sets.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}
-WIRING_BITS = {Wiring.RSE: 1, Wiring.NRSE: 2, Wiring.DIFFERENTIAL: 4, Wiring.PSEUDO_DIFFERENTIAL: 8}
-_REFERENCE_TRIGGER, _START_TRIGGER = 4, 8  # kinds of trigger
+TERMINAL_CONFIGURATION_BITS = {
+    TerminalConfiguration.RSE: 1,
+    TerminalConfiguration.NRSE: 2,
+    TerminalConfiguration.DIFFERENTIAL: 4,
+    TerminalConfiguration.PSEUDO_DIFFERENTIAL: 8,
+}
+_REFERENCE_TRIGGER, _START_TRIGGER = 4, 8
 
 # NI's numbers of product categories and bus types.
-CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION = 14658, 14659, 14649
+CHASSIS_CATEGORY, MODULE_CATEGORY, SOUND_AND_VIBRATION_CATEGORY = 14658, 14659, 14649
 COMPACT_DAQ_BUS, USB_BUS = 14637, 12586
 # Terminals with the signals of the chassis, or of a separate device.
 _TERMINALS = (
     "PFI0",
     "PFI1",
-    *(f"a{direction}/{signal}" for direction in "io" for signal in ("SampleClock", "StartTrigger")),
+    "ai/SampleClock",
+    "ai/StartTrigger",
+    "ao/SampleClock",
+    "ao/StartTrigger",
+    "ai/ReferenceTrigger",
 )
-_TERMINALS += ("ai/ReferenceTrigger",)
 # Rates of inputs and outputs without a named module: 51.2 kS/s divided by integers up to 31.
-DIVIDED = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
+DEFAULT_RATES = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
 
 
 @dataclass(frozen=True)
 class Module:
     """A device that scripts can use: a module, a chassis or a separate device.
 
-    Of several couplings, wirings or currents, the first is the default.
+    Of several couplings, terminal configurations or currents, the first is the default.
     """
 
     name: str  # name on this bench
     product_type: str  # NI's name, for example "NI 9234"
     category: int = MODULE_CATEGORY
     bus: int = COMPACT_DAQ_BUS
-    inputs: tuple[int, ...] = ()  # rows of the bench's channels at ai0, ai1, ...
-    outputs: tuple[int, ...] = ()  # rows of the bench's drives at ao0, ao1, ...
+    inputs: tuple[int, ...] = ()  # indices of the bench's channels at ai0, ai1, ...
+    outputs: tuple[int, ...] = ()  # indices of the bench's outputs at ao0, ao1, ...
     ranges: tuple[float, ...] = ()  # input ranges, ± V, smallest first; empty if the inputs are not limited
     output_range: float = 10.0  # range of the outputs, ± V
     bits: int | None = None  # resolution of the inputs; None if they are ideal
     output_bits: int | None = None  # resolution of the outputs; None if they are ideal
-    rates: Rates = DIVIDED  # sample rates of the inputs
-    output_rates: Rates = DIVIDED
+    rates: Rates = DEFAULT_RATES  # sample rates of the inputs
+    output_rates: Rates = DEFAULT_RATES  # sample rates of the outputs
     timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide, Hz
-    own_rate: float | None = None  # further rate of the inputs, S/s: that of the scene's converter without a preset
+    scene_rate: float | None = None  # rate of a converter without a preset, S/s, accepted in addition to `rates`
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
-    wirings: tuple[Wiring, ...] = (Wiring.PSEUDO_DIFFERENTIAL,)  # terminal configurations
-    currents: tuple[float, ...] = (0.002,)  # of the IEPE supply, A
+    terminal_configurations: tuple[TerminalConfiguration, ...] = (TerminalConfiguration.PSEUDO_DIFFERENTIAL,)
+    currents: tuple[float, ...] = (0.002,)  # of the supply of IEPE sensors, A
     supply_coupling: Literal["AC", "any"] = "any"  # coupling that the IEPE supply requires
     on_demand: bool = True  # inputs can be read without a sample clock; delta-sigma modules require a clock
     output_on_demand: bool = True  # outputs can be written without a sample clock
@@ -66,16 +74,16 @@ class Module:
     slot: int = 0  # 0 for a separate device
     number: int = 0  # NI's product number; 0 if not known
 
-    def coerced(self, rate: float, output: bool) -> float:
+    def coerced_rate(self, rate: float, output: bool) -> float:
         """Return the lowest rate of the sample clock of inputs or outputs, S/s, that is not below the requested rate.
 
         Raises `DaqError` -200077 if the requested rate is not positive or exceeds the highest rate.
 
         >>> module = Module("Mod1", "NI 9234")
-        >>> [module.coerced(rate, output=False) for rate in (5000.0, 8000.0, 1000.0)]
+        >>> [module.coerced_rate(rate, output=False) for rate in (5000.0, 8000.0, 1000.0)]
         [5120.0, 8533.333333333334, 1651.6129032258063]
         """
-        if rate == self.own_rate:
+        if rate == self.scene_rate:
             return rate
         try:
             return (self.output_rates if output else self.rates).at_least(rate)
@@ -89,42 +97,42 @@ class Module:
         """
         if not self.ranges:
             return math.inf
-        for each in self.ranges:
-            if limit <= each * (1 + 1e-9):
-                return each
+        for input_range in self.ranges:
+            if limit <= input_range * (1 + 1e-9):
+                return input_range
         raise invalid_value(
             f"{limit:g} V exceeds the largest range of {self.product_type}, ±{self.ranges[-1]:g} V. Give a lower limit."
         )
 
-    def channel_names(self, kind: str) -> list[str]:
-        """Names of its inputs (`ai`) or outputs (`ao`)."""
-        count = len(self.inputs if kind == "ai" else self.outputs)
-        return [f"{self.name}/{kind}{number}" for number in range(count)]
+    def channel_names(self, direction: str) -> list[str]:
+        """Return the names of its inputs ("ai") or outputs ("ao")."""
+        count = len(self.inputs if direction == "ai" else self.outputs)
+        return [f"{self.name}/{direction}{number}" for number in range(count)]
 
-    def row(self, kind: str, number: int) -> int:
-        """Return the row of the bench's channel or drive at a terminal; `DaqError` -200170 if it does not exist."""
-        rows = {"ai": self.inputs, "ao": self.outputs}.get(kind, ())
+    def row(self, direction: str, number: int) -> int:
+        """Return the index of the bench's channel or output at a terminal; `DaqError` -200170 without this terminal."""
+        rows = {"ai": self.inputs, "ao": self.outputs}.get(direction, ())
         if not 0 <= number < len(rows):
-            raise self.channel_error(kind, number)
+            raise self.channel_error(direction, number)
         return rows[number]
 
-    def measurement_error(self, where: str) -> DaqError:
+    def unsupported_measurement_error(self, where: str) -> DaqError:
         """Return the error for a measurement that the device does not support (-200431)."""
         return DaqError(
             f"{where}: {self.product_type} does not support this measurement. Choose {', '.join(MEASUREMENTS)}.",
             Code.PHYS_CHAN_MEAS_TYPE,
         )
 
-    def channel_error(self, kind: str, number: int) -> DaqError:
-        """Return the error for a terminal that does not exist, or is of the other kind (-200170)."""
+    def channel_error(self, direction: str, number: int) -> DaqError:
+        """Return the error for a channel that the device does not have (-200170)."""
         names = self.channel_names("ai") + self.channel_names("ao")
         return DaqError(
-            f"there is no channel {self.name}/{kind}{number}. {self.name} has {', '.join(names) or 'none'}.",
+            f"there is no channel {self.name}/{direction}{number}. {self.name} has {', '.join(names) or 'none'}.",
             Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
         )
 
     def attributes(self, modules: Sequence[str] = ()) -> dict[str, Any]:
-        """Return the properties of the device by NI's names; `modules` are the names of the modules in a chassis."""
+        """Return the properties of the device by NI's names; `modules` are the modules in it, if it is a chassis."""
         attributes: dict[str, Any] = {
             "product_type": self.product_type,
             "product_category": self.category,
@@ -182,27 +190,28 @@ class Module:
 class DeviceList:
     """Finds devices by their names.
 
-    The device with an empty name has all inputs and outputs. It replaces devices that scripts for other hardware name.
+    The device with an empty name has all inputs and outputs. It stands in for the devices that a script written for
+    other hardware names, such as Dev1.
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:
         self._modules = {module.name.lower(): module for module in modules}
 
     def module(self, name: str) -> Module:
-        """Return a device by its name; a name that NI's driver typically assigns selects all inputs and outputs.
+        """Return a device by its name, or the device with all inputs and outputs for a name that NI's driver assigns.
 
-        Raises `DaqError` -200220 if there is no device of that name.
+        Raises `DaqError` -200220 for any other name.
         """
         device_name = name.strip().lstrip("/").partition("/")[0]
         module = self._modules.get(device_name.lower())
         if module is not None:
             return module
-        unnamed = self._modules.get("")
-        if unnamed is not None and GIVEN_BY_DRIVER.fullmatch(device_name):
-            return replace(unnamed, name=device_name)
+        all_channels = self._modules.get("")
+        if all_channels is not None and ASSIGNED_BY_DRIVER.fullmatch(device_name):
+            return replace(all_channels, name=device_name)
         raise DaqError(
             f"there is no device {name!r}: the bench has {', '.join(self.names)}. Give one of these"
-            + (", or a name like Dev1, cDAQ1Mod1, PXI1Slot2." if unnamed else "."),
+            + (", or a name like Dev1, cDAQ1Mod1, PXI1Slot2." if all_channels else "."),
             Code.INVALID_DEVICE_ID,
         )
 
@@ -212,6 +221,6 @@ class DeviceList:
         return [module.name for module in self._modules.values() if module.name]
 
     def modules_of(self, chassis: str) -> list[str]:
-        """Names of the modules in a chassis, by slot."""
+        """Return the names of the modules in a chassis, by slot."""
         modules = [module for module in self._modules.values() if module.chassis and module.chassis == chassis]
         return [module.name for module in sorted(modules, key=lambda module: module.slot)]

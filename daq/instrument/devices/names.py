@@ -1,9 +1,9 @@
-"""Names on the instrument: devices, physical channels, terminals, and lists and ranges of them.
+"""Names of devices and channels, and lists and ranges of them.
 
-The bench has a chassis with modules. Scripts are written for other hardware too, so names that NI's driver typically
-assigns are also accepted: `Dev1`, `cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`. Each of these devices has all
-inputs and all outputs. Inputs under different names are separate modules on the same sensors (a T-piece in every
-cable); an output is the same under all names.
+A name of a device on the bench selects that device. Any other name that NI's driver typically assigns (`Dev1`,
+`cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`) selects a device with all inputs and outputs, so that scripts for
+other hardware run unchanged. Such devices are separate modules on the same sensors (a T-piece in every cable), but an
+output is the same under all names.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from daq.instrument.errors import Code, DaqError
 MAX_NAMES = 14_999
 
 # Names that NI's driver assigns to devices.
-GIVEN_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
+ASSIGNED_BY_DRIVER = re.compile(r"(Dev\d+|cDAQ\w*(-\w+)?|PXI\d+Slot\d+)", re.IGNORECASE)
 
 
 class Port(NamedTuple):
-    """A physical channel: device name, kind of port (`ai`, `ao`), number."""
+    """A physical channel: device name, direction (`ai`, `ao`), number."""
 
     device: str
-    kind: str
+    direction: str
     number: int
 
     @property
     def name(self) -> str:
         """Name of the physical channel."""
-        return f"{self.device}/{self.kind}{self.number}"
+        return f"{self.device}/{self.direction}{self.number}"
 
 
 def parse_port(name: str) -> Port:
     """Return the physical channel of a name; `DaqError` -200170 if it is not the name of a physical channel.
 
     >>> parse_port("cDAQ9189-1D91958Mod1/ai3")
-    Port(device='cDAQ9189-1D91958Mod1', kind='ai', number=3)
+    Port(device='cDAQ9189-1D91958Mod1', direction='ai', number=3)
     """
     device, _, port = name.strip().lstrip("/").partition("/")
     match = re.fullmatch(r"([A-Za-z]+)(\d{1,9})", port)
@@ -50,7 +50,7 @@ def parse_port(name: str) -> Port:
 
 
 def unflatten(names: str) -> list[str]:
-    """Return the names in a list of names and ranges, separated by commas.
+    """Expand a list of names and ranges, separated by commas, to the list of all names.
 
     Raises `DaqError` -200498 if a range is not of the form `ai0:3` or `Dev1/ai0:Dev1/ai3`, or is too long.
 
@@ -66,31 +66,33 @@ def unflatten(names: str) -> list[str]:
         elif item:
             expanded.append(item)
         if len(expanded) > MAX_NAMES:
-            raise DaqError(f"a list of more than {MAX_NAMES} names", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING)
+            raise DaqError(
+                f"a list has more than {MAX_NAMES} names. Shorten it.", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING
+            )
     return expanded
 
 
 def _expand(item: str) -> list[str]:
-    """Return the names in one range, in its order."""
+    """Return the names in a range, in its order."""
     match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
     if not match or (match[3] and match[3].lower() != match[1].lower()):
         raise DaqError(
-            f"{item!r} is not a range of channels: expected a number on both sides of the colon, such as Dev1/ai0:3",
+            f"{item!r} is not a range of channels. Give a number on both sides of the colon, such as Dev1/ai0:3.",
             Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
     first, last = int(match[2]), int(match[4])
     if abs(last - first) >= MAX_NAMES:
         raise DaqError(
-            f"{item!r} is a range of {abs(last - first) + 1} names: expected {MAX_NAMES} at most",
+            f"{item!r} has {abs(last - first) + 1} names; the maximum is {MAX_NAMES}. Shorten the range.",
             Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING,
         )
-    width = len(match[2]) if match[2].startswith("0") else 0
+    n_digits = len(match[2]) if match[2].startswith("0") else 0
     step = 1 if last >= first else -1
-    return [f"{match[1]}{number:0{width}d}" for number in range(first, last + step, step)]
+    return [f"{match[1]}{number:0{n_digits}d}" for number in range(first, last + step, step)]
 
 
 def numbered(name: str, count: int) -> list[str]:
-    """Return names of several channels: numbered from 0, or from the number at the end of the given name.
+    """Return names of `count` channels, numbered from 0 or from the number at the end of the given name.
 
     >>> numbered("acc", 3), numbered("acc09", 3), numbered("acc", 1)
     (['acc0', 'acc1', 'acc2'], ['acc09', 'acc10', 'acc11'], ['acc'])
@@ -99,5 +101,5 @@ def numbered(name: str, count: int) -> list[str]:
         return [name]
     match = re.fullmatch(r"(.*?)(\d{0,9})", name, re.DOTALL)
     assert match is not None
-    first, width = int(match[2] or 0), len(match[2])
-    return [f"{match[1]}{number:0{width}d}" for number in range(first, first + count)]
+    first, n_digits = int(match[2] or 0), len(match[2])
+    return [f"{match[1]}{number:0{n_digits}d}" for number in range(first, first + count)]

@@ -1,7 +1,6 @@
 """A running input task: detects its triggers and stores its samples in a buffer until they are read.
 
-A record is the sequence of samples that one start trigger, or the start of the task, begins. It ends after the required
-number of samples.
+A record is the sequence of samples from a start trigger, or from the start of the task, to the required number.
 """
 
 from __future__ import annotations
@@ -20,57 +19,57 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.settings.scales import Scale
 from daq.virtual_bench.bench import first_sample, first_tick, samples_per_tick
 
-# Function from the event of another task (start or reference trigger) to the tick of that event; None before it.
+# Function that returns the tick at which another task was triggered; None before the trigger.
 EventTick = Callable[[OtherTask], int | None]
 
 
 @dataclass(frozen=True)
 class InputPlan:
-    """The settings of an input task."""
+    """The settings of an acquisition."""
 
     rows: tuple[int, ...]  # index of each channel of the task among the channels of the bench
-    factors: NDArray[np.float64]  # reading per count or volt of each channel, shape (channels,)
+    factors: NDArray[np.float64]  # reading per count (or per volt, if samples are volts), shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
-    samples: int | None  # samples of a finite acquisition; None for a continuous acquisition
-    buffer: int  # capacity of the buffer, samples per channel
+    samples: int | None  # samples per channel of a record; None for a continuous acquisition
+    buffer_size: int  # samples per channel
     stops_when_full: bool = False  # stop instead of overwriting unread samples
     start: Source | None = None  # start trigger
     reference: Source | None = None  # reference trigger
     pretrigger: int = 0  # samples before the reference trigger
-    rearms: bool = False  # re-arm the start trigger after each complete record
+    is_retriggerable: bool = False  # the start trigger is armed again after each complete record
 
-    def physical(self, row: int, samples: NDArray[Any]) -> NDArray[np.float64]:
-        """Convert converter samples of a channel of the task to readings in its unit."""
-        values: NDArray[np.float64] = samples * self.factors[row]
-        scale = self.scales[row]
+    def to_units(self, channel: int, samples: NDArray[Any]) -> NDArray[np.float64]:
+        """Convert converter samples of a channel (its index in the task) to readings in its unit."""
+        values: NDArray[np.float64] = samples * self.factors[channel]
+        scale = self.scales[channel]
         return values if scale is None else scale.convert(values)
 
 
 class Acquisition:
-    """The state of an input task from start to stop.
+    """An input task from start to stop.
 
     Three counts of time are used. Ticks count the steps of the bench since power-on. Instants count sample periods of
     the task since power-on. Sample numbers count the stored samples; sample 0 is the first after the start trigger.
 
     A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
-    buffer. The buffer is then full, and the next sample would overwrite the oldest. After an overflow the ring
-    therefore stores up to twice as many samples, until the reader is half a buffer behind. Without this reserve, a
-    reader that pauses between its reads would lose samples at every read.
+    buffer. The buffer is then full: without a reserve, a reader that pauses between its reads would lose samples again
+    at every read. The ring buffer therefore has twice the size, of which the second half is used from an overflow until
+    the reader is less than half a buffer behind.
 
     `tick_rate` is in ticks per second, `tick` the present tick, `dtype` the type of the converter's samples.
     """
 
     def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
-        self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer, dtype)
-        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer, bool)  # flag of each sample
-        self.position = 0  # number of the sample that is read next by default
+        self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer_size, dtype)
+        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer_size, bool)  # flag of each sample
+        self.position = 0  # read position: number of the sample that is read next
         self.first_instant: int | None = None  # of the present record; None before the start trigger
-        self.trigger: int | None = None  # number of the sample at the reference trigger
+        self.trigger: int | None = None  # number of the sample at the reference trigger; None before it
         self.done = False  # complete, or stopped by `error`
         self.error: DaqError | None = None
-        self.overloaded = np.zeros(len(plan.rows), bool)  # for each channel; the reader of the flags clears them
+        self.overloaded = np.zeros(len(plan.rows), bool)  # flag of each channel since it was last queried
         self._has_overflowed = False
         # Number of the first sample not yet reported as lost.
         self._first_unreported = 0
@@ -84,13 +83,13 @@ class Acquisition:
             self._begin_record(instant)
 
     def _arm(self, instant: int) -> None:
-        """Wait for a start trigger from an instant on."""
+        """Arm the start trigger from an instant on."""
         self.armed_instant, self.first_instant, self._end = instant, None, None
         start = self.plan.start
         self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
     def _begin_record(self, instant: int) -> None:
-        """Begin a record with the sample at an instant."""
+        """Begin a record whose first sample is at an instant."""
         self.first_instant, self._record_start = instant, self.ring.written
         self._records.append((self._record_start, instant))
         reference = self.plan.reference
@@ -105,27 +104,29 @@ class Acquisition:
 
     @property
     def readable(self) -> int:
-        """Number of samples that may be read; 0 until the record of a reference trigger is complete."""
+        """Number of samples that may be read; with a reference trigger, 0 until the record is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property
     def oldest(self) -> int:
         """Number of the oldest sample that has not been lost."""
-        return max(self._first_unreported, self.ring.written - self.plan.buffer * (2 if self._has_overflowed else 1))
+        return max(
+            self._first_unreported, self.ring.written - self.plan.buffer_size * (2 if self._has_overflowed else 1)
+        )
 
     def skip_lost(self) -> int:
-        """Move the read position past samples that have been lost, and return how many there are."""
+        """Move the read position past samples that have been lost, and return their number."""
         if not self.readable or self.position >= self.oldest:
             return 0
-        previous, self.position = self.position, max(0, self.ring.written - self.plan.buffer)
+        previous, self.position = self.position, max(0, self.ring.written - self.plan.buffer_size)
         self._has_overflowed, self._first_unreported = True, self.position
         return self.position - previous
 
     def read_next(self, count: int) -> NDArray[Any]:
-        """Read available samples, shape (channels, count)."""
+        """Read `count` available samples, shape (channels, count)."""
         samples = self.ring.read(self.position, count)
         self.position += count
-        self._has_overflowed &= self.ring.written - self.position > self.plan.buffer // 2
+        self._has_overflowed &= self.ring.written - self.position > self.plan.buffer_size // 2
         return samples
 
     @property
@@ -145,14 +146,14 @@ class Acquisition:
         return first_tick(self._per_tick, instant)
 
     def ticks_until(self, samples: int, tick: int) -> int:
-        """Return the number of ticks after a tick until that many samples have been taken."""
+        """Return the number of ticks after a tick until `samples` further samples have been taken."""
         instant = first_sample(self._per_tick, tick)
         return max(1, self.tick_at(instant + samples - 1) - tick + 1)
 
     def samples_to_wait(self, samples: int) -> int:
-        """Return a lower bound of the sample periods until that many samples are available from the read position.
+        """Return a lower bound of the sample periods until `samples` samples after the read position can be read.
 
-        Before a trigger the number is unknown; 10 ms is assumed.
+        Before a trigger the number is unknown, and the sample periods in 10 ms are returned.
         """
         polling_samples = max(1, int(self.plan.rate / 100))
         if self.first_instant is None:
@@ -162,7 +163,10 @@ class Acquisition:
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start, or of the reference trigger; None if it is not known at the present tick."""
+        """Return the tick of the start or, with `reference`, of the reference trigger; None if it is still unknown.
+
+        `tick` is the present tick.
+        """
         instant = self.first_instant
         if reference:
             instant = None if self.trigger is None else self.instant_of(self.trigger)
@@ -180,7 +184,7 @@ class Acquisition:
         """
         rows = list(self.plan.rows)
         selected, flags = samples[rows], overload[rows]
-        # A filter delays its samples: at the start of the task, the first samples precede the start.
+        # A filter delays samples, so that the first samples of the block may be older than the start of the task.
         offset, count = max(0, self.armed_instant - instant), selected.shape[1]
         while offset < count and not self.done:
             if self.first_instant is None:
@@ -192,7 +196,10 @@ class Acquisition:
             offset += self._store(instant + offset, selected[:, offset:], flags[:, offset:], event_tick)
 
     def _find_start(self, first: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
-        """Return the index of the start trigger in a block from instant `first`; None if it is not in the block."""
+        """Return the index of the start trigger in a block whose first sample is at instant `first`; None without it.
+
+        Samples before the index `offset` are ignored.
+        """
         source = self.plan.start
         if isinstance(source, AnalogSource):
             crossing = self._crossing(self._start_finders, samples[:, offset:])
@@ -205,19 +212,19 @@ class Acquisition:
     def _crossing(self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0) -> int | None:
         """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
 
-        All finders process all samples, so that their states stay correct.
+        Every finder processes all samples, so that its state stays correct.
         """
-        crossings = [finder.find(self.plan.physical(row, samples[row]), skip) for row, finder in finders]
+        crossings = [finder.find(self.plan.to_units(row, samples[row]), skip) for row, finder in finders]
         return min((index for index in crossings if index is not None), default=None)
 
     def _store(self, first: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
-        """Store samples from instant `first` up to the end of the record; return the number of processed samples."""
+        """Store samples, the first at instant `first`, up to the end of the record; return the number processed."""
         if self.plan.reference is not None and self.trigger is None:
             self._find_reference_trigger(first, samples, event_tick)
         count = samples.shape[1] if self._end is None else min(samples.shape[1], self._end - self.ring.written)
-        room = self.plan.buffer - (self.ring.written - self.position)
-        if self.plan.stops_when_full and count > room:
-            count = room
+        free = self.plan.buffer_size - (self.ring.written - self.position)
+        if self.plan.stops_when_full and count > free:
+            count = free
             self.stop(
                 DaqError(
                     "the acquisition has stopped because the buffer was full of unread samples. Read more often, "
@@ -233,7 +240,7 @@ class Acquisition:
         return max(count, 1)
 
     def _find_reference_trigger(self, first: int, samples: NDArray[Any], event_tick: EventTick) -> None:
-        """Search the samples from instant `first` for the reference trigger; if it occurs, set the record's end."""
+        """Search samples, the first at instant `first`, for the reference trigger; if found, set the record's end."""
         assert self.first_instant is not None and self.plan.samples is not None
         count, source = samples.shape[1], self.plan.reference
         earliest = self.first_instant + self.plan.pretrigger
@@ -251,7 +258,7 @@ class Acquisition:
             self.position = self.first_readable
 
     def _event_instant(self, source: Source | None, earliest: int, event_tick: EventTick) -> int | None:
-        """Return the instant of a trigger that is not analog; None before the event of another task."""
+        """Return the instant of a trigger that is not analog, from `earliest` on; None before that of another task."""
         if isinstance(source, SyncPulse | AtTime):
             return source.next_instant(earliest, self.plan.rate)
         assert isinstance(source, OtherTask)
@@ -259,8 +266,8 @@ class Acquisition:
         return None if tick is None else first_sample(self._per_tick, tick)
 
     def _complete(self, instant: int) -> None:
-        """End the record before an instant, and the acquisition unless the start trigger is re-armed."""
-        if self.plan.rearms:
+        """End the record before an instant, and the acquisition unless the start trigger is armed again."""
+        if self.plan.is_retriggerable:
             self._arm(instant)
         else:
             self.done = True

@@ -12,7 +12,7 @@ from fractions import Fraction
 import numpy as np
 
 from daq.instrument.engines.acquisition import EventTick
-from daq.instrument.engines.ring_buffer import memory
+from daq.instrument.engines.ring_buffer import allocate
 from daq.instrument.engines.triggers import AtTime, OtherTask, SyncPulse
 from daq.instrument.errors import Code, DaqError
 from rig.arrays import Array
@@ -21,11 +21,11 @@ from rig.arrays import Array
 class OutputBuffer:
     """Samples to play, V, in a ring buffer that is played in a loop.
 
-    `size` is its capacity, samples per channel. Without it, the buffer grows with every write until the task starts.
+    `size` is its capacity, samples per channel. If None, the buffer grows with every write until the task starts.
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
-        self.data: Array = memory(channels, size or 0)
+        self.data: Array = allocate(channels, size or 0)
         self.written = 0
         self._grows = size is None
 
@@ -34,20 +34,20 @@ class OutputBuffer:
         """Capacity, samples per channel."""
         return self.data.shape[1]
 
-    def free(self, generated: int, running: bool, regenerate: bool) -> int:
+    def space(self, generated: int, is_running: bool, regenerates: bool) -> int:
         """Return the number of samples per channel that can be written after `generated` samples have been played.
 
-        While the task is running and `regenerate` is true, played samples are repeated and can be replaced at any time.
+        If samples are regenerated (repeated) while the task is running, they can be replaced at any time.
         """
-        if not running and self._grows:
+        if not is_running and self._grows:
             return np.iinfo(np.int64).max
-        if running and regenerate:
+        if is_running and regenerates:
             return self.size
         return self.size - (self.written - generated)
 
-    def write(self, samples: Array, running: bool) -> None:
+    def write(self, samples: Array, is_running: bool) -> None:
         """Append samples, shape (channels, n), for which there is room."""
-        if not running and self._grows:
+        if not is_running and self._grows:
             self.data = np.concatenate([self.data[:, : self.written], samples], axis=1)
         else:
             self.data[:, (self.written + np.arange(samples.shape[1])) % self.size] = samples
@@ -56,21 +56,21 @@ class OutputBuffer:
 
 @dataclass(frozen=True)
 class OutputPlan:
-    """The settings of an output task."""
+    """The settings of a generation."""
 
-    rows: tuple[int, ...]  # index of each channel of the task among the drives of the bench
+    rows: tuple[int, ...]  # index of each channel of the task among the outputs of the bench
     tick_rate: float  # ticks of the bench per second
-    per_tick: Fraction  # samples of the output per tick of the bench
+    per_tick: Fraction  # samples per tick
     samples: int | None  # samples per channel of a finite generation; None for a continuous generation
-    regenerate: bool  # repeat the buffer
+    regenerates: bool  # repeat the buffer
     start: SyncPulse | AtTime | OtherTask | None = None  # start trigger
 
 
 class Generation:
-    """The state of an output task from start to stop.
+    """An output task from start to stop.
 
-    The buffer may be written during the run. `tick` is the present tick, `last_volts` the output voltages in V, shape
-    (channels,).
+    The buffer may be written during the run. `tick` is the present tick, `last_volts` the present output voltages, V,
+    shape (channels,).
     """
 
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, last_volts: Array) -> None:
@@ -79,8 +79,8 @@ class Generation:
         self._ticks = 0  # ticks since the first sample
         self.done = False  # complete, or stopped by `error`; the output keeps its last value
         self.error: DaqError | None = None
-        self.armed_tick = tick
-        self.first_tick: int | None = tick if plan.start is None else None
+        self.armed_tick = tick  # from which the start trigger is awaited
+        self.first_tick: int | None = tick if plan.start is None else None  # of the first sample
 
     @property
     def has_started(self) -> bool:
@@ -88,14 +88,14 @@ class Generation:
         return self.first_tick is not None
 
     def start_if_clock_runs(self, clock_start: int | None) -> None:
-        """Start at once if the task that provides the clock started earlier, at the tick `clock_start`."""
+        """Start at once if the task that provides the sample clock has already started, at the tick `clock_start`."""
         if clock_start is not None and clock_start <= self.armed_tick:
             self.first_tick = self.armed_tick
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start, not before `tick`; None if it is not known yet.
+        """Return the tick of the start, None if it is still unknown; `tick` is the present tick.
 
-        `reference`: whether the reference trigger is requested. An output has none; the result is then None.
+        With `reference`, the result is None, because an output has no reference trigger.
         """
         if reference:
             return None
@@ -104,7 +104,7 @@ class Generation:
         return self.first_tick
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until a finite generation is complete; if unknown, the ticks of 10 ms."""
+        """Return a lower bound of the ticks until the generation is complete; the ticks in 10 ms if it is unknown."""
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.tick_rate / 100))
         return max(1, self.ticks_until(self.plan.samples))
@@ -115,10 +115,7 @@ class Generation:
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
     def produce(self, tick: int, count: int, event_tick: EventTick) -> Array:
-        """Return the output voltages of `count` ticks from `tick` on, V, shape (channels, count).
-
-        `event_tick`: returns the tick of the start of another task, None if it has not started.
-        """
+        """Return the output voltages of `count` ticks from `tick` on, V, shape (channels, count)."""
         out = np.repeat(self.last_volts[:, None], count, axis=1)
         if self.done:
             return out
@@ -129,11 +126,11 @@ class Generation:
         offset = max(0, self.first_tick - tick)
         ticks_before, self._ticks = self._ticks, self._ticks + count - offset
         ratio = self.plan.per_tick
-        # The output at a tick between two samples is interpolated linearly.
+        # At a tick between two samples, the output is interpolated linearly.
         index, remainder = np.divmod((ticks_before + np.arange(count - offset)) * ratio.numerator, ratio.denominator)
         next_sample = self._ticks * ratio.numerator // ratio.denominator
         ends = [] if self.plan.samples is None else [self.plan.samples]
-        if not self.plan.regenerate:
+        if not self.plan.regenerates:
             ends.append(self.buffer.written)
         n_played = int(np.searchsorted(index, min(ends))) if ends else index.size
         played = self.buffer.data[:, index[:n_played] % self.buffer.size]
@@ -159,7 +156,7 @@ class Generation:
         return out
 
     def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
-        """Return the tick of the start if it is among `count` ticks from `tick` on, else None."""
+        """Return the tick of the start if it is among the `count` ticks from `tick` on, else None."""
         source = self.plan.start
         if isinstance(source, SyncPulse | AtTime):
             start_tick: int | None = source.next_instant(max(self.armed_tick, tick), self.plan.tick_rate)
@@ -167,7 +164,7 @@ class Generation:
             assert source is not None
             start_tick = event_tick(source)
             if start_tick is not None and start_tick >= self.armed_tick:
-                # A trigger in the previous block starts the output at the first tick of this block.
+                # A start of the other task in the previous block starts the output at the first tick of this block.
                 start_tick = max(start_tick, tick)
         if start_tick is None or start_tick < self.armed_tick or start_tick >= tick + count:
             return None

@@ -1,7 +1,7 @@
-"""Logs the samples of a task into a recording (.mcap), or into a TDMS file for scripts that expect it.
+"""Logs the samples of a task into a recording (.mcap), or into a file of NI's format TDMS.
 
-TDMS is NI's file format for measured data. A recording marks intervals of samples, for example overloads; such an entry
-is a marker. A gap is a sequence of samples that were lost.
+A marker is an entry of a recording about an interval of samples, for example an overload. A gap is a sequence of
+samples that were lost.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class MarkedRecording:
         self._overloads.add(first, overload)
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Add a marker for the samples from `first` to before `stop`, unless writing has failed."""
+        """Add a marker of the samples `first` to `stop` - 1, unless writing has failed."""
         if self._recorder.accepts_samples:
             self._recorder.mark(kind, first, stop - 1, **fields)
 
@@ -70,11 +70,11 @@ class MarkedRecording:
         self._recorder.gap(samples)
 
     def trigger(self, sample: int) -> None:
-        """Mark the sample of the trigger."""
+        """Add a marker at the sample of the trigger."""
         self._recorder.mark("trigger", sample)
 
     def abort(self, reason: str) -> None:
-        """Store that the acquisition ended early at this position."""
+        """Store that the acquisition ended early, after the last written sample."""
         self._recorder.mark("abort", self._recorder.position, reason=reason)
         self._outcome = "failed", reason
 
@@ -85,9 +85,9 @@ class MarkedRecording:
 
 
 class _Tdms:
-    """A TDMS file with scaled samples in the group `group`; lost samples are NaN.
+    """A TDMS file with readings in the group `group`; lost samples are NaN.
 
-    With `append`, the samples are added to an existing file, in a group of a new name. The methods are those of
+    With `append`, the readings are added to an existing file, in a group with a new name. The methods are those of
     `MarkedRecording`.
     """
 
@@ -131,10 +131,10 @@ class _Tdms:
         self._writer.open()
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
-        self._segment(np.stack([self._plan.physical(row, values) for row, values in enumerate(samples)]))
+        self._write_segment(np.stack([self._plan.to_units(channel, values) for channel, values in enumerate(samples)]))
 
     def gap(self, samples: int) -> None:
-        self._segment(np.full((len(self._properties), samples), np.nan))
+        self._write_segment(np.full((len(self._properties), samples), np.nan))
 
     def trigger(self, sample: int) -> None:
         for properties in self._properties:
@@ -145,15 +145,15 @@ class _Tdms:
             properties["error"] = reason
 
     def close(self) -> None:
-        self._segment(np.zeros((len(self._properties), 0)))
+        self._write_segment(np.zeros((len(self._properties), 0)))
         self._writer.close()
 
-    def _segment(self, values: NDArray[np.float64]) -> None:
-        """Append scaled samples, shape (channels, n), with the present properties."""
+    def _write_segment(self, values: NDArray[np.float64]) -> None:
+        """Append readings, shape (channels, n), with the present properties of the channels."""
         self._writer.write_segment(
             [
-                self._nptdms.ChannelObject(self._group, properties["NI_ChannelName"], row, properties)
-                for properties, row in zip(self._properties, values, strict=True)
+                self._nptdms.ChannelObject(self._group, properties["NI_ChannelName"], readings, properties)
+                for properties, readings in zip(self._properties, values, strict=True)
             ]
         )
 
@@ -164,28 +164,27 @@ _File = MarkedRecording | _Tdms
 class TaskLog:
     """The log of one run of a task.
 
-    With `LOG_AND_READ` it is written when the script reads, and at the end. Samples that are overwritten before the
-    read are a gap in the log. With `LOG` it is written as samples are acquired. While the log is paused, samples are
-    omitted.
+    With `LOG_AND_READ`, samples are logged when the script reads, and at the end; samples that are overwritten before
+    the read are a gap in the log. With `LOG`, samples are logged as they are acquired. While the log is paused, samples
+    are omitted.
 
-    `open_file` opens a file by its path and the number of its first sample. `settings` contain the path, the samples
-    per file, and whether the log is paused.
+    `open_file` opens a file by its path and the number of its first sample. `settings` contain the logging mode, the
+    path, the samples per file, and whether the log is paused.
     """
 
     def __init__(self, open_file: Callable[[Path, int], _File], settings: Properties) -> None:
         self._open, self._settings = open_file, settings
         self.logs_only = self._settings["logging_mode"] == LoggingMode.LOG
-        # Path of the first file, and number of the present file.
-        self._base, self._number = Path(self._settings["logging_file_path"]), 0
-        self._file = open_file(self._base, 0)
+        self._first_path, self._file_number = Path(self._settings["logging_file_path"]), 0
+        self._file = open_file(self._first_path, 0)
         self._next: int | None = None  # number of the sample that is logged next
-        self._in_file = 0  # samples in the present file
+        self._samples_in_file = 0  # of the present file
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
-        """Complete the file and continue in another file."""
+        """Complete the present file and continue in another file."""
         self.write_new(acquisition)
         self._file.close()
-        self._file, self._in_file = self._open(path, self._next or 0), 0
+        self._file, self._samples_in_file = self._open(path, self._next or 0), 0
 
     def write_new(self, acquisition: Acquisition) -> None:
         """Log the samples acquired since the last call."""
@@ -204,15 +203,15 @@ class TaskLog:
             self._next = max(self._next, stop)
         max_samples = self._settings["logging_samps_per_file"] or math.inf
         while self._next < stop:
-            if self._in_file >= max_samples:
-                self._number += 1
+            if self._samples_in_file >= max_samples:
+                self._file_number += 1
                 self._file.close()
-                name = f"{self._base.stem}_{self._number:04d}{self._base.suffix}"
-                self._file, self._in_file = self._open(self._base.with_name(name), self._next), 0
-            first, count = self._next, int(min(stop - self._next, max_samples - self._in_file))
+                name = f"{self._first_path.stem}_{self._file_number:04d}{self._first_path.suffix}"
+                self._file, self._samples_in_file = self._open(self._first_path.with_name(name), self._next), 0
+            first, count = self._next, int(min(stop - self._next, max_samples - self._samples_in_file))
             self._file.write(acquisition.ring.read(first, count), acquisition.overloads.read(first, count))
             self._next += count
-            self._in_file += count
+            self._samples_in_file += count
 
     def close(self, acquisition: Acquisition) -> None:
         """Log the remaining samples and the reason of an early end, and complete the file."""
@@ -227,8 +226,8 @@ class TaskLog:
 def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]) -> TaskLog:
     """Open a log for a task at its start.
 
-    `name` is the name of the task, `task` its settings. The suffix of the log's path selects the format, `.mcap` or
-    `.tdms`. `time_ns` returns the time of a sample in ns by its number. Raises `DaqError` if the file cannot be opened
+    `name` is the name of the task, `task` its settings. The suffix of the log's path, `.mcap` or `.tdms`, selects the
+    format. `time_ns` returns the time of a sample, ns, from its number. Raises `DaqError` if the file cannot be opened
     with these settings.
     """
     settings = task.groups["read"]
@@ -245,7 +244,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
         elif operation == LoggingOperation.CREATE and exists:
             problem = f"{path}: the file exists. Choose another name, or LoggingOperation.CREATE_OR_REPLACE."
         elif operation == LoggingOperation.OPEN and not exists:
-            problem = f"{path}: the file does not exist, and LoggingOperation.OPEN appends to a file. Use CREATE."
+            problem = f"{path}: LoggingOperation.OPEN appends to a file, but the file does not exist. Use CREATE."
         elif suffix == ".mcap" and append:
             problem = (
                 f"{path}: the recording exists and cannot be appended to. Use LoggingOperation.CREATE_OR_REPLACE, or "
@@ -270,14 +269,14 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
 def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
     """Set the names of channels in a recording: the name in the script, otherwise the name on the bench.
 
-    A channel that the script did not name has the name of its terminal, which contains a slash. The device is added to
-    a name on the bench that is taken already (two modules on one sensor).
+    A channel that the script did not name has the name of its terminal, which contains a slash. If two modules read one
+    sensor, the device is added to its name on the bench.
     """
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):
         if "/" in name:
-            used = {*names, *(channel.name for channel in named)}
+            used_names = {*names, *(channel.name for channel in named)}
             device = name.partition("/")[0]
-            name = info.name if info.name not in used else f"{info.name} on {device}"
+            name = info.name if info.name not in used_names else f"{info.name} on {device}"
         named.append(replace(info, name=name))
     return named

@@ -13,29 +13,31 @@ from daq.instrument.errors import invalid_value
 MAX_BYTES = 2 << 30
 
 
-def memory(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+def allocate(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """Allocate an array of zeros, shape (channels, samples).
 
     Raises `DaqError` -200077 if `samples` is negative or there is not enough memory.
     """
     if samples < 0:
-        raise invalid_value(f"{samples} samples per channel: expected 0 at least, or READ_ALL_AVAILABLE (-1)")
+        raise invalid_value(
+            f"{samples} samples per channel are impossible. Give 0 or more, or READ_ALL_AVAILABLE (-1)."
+        )
     if channels * samples * np.dtype(dtype).itemsize <= MAX_BYTES:
         try:
             return np.zeros((channels, samples), dtype)
         except MemoryError:
             pass
     raise invalid_value(
-        f"{samples} samples of {channels} channels exceed the memory of this instrument. Read fewer samples at a time, "
-        "with AcquisitionType.CONTINUOUS for a long acquisition."
+        f"{samples} samples of {channels} channels exceed the memory of this instrument. Read fewer samples at a time; "
+        "for a long acquisition, use AcquisitionType.CONTINUOUS."
     )
 
 
 class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
 
-    `size`: samples per channel that fit; `dtype`: type of a sample; `written`: samples per channel written so far,
-    which is the number of the next sample. Raises `DaqError` -200077 if there is not enough memory.
+    `size` is in samples per channel, `dtype` the type of a sample. `written` counts the samples per channel written so
+    far: it is the number of the next sample. Raises `DaqError` -200077 if there is not enough memory.
 
     >>> ring = RingBuffer(1, 4, float)
     >>> ring.write(np.arange(6.0)[None])
@@ -44,12 +46,12 @@ class RingBuffer:
     """
 
     def __init__(self, channels: int, size: int, dtype: DTypeLike) -> None:
-        self._data: NDArray[Any] = memory(channels, size, dtype)
+        self._data: NDArray[Any] = allocate(channels, size, dtype)
         self.written = 0
 
     @property
     def size(self) -> int:
-        """Samples per channel that fit."""
+        """Capacity, samples per channel."""
         return self._data.shape[1]
 
     @property
@@ -67,18 +69,18 @@ class RingBuffer:
         count = samples.shape[1]
         latest = samples[:, -self.size :]
         start = (self.written + count - latest.shape[1]) % self.size
-        head = min(latest.shape[1], self.size - start)
-        self._data[:, start : start + head] = latest[:, :head]
-        self._data[:, : latest.shape[1] - head] = latest[:, head:]
+        n_to_end = min(latest.shape[1], self.size - start)
+        self._data[:, start : start + n_to_end] = latest[:, :n_to_end]
+        self._data[:, : latest.shape[1] - n_to_end] = latest[:, n_to_end:]
         self.written += count
 
     def read(self, first: int, count: int) -> NDArray[Any]:
-        """Copy samples out, shape (channels, count).
+        """Return a copy of samples, shape (channels, count).
 
-        Raises `IndexError` if samples have been overwritten, or not written yet.
+        Raises `IndexError` for samples that have been overwritten or have not been written yet.
         """
         if first < self.oldest or first + count > self.written:
             raise IndexError(f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}")
         start = first % self.size
-        head = min(count, self.size - start)
-        return np.concatenate([self._data[:, start : start + head], self._data[:, : count - head]], axis=1)
+        n_to_end = min(count, self.size - start)
+        return np.concatenate([self._data[:, start : start + n_to_end], self._data[:, : count - n_to_end]], axis=1)

@@ -2,8 +2,8 @@
 
 A rising analog edge is at the first sample *above* the level after a sample at or below ``level - hysteresis``. A
 falling edge is the mirror image. A window trigger is at the first sample inside the window after a sample outside,
-or the reverse. The trigger's sample is number 0 after a start trigger, and has index `pretrigger_samples` in the record
-of a reference trigger.
+or the reverse. A start trigger's sample is the first of the record, a reference trigger's sample has the index
+`pretrigger_samples` in it.
 
 Digital edges are signals at terminals. Every PFI line of the chassis carries the sync output of the bench, one pulse
 per second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
@@ -25,22 +25,21 @@ from daq.instrument.values import Slope, WindowCondition
 
 _SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/(?:StartTrigger|ReferenceTrigger))", re.IGNORECASE)
 
-# Function from samples to two flags for each sample: whether it fires an armed trigger, and whether it arms it.
+# Function that returns two flags for each sample: whether it fires an armed trigger, and whether it arms the trigger.
 Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 
 
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     """Return the condition of a level crossing.
 
-    Level and hysteresis are in the unit of the samples. The hysteresis is the distance from the level, on the other
-    side, at which the trigger is armed.
+    The trigger is armed at the distance `hysteresis` before the level; both are in the unit of the samples.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
 
 
 def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
-    """Return the condition of entering or leaving a window that includes its limits."""
+    """Return the condition of entering or leaving a window of values; its limits belong to it."""
 
     def classify(x: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         inside = (x >= bottom) & (x <= top)
@@ -62,13 +61,13 @@ class CrossingFinder:
         self._armed = False
 
     def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
-        """Return the index of the sample that fires the trigger, in the samples after those of the last call.
+        """Return the index of the first sample that fires the trigger, None without it; calls get successive blocks.
 
-        The first `skip` samples arm the trigger but do not fire it. Returns None if no sample fires it.
+        The first `skip` samples can arm the trigger but not fire it.
         """
         fires, arms = self._condition(samples)
         if skip:
-            self._observe(fires[:skip], arms[:skip])
+            self._update_armed(fires[:skip], arms[:skip])
         start = skip
         if not self._armed:
             arming = np.flatnonzero(arms[start:])
@@ -76,11 +75,11 @@ class CrossingFinder:
                 return None
             start += int(arming[0])
         firing = np.flatnonzero(fires[start:])
-        self._observe(fires[skip:], arms[skip:])
+        self._update_armed(fires[skip:], arms[skip:])
         return start + int(firing[0]) if firing.size else None
 
-    def _observe(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
-        """Update whether the trigger is armed: the last sample that fires or arms it decides."""
+    def _update_armed(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
+        """Update whether the trigger is armed, as the last sample that fires or arms it determines."""
         last_firing, last_arming = (int(np.flatnonzero(flags)[-1]) if flags.any() else -1 for flags in (fires, arms))
         if last_firing != last_arming:
             self._armed = last_arming > last_firing
@@ -88,7 +87,7 @@ class CrossingFinder:
 
 @dataclass(frozen=True)
 class AnalogSource:
-    """Analog triggers on channels of a task; the earliest trigger counts."""
+    """Analog triggers on channels of a task, of which the first to fire counts."""
 
     conditions: tuple[tuple[int, Condition], ...]  # index of the channel in the task, and its condition
 
@@ -99,12 +98,12 @@ class AnalogSource:
 
 @dataclass(frozen=True)
 class SyncPulse:
-    """Digital edges of the sync output, one per second."""
+    """Rising or falling edges of the sync output, one per second."""
 
     edge: Slope
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the first instant of an edge from `earliest` on; instants count from power-on, at a rate in Hz."""
+        """Return the first instant at or after an edge, from `earliest` on; instants count periods of a rate, Hz."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
         # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
         second = max(1, math.ceil(earliest / rate - phase - 1e-9))
@@ -118,16 +117,16 @@ class AtTime:
     seconds: float  # of bench time, from power-on
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the instant of the time, `earliest` if the time has passed; see `SyncPulse.next_instant`."""
+        """Return the first instant at or after the time, at least `earliest`; see `SyncPulse.next_instant`."""
         return max(math.ceil(self.seconds * rate - 1e-6), earliest)
 
 
 @dataclass(frozen=True)
 class OtherTask:
-    """The start of another task, or its reference trigger."""
+    """The start of another task or, with `reference`, its reference trigger."""
 
     device: str  # empty: any device
-    kind: str  # "ai" or "ao"
+    direction: str  # "ai" or "ao"
     reference: bool
 
 

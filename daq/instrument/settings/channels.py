@@ -1,4 +1,4 @@
-"""Channels of a task: the settings of a script for the terminals that it uses, and their checks."""
+"""Channels of a task: the settings that a script gives to a terminal, and their checks."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from daq.instrument.devices.modules import Module
 from daq.instrument.devices.names import Port
 from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
 from daq.instrument.settings.properties import coerce
-from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Wiring
+from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, TerminalConfiguration
 
 # NI's numbers of values that scripts can only read.
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
 _RIGHT_JUSTIFIED, _BITS = 10279, 10109
-# Limits that a script has reset: they have no default.
-_NOT_SPECIFIED = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
+# Errors of the query of limits that a script has reset, because limits have no default.
+_LIMIT_ERRORS = {"ai_max": Code.AI_MAX_LIMIT_ERRORS, "ai_min": Code.AI_MIN_LIMIT_ERRORS}
 
 # Settings of every input, with their defaults; the numbers of named values are those of NI-DAQmx.
 _INPUT: dict[str, Any] = {
     "ai_min": -5.0,
     "ai_max": 5.0,
     "ai_coupling": Coupling.DC,
-    "ai_term_cfg": Wiring.DEFAULT,
+    "ai_term_cfg": TerminalConfiguration.DEFAULT,
     "ai_custom_scale_name": "",
     "ai_excit_src": Excitation.NONE,
     "ai_excit_val": 0.0,
@@ -54,7 +54,7 @@ _OUTPUT: dict[str, Any] = {
     "ao_max": 10.0,
     "ao_voltage_units": 10348,
     "ao_custom_scale_name": "",
-    "ao_term_cfg": Wiring.DEFAULT,
+    "ao_term_cfg": TerminalConfiguration.DEFAULT,
     "ao_output_type": VOLTAGE,
     "ao_resolution_units": _BITS,
     "ao_idle_output_behavior": 10164,
@@ -72,59 +72,58 @@ class Channel:
     name: str  # name in the task, which the script may choose ("virtual name" in NI-DAQmx)
     port: Port  # the physical channel (terminal), by its name in the script
     module: Module
-    row: int  # index of the bench's channel or drive at the terminal
-    kind: Measurement | None  # kind of measurement of an input; None for an output
+    row: int  # index of the bench's channel or output at the terminal
+    measurement: Measurement | None  # None for an output
     defaults: dict[str, Any]  # by NI's names of the properties
     settings: dict[str, Any]  # by NI's names of the properties
     unset_limits: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
     def declare(
-        cls, name: str, port: Port, module: Module, kind: Measurement | None, given: Mapping[str, Any]
+        cls, name: str, port: Port, module: Module, measurement: Measurement | None, given: Mapping[str, Any]
     ) -> Channel:
-        """Create an input, or an output if `kind` is None, with the given settings.
+        """Create an input, or an output if `measurement` is None, with the given settings.
 
-        Raises `DaqError` -200170 if the terminal does not exist, -200077 for limits, a sensitivity, a wiring or a
-        coupling that the module does not support.
+        Raises `DaqError` -200170 if the terminal does not exist, and the errors of `check`.
         """
-        row, defaults = module.row("ao" if kind is None else "ai", port.number), dict(_OUTPUT)
-        if kind is not None:
-            defaults = _INPUT | kind.defaults()
-            # A module whose IEPE supply requires AC coupling uses it by default where it supplies a sensor.
-            supplies_ac = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
-            defaults["ai_coupling"] = Coupling.AC if supplies_ac else module.couplings[0]
-        if kind is not None and kind.type == MICROPHONE:
+        row, defaults = module.row("ao" if measurement is None else "ai", port.number), dict(_OUTPUT)
+        if measurement is not None:
+            defaults = _INPUT | measurement.defaults()
+            # AC coupling is the default if the module supplies the sensor and its supply requires AC coupling.
+            requires_ac = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
+            defaults["ai_coupling"] = Coupling.AC if requires_ac else module.couplings[0]
+        if measurement is not None and measurement.type == MICROPHONE:
             level_db = given["ai_sound_pressure_max_sound_pressure_lvl"]
             if not -1000.0 < level_db < 1000.0:
                 raise invalid_value(
-                    f"channel {name}: the sound pressure level is {level_db:g} dB; expected less than 1000 dB."
+                    f"channel {name}: the sound pressure level is {level_db:g} dB. Give less than 1000 dB."
                 )
             # Peak of a sine with this RMS level; the reference is 20 uPa.
             limit = 20e-6 * 10 ** (level_db / 20) * math.sqrt(2)
             given = {"ai_min": -limit, "ai_max": limit, **given}
-        channel = cls(name, port, module, row, kind, defaults, defaults | dict(given))
+        channel = cls(name, port, module, row, measurement, defaults, defaults | dict(given))
         channel.check()
         return channel
 
     @property
-    def side(self) -> str:
+    def direction(self) -> str:
         """Direction of the channel: "ai" for an input, "ao" for an output."""
-        return "ao" if self.kind is None else "ai"
+        return "ao" if self.measurement is None else "ai"
 
     @property
     def volts_per_unit(self) -> float:
         """Volts per unit of the readings."""
-        return 1.0 if self.kind is None else self.kind.volts_per_unit(self.settings)
+        return 1.0 if self.measurement is None else self.measurement.volts_per_unit(self.settings)
 
     @property
     def unit(self) -> str:
         """Unit of the readings."""
-        return "V" if self.kind is None else self.kind.unit(self.settings)
+        return "V" if self.measurement is None else self.measurement.unit(self.settings)
 
     @property
     def range(self) -> float:
-        """Range selected by its limits, ± V; infinite if the inputs are not limited."""
-        if self.kind is None:
+        """Range of the module that the limits select, ± V; infinite if the inputs are not limited."""
+        if self.measurement is None:
             return self.module.output_range
         if "rng" in self.settings:
             return float(self.settings["rng"])
@@ -135,24 +134,24 @@ class Channel:
     @property
     def scaled(self) -> bool:
         """Whether a custom scale converts its readings."""
-        units = self.settings["ao_voltage_units" if self.kind is None else self.kind.units]
+        units = self.settings["ao_voltage_units" if self.measurement is None else self.measurement.units]
         return bool(units == FROM_CUSTOM_SCALE)
 
     @property
     def scale_name(self) -> str:
         """Name of its custom scale; empty without a custom scale."""
-        return str(self.settings[f"{self.side}_custom_scale_name"])
+        return str(self.settings[f"{self.direction}_custom_scale_name"])
 
     def _largest_volts(self) -> float:
         """Return the larger magnitude of both limits, V."""
-        limits = (abs(self.settings[f"{self.side}_{end}"]) for end in ("min", "max"))
+        limits = (abs(self.settings[f"{self.direction}_{bound}"]) for bound in ("min", "max"))
         return max(limits) * self.volts_per_unit
 
     def check_complete(self) -> None:
-        """Raise `DaqError` for missing limits (-200695, -200694), or a supply that the coupling excludes (-200077)."""
+        """Raise `DaqError` -200695 or -200694 for missing limits, -200077 for a supply that requires AC coupling."""
         settings, module = self.settings, self.module
         for name in self.unset_limits:
-            self.get(name)
+            self.get(name)  # Raises the error of the missing limit.
         supplies = settings.get("ai_excit_src") == Excitation.INTERNAL
         if supplies and module.supply_coupling == "AC" and settings["ai_coupling"] != Coupling.AC:
             raise invalid_value(
@@ -161,48 +160,62 @@ class Channel:
             )
 
     def check(self) -> None:
-        """Check that the settings are consistent and that the module supports them; see `declare`."""
+        """Check that the settings are consistent and that the module supports them; `DaqError` if not."""
         settings = self.settings
-        if self.kind is not None:
-            self.kind.check_units(settings)
-        low, high = settings[f"{self.side}_min"], settings[f"{self.side}_max"]
+        if self.measurement is not None:
+            self.measurement.check_units(settings)
+        low, high = settings[f"{self.direction}_min"], settings[f"{self.direction}_max"]
         if not (math.isfinite(low) and math.isfinite(high)):
-            raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g}; expected finite numbers.")
+            raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g} are not finite. Give finite limits.")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
-            raise invalid_value(f"channel {self.name}: the sensitivity is not positive and finite. Correct it.")
+            raise invalid_value(
+                f"channel {self.name}: the sensitivity is not positive and finite. Give the value of the data sheet."
+            )
         if not low < high:
             raise DaqError(
                 f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
-        full_scale = self.module.output_range if self.kind is None else (self.module.ranges or (math.inf,))[-1]
+        full_scale = self.module.output_range if self.measurement is None else (self.module.ranges or (math.inf,))[-1]
         if self._largest_volts() > full_scale * (1 + 1e-9) and not self.scaled:
-            scale = full_scale / self.volts_per_unit
+            limit = full_scale / self.volts_per_unit
             raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
-                f"{self.module.product_type}, {-scale:g} to {scale:g} {self.unit} (±{full_scale:g} V). "
-                "Give limits within it."
+                f"{self.module.product_type}, {-limit:g} to {limit:g} {self.unit} (±{full_scale:g} V). "
+                "Give limits within this range."
             )
-        if self.kind is None:
+        if self.measurement is None:
             return
+        # Name and value of a setting, the named values of this setting, and those that the module supports.
         choices: tuple[tuple[str, int, type[IntEnum], tuple[IntEnum, ...]], ...] = (
-            ("terminal configuration", settings["ai_term_cfg"], Wiring, (*self.module.wirings, Wiring.DEFAULT)),
+            (
+                "terminal configuration",
+                settings["ai_term_cfg"],
+                TerminalConfiguration,
+                (*self.module.terminal_configurations, TerminalConfiguration.DEFAULT),
+            ),
             ("coupling", settings["ai_coupling"], Coupling, self.module.couplings),
         )
         for setting, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
-                choice = ", ".join(member.name for member in supported if member != Wiring.DEFAULT)
+                choice = ", ".join(member.name for member in supported if member != TerminalConfiguration.DEFAULT)
                 raise invalid_value(
                     f"channel {self.name}: {self.module.product_type} does not support {setting} {name}. "
                     f"Choose {choice}."
                 )
 
     def get(self, name: str) -> Any:
-        """Return a property by NI's name; `DaqError` -200452 if channels of this kind do not have it."""
+        """Return a property by NI's name.
+
+        Raises `DaqError` -200452 if channels of this direction do not have it, -200694 or -200695 for a limit that was
+        reset.
+        """
         if name in self.unset_limits:
-            raise DaqError(f"channel {self.name}: {name} was reset and has no default. Set it.", _NOT_SPECIFIED[name])
-        computed = _INPUT_COMPUTED if self.kind is not None else _OUTPUT_COMPUTED
+            raise DaqError(
+                f"channel {self.name}: {name} was reset and has no default. Set {name}.", _LIMIT_ERRORS[name]
+            )
+        computed = _INPUT_COMPUTED if self.measurement is not None else _OUTPUT_COMPUTED
         if name in computed:
             return computed[name](self)
         if name not in self.settings:
@@ -210,7 +223,7 @@ class Channel:
         return self.settings[name]
 
     def set(self, name: str, value: Any) -> None:
-        """Set a property; raises the errors of `get` and `check`."""
+        """Set a property; `DaqError` -200452 if it does not exist, otherwise the errors of `check`."""
         if name in ("ai_rng_high", "ai_rng_low"):
             self.settings["rng"] = self.module.range_for(abs(coerce(name, value, 0.0)))
             return
@@ -226,13 +239,13 @@ class Channel:
         self.unset_limits.discard(name)
 
     def reset(self, name: str) -> None:
-        """Reset a property to its default."""
+        """Reset a property to its default; limits must then be set again."""
         if name in ("ai_rng_high", "ai_rng_low"):
             self.settings.pop("rng", None)
             return
         self.get(name)
         self.set(name, self.defaults[name])
-        if name in _NOT_SPECIFIED:
+        if name in _LIMIT_ERRORS:
             self.unset_limits.add(name)
 
 
@@ -247,15 +260,15 @@ def _limit(channel: Channel, sign: float) -> float:
 _COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.name}
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "chan_type": lambda channel: _ANALOG_INPUT,
-    "ai_meas_type": lambda channel: channel.kind.type,
-    # Limits are coerced to the smallest range that includes them.
+    "ai_meas_type": lambda channel: channel.measurement.type,
+    # Scripts read the limits of the range that the module uses.
     "ai_max": lambda channel: _limit(channel, 1.0),
     "ai_min": lambda channel: _limit(channel, -1.0),
     "ai_rng_high": lambda channel: channel.range,
     "ai_rng_low": lambda channel: -channel.range,
     "ai_term_cfg": lambda channel: int(
-        channel.module.wirings[-1]
-        if channel.settings["ai_term_cfg"] == Wiring.DEFAULT
+        channel.module.terminal_configurations[-1]
+        if channel.settings["ai_term_cfg"] == TerminalConfiguration.DEFAULT
         else channel.settings["ai_term_cfg"]
     ),
     "ai_raw_samp_size": lambda channel: 16 if (channel.module.bits or 32) <= 16 else 32,

@@ -87,28 +87,28 @@ _FILTER = {
 }
 
 
-def _trigger_defaults(name: str) -> dict[str, Any]:
+def _trigger_defaults(role: str) -> dict[str, Any]:
     """Return the default settings of the start trigger ("start") or the reference trigger ("ref")."""
     defaults: dict[str, Any] = {
-        f"{name}_trig_type": TriggerType.NONE,
-        f"{name}_trig_delay": 0.0,
-        f"{name}_trig_retriggerable": False,
-        f"{name}_trig_max_num_trigs_to_detect": 0,
-        f"{name}_trig_timestamp_enable": False,
-        f"{name}_trig_timestamp_timescale": _USE_HOST,
+        f"{role}_trig_type": TriggerType.NONE,
+        f"{role}_trig_delay": 0.0,
+        f"{role}_trig_retriggerable": False,
+        f"{role}_trig_max_num_trigs_to_detect": 0,
+        f"{role}_trig_timestamp_enable": False,
+        f"{role}_trig_timestamp_timescale": _USE_HOST,
     }
     edge = {"src": "", "slope": Slope.RISING, "lvl": 0.0, "hyst": 0.0, "coupling": Coupling.DC}
     window = {"src": "", "when": WindowCondition.ENTERING, "top": 0.0, "btm": 0.0, "coupling": Coupling.DC}
     multi_edge: dict[str, Any] = {"srcs": "", "slopes": [], "lvls": [], "hysts": [], "couplings": []}
-    kinds = {
+    settings_by_type = {
         "anlg_edge": edge | _FILTER,
         "anlg_win": window | _FILTER,
         "anlg_multi_edge": multi_edge,
         "dig_edge": {"src": "", "edge": Slope.RISING} | _FILTER,
         "dig_pattern": {"src": "", "pattern": "", "when": _PATTERN_MATCHES},
     }
-    for kind, settings in kinds.items():
-        defaults |= {f"{kind}_{name}_trig_{key}": value for key, value in settings.items()}
+    for trigger_type, settings in settings_by_type.items():
+        defaults |= {f"{trigger_type}_{role}_trig_{key}": value for key, value in settings.items()}
     return defaults
 
 
@@ -144,9 +144,9 @@ WHILE_RUNNING = {
 
 
 def coerce(name: str, value: Any, default: Any) -> Any:
-    """Return the value of a setting in the type of its default.
+    """Convert the value of the setting `name` to the type of its default.
 
-    Raises `DaqError` -200077 if it is not among the named values, or not a finite number.
+    Raises `DaqError` -200077 if the value is not among the named values of the setting, or not a finite number.
 
     >>> coerce("samp_clk_rate", 5120, 1000.0)
     5120.0
@@ -155,13 +155,13 @@ def coerce(name: str, value: Any, default: Any) -> Any:
         return enum_member(type(default), value, name)
     if isinstance(default, float):
         if not isfinite(value):
-            raise invalid_value(f"{name} is {value}; expected a finite number.")
+            raise invalid_value(f"{name} is {value}. Give a finite number.")
         return float(value)
     return list(value) if isinstance(default, list) else value
 
 
 class Properties:
-    """A group of settings with their defaults; `group` is its name, for messages.
+    """A group of settings with their defaults; `group` is the name of the group in messages.
 
     >>> timing = Properties("timing", TIMING)
     >>> timing["samp_clk_rate"] = 5120
@@ -183,7 +183,7 @@ class Properties:
 
     def reset(self, name: str) -> None:
         """Reset a setting to its default."""
-        self[name]
+        self[name]  # Raises an error for an unknown name.
         self._set.pop(name, None)
 
     def was_set(self, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Custom scales: convert readings to the units of a script by a line, a map of ranges, a polynomial or a table."""
+"""Custom scales: convert readings to other units by a line, a map between two ranges, a polynomial or a table."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from rig.arrays import Array
 _MAX_POINTS = 100_000
 # Maximum order of its polynomial.
 _MAX_ORDER = 50
+# NI's numbers of the types of scales.
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
 
 
 class Scale:
-    """A custom scale of kind LINEAR, MAP_RANGES, POLYNOMIAL or TABLE; `settings` are its parameters by NI's names."""
+    """A custom scale of type LINEAR, MAP_RANGES, POLYNOMIAL or TABLE; `settings` are its parameters by NI's names."""
 
-    def __init__(self, kind: int, settings: dict[str, Any]) -> None:
+    def __init__(self, scale_type: int, settings: dict[str, Any]) -> None:
         self.settings: dict[str, Any] = {
-            "type": kind,
+            "type": scale_type,
             "descr": "",
             "scaled_units": "",
             "pre_scaled_units": 10348,
         } | settings
         for name, value in self.settings.items():
             if isinstance(value, float | list) and not np.all(np.isfinite(value)):
-                raise invalid_value(f"{name} of a scale is {str(value)[:80]}; expected finite numbers.")
+                raise invalid_value(f"{name} of a scale is {str(value)[:80]}. Give finite numbers.")
             if value == [] and name != "poly_reverse_coeff":
-                raise invalid_value(f"{name} of a scale is empty; expected at least one number.")
-        self.convert(np.zeros(1))
+                raise invalid_value(f"{name} of a scale is empty. Give at least one number.")
+        self.convert(np.zeros(1))  # Raises an error if the settings are invalid.
 
     def changed(self, name: str, value: Any) -> Scale:
         """Return the scale with a changed parameter.
@@ -48,22 +49,22 @@ class Scale:
         return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
 
     def convert(self, values: Array) -> Array:
-        """Return scaled readings, of the same shape; `DaqError` -200077 if the scale is invalid."""
+        """Return scaled readings, of the same shape; `DaqError` if the scale is invalid."""
         settings = self.settings
         if settings["type"] == LINEAR:
             scaled = settings["lin_slope"] * values + settings["lin_y_intercept"]
         elif settings["type"] == MAP_RANGES:
             low, high = settings["map_pre_scaled_min"], settings["map_pre_scaled_max"]
             if low == high:
-                raise invalid_value("the range of a map scale before scaling is empty. Give two different limits.")
+                raise invalid_value("the limits of a map scale before scaling are equal. Give two different limits.")
             first, last = settings["map_scaled_min"], settings["map_scaled_max"]
             scaled = first + (values - low) * (last - first) / (high - low)
         elif settings["type"] == POLYNOMIAL:
             scaled = np.polynomial.polynomial.polyval(values, settings["poly_forward_coeff"])
         elif len(settings["table_pre_scaled_vals"]) != len(settings["table_scaled_vals"]):
             raise DaqError(
-                f"a table scale has {len(settings['table_pre_scaled_vals'])} values before and "
-                f"{len(settings['table_scaled_vals'])} after scaling. Give the same number of both.",
+                f"a table scale has {len(settings['table_pre_scaled_vals'])} pre-scaled and "
+                f"{len(settings['table_scaled_vals'])} scaled values. Give the same number of both.",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         else:
@@ -74,10 +75,11 @@ class Scale:
 
 
 def reverse_polynomial(forward: list[float], low: float, high: float, points: int, order: int) -> list[float]:
-    """Fit the inverse polynomial, from scaled values to readings, in the range `low` to `high` of the readings.
+    """Fit the inverse of a polynomial by least squares, for readings from `low` to `high`.
 
-    Returns its coefficients, the constant first, like `forward`. `points` is the number of fitted points, 0 or less for
-    1000. A negative `order` selects the order of `forward`. Raises `DaqError` -200077 if the fit is not possible.
+    Returns the coefficients of the polynomial from scaled values to readings, the constant first, like `forward`.
+    `points` is the number of fitted points; 0 or less means 1000. A negative `order` means the order of `forward`.
+    Raises `DaqError` -200077 if the fit is not possible.
 
     >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
     [-0.5, 0.5]
@@ -87,7 +89,7 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
     points, degree = points if points > 0 else 1000, order if order >= 0 else len(forward) - 1
     if not degree < points <= _MAX_POINTS or degree > _MAX_ORDER:
         raise invalid_value(
-            f"a polynomial of order {degree} through {points} points; expected an order of {_MAX_ORDER} at most, "
+            f"a polynomial of order {degree} cannot be fitted to {points} points. Give an order up to {_MAX_ORDER}, "
             f"and more points than the order, up to {_MAX_POINTS}."
         )
     x = np.linspace(low, high, points)

@@ -25,21 +25,21 @@ class Storage:
     tasks: dict[str, tuple[list[Channel], dict[str, Properties]]] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     scales: dict[str, Scale] = field(default_factory=dict)
-    authors: dict[str, str] = field(default_factory=dict)  # of all three, by their names
+    authors: dict[str, str] = field(default_factory=dict)  # of tasks, channels and scales, by name
 
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; `DaqError` -200077 if the maximum number of values is stored."""
         if name not in saved and len(saved) >= MAX_SAVED:
             raise invalid_value(
                 f"{name!r} cannot be saved: the maximum is {MAX_SAVED} tasks, {MAX_SAVED} channels and {MAX_SAVED} "
-                "scales. Delete one of the same kind first."
+                "scales. Delete a saved item of the same kind first."
             )
         saved[name] = value
 
     def scale(self, name: str) -> Scale:
         """Return a scale by name; `DaqError` -200378 if it does not exist."""
         if name not in self.scales:
-            raise DaqError(f"there is no scale {name!r}. Create it first.", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
+            raise DaqError(f"there is no scale {name!r}. Create the scale first.", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
         return self.scales[name]
 
     def save_task(self, task: TaskSettings, name: str, author: str) -> None:
@@ -61,5 +61,5 @@ class Storage:
     def channel(self, name: str) -> Channel:
         """Return a saved channel by name; `DaqError` -200882 if it does not exist."""
         if name not in self.channels:
-            raise DaqError(f"there is no saved channel {name!r}. Save it first.", Code.INVALID_GLOBAL_CHAN)
+            raise DaqError(f"there is no saved channel {name!r}. Save the channel first.", Code.INVALID_GLOBAL_CHAN)
         return deepcopy(self.channels[name])

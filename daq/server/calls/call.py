@@ -13,9 +13,10 @@ from daq.instrument.task import Task
 if TYPE_CHECKING:
     from daq.server.served_instrument import ServedInstrument
 
-Answer = dict[str, Any]
-# Function that executes a call and returns the fields of the response; None is an empty response.
-Handler = Callable[["Call"], Answer | None]
+# Values of a response by field name.
+ResponseFields = dict[str, Any]
+# Function that executes a call and returns the response; None is an empty response.
+Handler = Callable[["Call"], ResponseFields | None]
 
 
 @dataclass
@@ -24,7 +25,7 @@ class Call:
 
     instrument: ServedInstrument
     peer: str  # address of the client
-    message: Any = None  # the request
+    message: Any = None  # request, as a protobuf message
     fields: dict[str, Any] = field(default_factory=dict)  # of the request, see `daq.server.protocol.decode`
     strict: bool = False  # a duplicate name of a task is the error of NI's driver, not that of a session
     is_active: Callable[[], bool] = lambda: True  # returns whether the client still waits for the response
@@ -36,18 +37,18 @@ class Call:
 
 
 def plain_value(value: Any) -> Any:
-    """Return the value of a field; numpy arrays become lists."""
+    """Convert a numpy array to a list; return any other value unchanged."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def task_action(action: Callable[[Task, dict[str, Any]], Any]) -> Handler:
-    """Return the handler for an action of a task, a function of the task and the fields of the call.
+    """Return the handler that calls `action` with the task and the fields of the call.
 
-    An integer that the action returns is the status of the response, the code of a warning.
+    If the action returns an integer, it is the status of the response: the code of a warning, or 0.
     """
 
-    def act(call: Call) -> Answer:
+    def handle(call: Call) -> ResponseFields:
         status = action(call.task, call.fields)
         return {"status": status} if isinstance(status, int) else {}
 
-    return act
+    return handle

@@ -1,4 +1,4 @@
-"""Handlers of the calls that create channels."""
+"""Handlers of the calls that create channels. TEDS: electronic data sheet in a sensor (IEEE 1451.4)."""
 
 from __future__ import annotations
 
@@ -11,39 +11,41 @@ from daq.instrument.errors import Code, DaqError
 from daq.server.calls.call import Call, Handler, plain_value
 
 
-def create_input(kind: Measurement, teds: bool) -> Handler:
-    """Return the handler that creates inputs; with `teds`, electronic data sheets of sensors give the sensitivities."""
+def create_input(measurement: Measurement, has_teds: bool) -> Handler:
+    """Return the handler that creates inputs; with `has_teds`, the sensitivities are from the sensors' TEDS."""
 
     def create(call: Call) -> None:
         call.task.check_idle("adding channels")
         arguments = {key: plain_value(value) for key, value in call.fields.items() if key != "task"}
-        physical, name = arguments.pop("physical_channel"), arguments.pop("name_to_assign_to_channel")
-        settings = kind.settings(arguments)
-        if not teds:
-            call.task.settings.add(physical, name, kind, settings)
+        physical_channels, name = arguments.pop("physical_channel"), arguments.pop("name_to_assign_to_channel")
+        settings = measurement.settings(arguments)
+        if not has_teds:
+            call.task.settings.add(physical_channels, name, measurement, settings)
             return
-        terminals = unflatten(physical)
+        terminals = unflatten(physical_channels)
         names = numbered(name, len(terminals)) if name else [""] * len(terminals)
-        for terminal, virtual in zip(terminals, names, strict=True):
-            sensor_settings = _settings_of_sensor(call, terminal, kind)
-            call.task.settings.add(terminal, virtual, kind, settings | sensor_settings | {"ai_is_teds": True})
+        for terminal, virtual_name in zip(terminals, names, strict=True):
+            sensor_settings = _settings_of_sensor(call, terminal, measurement)
+            call.task.settings.add(
+                terminal, virtual_name, measurement, settings | sensor_settings | {"ai_is_teds": True}
+            )
 
     return create
 
 
-def _settings_of_sensor(call: Call, physical: str, kind: Measurement) -> dict[str, Any]:
-    """Return the settings of a channel from the electronic data sheet (TEDS) of its sensor.
+def _settings_of_sensor(call: Call, terminal: str, measurement: Measurement) -> dict[str, Any]:
+    """Return the settings of a channel from the TEDS of its sensor.
 
-    Raises `DaqError` -200709 for a sensor without TEDS, -200826 for a sensor of another kind.
+    Raises `DaqError` -200709 for a sensor without TEDS, -200826 if the TEDS has no sensitivity for this measurement.
     """
-    port = parse_port(physical)
-    volts = sensitivity(call.instrument.teds.sheet(port))
-    if volts is None or not kind.sensitivity:
+    port = parse_port(terminal)
+    volts_per_unit = sensitivity(call.instrument.teds.data(port))
+    if volts_per_unit is None or not measurement.sensitivity:
         raise DaqError(
-            f"{port.name}: the electronic data sheet states no sensitivity of this measurement. Choose another kind.",
+            f"{port.name}: the TEDS of the sensor has no sensitivity for this measurement. Choose another measurement.",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
-    return kind.sensitivity_settings(volts)
+    return measurement.sensitivity_settings(volts_per_unit)
 
 
 def _create_output(call: Call) -> None:

@@ -10,58 +10,57 @@ from numpy.typing import NDArray
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.task import Task
 from daq.instrument.task_input import Reading
-from daq.server.calls.call import Answer, Call, Handler
+from daq.server.calls.call import Call, Handler, ResponseFields
 
 # NI's number of the sample order in an array: all samples of one channel, then those of the next.
 _BY_CHANNEL = 0
-
 # Time from the beginning of 1904 to the beginning of 1970 (UTC), s.
 _SECONDS_1904_TO_1970 = 2_082_844_800
-# Integer types in which calls transfer counts; unsigned integers contain the two's complement.
-_Counts = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
-_COUNTS: dict[str, _Counts] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
+# Integer types in which calls transfer counts, by their names in calls; unsigned types contain the two's complement.
+_CountType = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
+_COUNT_TYPES: dict[str, _CountType] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 
 
-def _check_width(counts: _Counts, width: int, code: Code) -> None:
+def _check_width(count_type: _CountType, width: int, code: Code) -> None:
     """Raise `DaqError` with the code if counts of `width` bits do not fit into the integer type."""
-    bits = np.iinfo(counts).bits
+    bits = np.iinfo(count_type).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits. Use numbers of {width} bits instead of {bits}.",
+            f"the converter's counts have {width} bits, the numbers of this call {bits}. Use numbers of {width} bits.",
             code,
             samples_done=0,
         )
 
 
-def _check_room(room: int, needed: int, unit: str) -> None:
-    """Check that the array of the client is large enough; `unit` is "samples" or "bytes", for both numbers."""
-    if needed > room:
+def _check_array_size(size: int, needed: int, unit: str) -> None:
+    """Check that the array of the client is large enough; both sizes are in "samples" or "bytes" (`unit`)."""
+    if needed > size:
         raise DaqError(
-            f"the array has room for {room} {unit}, but the read returns {needed}. Use a larger array.",
+            f"the array has room for {size} {unit}, but the read returns {needed}. Use a larger array.",
             Code.READ_BUFFER_TOO_SMALL,
             samples_done=0,
         )
 
 
-def _read(counts: _Counts | None = None) -> Handler:
-    """Return the handler that reads samples as readings, or as counts of an integer type."""
+def _read(count_type: _CountType | None = None) -> Handler:
+    """Return the handler that reads samples as readings in units, or as counts of an integer type."""
 
-    def read(call: Call) -> Answer:
+    def read(call: Call) -> ResponseFields:
         fields, task = call.fields, call.task
         task.settings.require("ai")
-        if counts is not None:
-            _check_width(counts, 8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
-        channels, samples = len(task.settings.rows_to_read()), fields["num_samps_per_chan"]
+        if count_type is not None:
+            _check_width(count_type, 8 * task.raw_width, Code.READ_DATA_TYPE_TOO_SMALL)
+        channels, samples = len(task.settings.indices_to_read()), fields["num_samps_per_chan"]
 
         def check(required: int) -> None:
-            _check_room(fields["array_size_in_samps"], required * channels, "samples")
+            _check_array_size(fields["array_size_in_samps"], required * channels, "samples")
             call.instrument.check_size(required * channels * 8)
 
-        reading = task.read(samples, fields["timeout"], counts is not None, check)
+        reading = task.read(samples, fields["timeout"], count_type is not None, check)
         by_channel, values = fields["fill_mode"] == _BY_CHANNEL, reading.samples
         samples_read = values.shape[1]
-        if counts is not None:
-            values = values.astype(counts)
+        if count_type is not None:
+            values = values.astype(count_type)
         if by_channel and reading.error is None and samples_read < samples:
             # A finite task has ended: pad the samples, so that each channel begins where the client expects it.
             values = np.pad(values, ((0, 0), (0, samples - samples_read)))
@@ -71,46 +70,46 @@ def _read(counts: _Counts | None = None) -> Handler:
     return read
 
 
-def _with_status(call: Call, reading: Reading, answer: Answer) -> Answer:
-    """Return an answer with the error of its read as status; raise the error if there are no samples."""
+def _with_status(call: Call, reading: Reading, response: ResponseFields) -> ResponseFields:
+    """Add the error of a read to its response as status; raise the error if there are no samples."""
     error = reading.error
     if error is None:
-        return answer
+        return response
     samples_read = reading.samples.shape[1]
     if not samples_read:
         raise DaqError(str(error), error.code, samples_done=0)
     call.instrument.store_error(call.peer, error, call.task.name)
-    return answer | {"status": error.code}
+    return response | {"status": error.code}
 
 
-def _read_scalar(call: Call) -> Answer:
+def _read_scalar(call: Call) -> ResponseFields:
     reading = call.task.read(1, call.fields["timeout"])
     if reading.error is not None:
         raise reading.error
     return {"value": float(reading.samples[0, 0])}
 
 
-def _read_raw(call: Call) -> Answer:
-    """Read counts as bytes, at their own width."""
+def _read_raw(call: Call) -> ResponseFields:
+    """Read counts as the bytes of 16-bit or 32-bit integers, whichever the converter requires."""
     fields, task = call.fields, call.task
     task.settings.require("ai")
-    width, room = task.raw_width, fields["array_size_in_bytes"]
-    channels, samples = len(task.settings.rows_to_read()), fields["num_samps_per_chan"]
-    call.instrument.check_size(room)
+    width, array_bytes = task.raw_width, fields["array_size_in_bytes"]
+    channels, samples = len(task.settings.indices_to_read()), fields["num_samps_per_chan"]
+    call.instrument.check_size(array_bytes)
 
     def check(required: int) -> None:
-        _check_room(room, required * channels * width, "bytes")
+        _check_array_size(array_bytes, required * channels * width, "bytes")
 
     reading = task.read(samples, fields["timeout"], True, check)
-    kind = np.int16 if width == 2 else np.int32
-    data = reading.samples.T.astype(kind).tobytes().ljust(room, b"\0")
+    count_type = np.int16 if width == 2 else np.int32
+    data = reading.samples.T.astype(count_type).tobytes().ljust(array_bytes, b"\0")
     count = reading.samples.shape[1]
     return _with_status(
         call, reading, {"read_array": data, "samps_read": count, "num_bytes_per_samp": channels * width}
     )
 
 
-def _read_waveforms(call: Call) -> Answer:
+def _read_waveforms(call: Call) -> ResponseFields:
     """Read samples with their times (bit 0 of the mode) and names and units (bit 1)."""
     from ni.protobuf.types import waveform_conversion
     from ni.protobuf.types.waveform_pb2 import DoubleAnalogWaveform, WaveformAttributeValue
@@ -119,8 +118,8 @@ def _read_waveforms(call: Call) -> Answer:
     reading = task.read(call.fields["num_samps_per_chan"], call.fields["timeout"])
     assert waveform_conversion is not None
     waveforms = []
-    for row, samples in zip(task.settings.rows_to_read(), reading.samples, strict=True):
-        channel = task.settings.channels[row]
+    for index, samples in zip(task.settings.indices_to_read(), reading.samples, strict=True):
+        channel = task.settings.channels[index]
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
             start = task.input.time_of_sample(reading.first)
@@ -137,41 +136,42 @@ def _read_waveforms(call: Call) -> Answer:
     return _with_status(call, reading, {"waveforms": waveforms, "samps_per_chan_read": reading.samples.shape[1]})
 
 
-def _table(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
-    """Return an array of a client, in volts or counts, as a table of shape (channels, samples).
+def _rows_by_channel(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
+    """Return an array of a client, in volts or counts, in the shape (channels, samples).
 
-    `samples` is the number per channel; `by_channel`: the array has all samples of one channel, then the next.
+    `samples` is the number per channel. With `by_channel`, the array has all samples of one channel, then the next.
+    Otherwise it has the first samples of all channels, then the second.
     """
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:
         raise DaqError(
-            f"the data have {data.size} samples; expected {samples} for each of the task's {channels} channels.",
+            f"the data have {data.size} values; the task has {channels} channels. Write {samples} samples for each.",
             Code.WRITE_NUM_CHANS_MISMATCH,
             samples_done=0,
         )
     return data.reshape(channels, samples) if by_channel else data.reshape(samples, channels).T
 
 
-def _write(counts: _Counts | None = None) -> Handler:
+def _write(count_type: _CountType | None = None) -> Handler:
     """Return the handler that writes samples in volts, or as counts of an integer type."""
 
-    def write(call: Call) -> Answer:
+    def write(call: Call) -> ResponseFields:
         fields, task = call.fields, call.task
-        if counts is None:
+        if count_type is None:
             data = np.asarray(fields["write_array"], dtype=np.float64)
         else:
-            _check_width(counts, _count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
-            limits, numbers = np.iinfo(counts), np.array(fields["write_array"], dtype=np.int64)
-            wrong = (numbers < limits.min) | (numbers > limits.max)
-            if wrong.any():
+            _check_width(count_type, _count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
+            limits, numbers = np.iinfo(count_type), np.array(fields["write_array"], dtype=np.int64)
+            is_outside = (numbers < limits.min) | (numbers > limits.max)
+            if is_outside.any():
                 raise DaqError(
-                    f"{numbers[wrong][0]} is not a number of {limits.bits} bits. Write {limits.min} to {limits.max}.",
+                    f"{numbers[is_outside][0]} exceeds {limits.bits} bits. Write {limits.min} to {limits.max}.",
                     Code.INVALID_AO_DATA_WRITE,
                     samples_done=0,
                 )
             data = numbers.astype(f"i{limits.bits // 8}").astype(np.float64)
-        table = _table(task, data, fields["num_samps_per_chan"], fields["data_layout"] == _BY_CHANNEL)
-        volts = table if counts is None else table * _volts_per_count(task)
+        values = _rows_by_channel(task, data, fields["num_samps_per_chan"], fields["data_layout"] == _BY_CHANNEL)
+        volts = values if count_type is None else values * _volts_per_count(task)
         return {"samps_per_chan_written": task.write(volts, fields["auto_start"], fields["timeout"])}
 
     return write
@@ -185,12 +185,12 @@ def _count_bits(task: Task) -> int:
 
 def _volts_per_count(task: Task) -> NDArray[np.float64]:
     """Return the volts per count of each output, shape (channels, 1)."""
-    sizes = []
+    volts_per_count = []
     for channel in task.settings.channels:
         if channel.module.output_bits is None:
-            raise unsupported("an unscaled write", "The rig's output has no counts. Write volts.")
-        sizes.append([channel.module.output_range / 2.0 ** (channel.module.output_bits - 1)])
-    return np.array(sizes)
+            raise unsupported("an unscaled write", "This output is ideal and has no counts. Write volts.")
+        volts_per_count.append([channel.module.output_range / 2.0 ** (channel.module.output_bits - 1)])
+    return np.array(volts_per_count)
 
 
 def _write_scalar(call: Call) -> None:
@@ -198,19 +198,19 @@ def _write_scalar(call: Call) -> None:
     call.task.write(np.array([[fields["value"]]]), fields["auto_start"], fields["timeout"])
 
 
-def _write_raw(call: Call) -> Answer:
+def _write_raw(call: Call) -> ResponseFields:
     fields, task = call.fields, call.task
-    kind = np.dtype(f"i{_count_bits(task) // 8}")
+    count_type = np.dtype(f"i{_count_bits(task) // 8}")
     # Bytes of an incomplete number at the end of the array are ignored.
     n_values = fields["num_samps"] * len(task.settings.channels)
-    count = min(n_values, len(fields["write_array"]) // kind.itemsize)
-    data = np.frombuffer(fields["write_array"], dtype=kind, count=max(count, 0))
-    table = _table(task, data.astype(float), fields["num_samps"], by_channel=False)
-    written = task.write(table * _volts_per_count(task), fields["auto_start"], fields["timeout"])
+    count = min(n_values, len(fields["write_array"]) // count_type.itemsize)
+    data = np.frombuffer(fields["write_array"], dtype=count_type, count=max(count, 0))
+    counts = _rows_by_channel(task, data.astype(float), fields["num_samps"], by_channel=False)
+    written = task.write(counts * _volts_per_count(task), fields["auto_start"], fields["timeout"])
     return {"samps_per_chan_written": written}
 
 
-def _write_waveforms(call: Call) -> Answer:
+def _write_waveforms(call: Call) -> ResponseFields:
     fields = call.fields
     rows = [np.array(waveform.y_data) for waveform in fields["waveforms"]]
     if len({row.size for row in rows}) > 1:
@@ -222,12 +222,12 @@ def _write_waveforms(call: Call) -> Answer:
 CALLS: dict[str, Handler] = {
     "ReadAnalogF64": _read(),
     "ReadAnalogScalarF64": _read_scalar,
-    **{f"ReadBinary{kind}": _read(counts) for kind, counts in _COUNTS.items()},
+    **{f"ReadBinary{name}": _read(count_type) for name, count_type in _COUNT_TYPES.items()},
     "ReadRaw": _read_raw,
     "ReadAnalogWaveforms": _read_waveforms,
     "WriteAnalogF64": _write(),
     "WriteAnalogScalarF64": _write_scalar,
-    **{f"WriteBinary{kind}": _write(counts) for kind, counts in _COUNTS.items()},
+    **{f"WriteBinary{name}": _write(count_type) for name, count_type in _COUNT_TYPES.items()},
     "WriteRaw": _write_raw,
     "WriteAnalogWaveforms": _write_waveforms,
 }

@@ -6,10 +6,10 @@ from daq.instrument.errors import invalid_value, unsupported
 from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.instrument.task_properties import get_value, set_value, set_values, time_of
 from daq.instrument.values import Signal, TimestampEvent, TimingType, TriggerType, enum_member
-from daq.server.calls.call import Answer, Call, Handler, plain_value, task_action
+from daq.server.calls.call import Call, Handler, ResponseFields, plain_value, task_action
 
-# Kinds of triggers that calls configure, by the prefix of their settings in NI's driver.
-_TRIGGERS = {
+# Types of triggers that calls configure, by the prefix of their settings in NI's driver.
+_TRIGGER_TYPES = {
     "anlg_edge": TriggerType.ANALOG_EDGE,
     "anlg_win": TriggerType.ANALOG_WINDOW,
     "anlg_multi_edge": TriggerType.ANALOG_MULTI_EDGE,
@@ -18,9 +18,9 @@ _TRIGGERS = {
 
 
 def _trigger(role: str, prefix: str, **names: str) -> Handler:
-    """Return the handler that configures a trigger.
+    """Return the handler that configures a start trigger (`role` "start") or a reference trigger ("ref").
 
-    `role` is "start" or "ref" (reference), `prefix` the kind of trigger. `names` maps fields of the call to settings.
+    `prefix` is a key of `_TRIGGER_TYPES`. `names` maps the fields of the call to the ends of the settings' names.
     """
 
     def configure(call: Call) -> None:
@@ -29,7 +29,7 @@ def _trigger(role: str, prefix: str, **names: str) -> Handler:
         }
         if "pretrigger_samples" in call.fields:
             settings["ref_trig_pretrig_samples"] = call.fields["pretrigger_samples"]
-        set_values(call.task, "trig", **settings, **{f"{role}_trig_type": _TRIGGERS[prefix]})
+        set_values(call.task, "trig", **settings, **{f"{role}_trig_type": _TRIGGER_TYPES[prefix]})
 
     return configure
 
@@ -37,13 +37,13 @@ def _trigger(role: str, prefix: str, **names: str) -> Handler:
 def _triggers(role: str) -> dict[str, Handler]:
     """Return the handlers of the calls that configure the start trigger ("start") or the reference trigger ("ref")."""
     name = role.capitalize()
-    source, when = {"trigger_source": "src"}, {"trigger_when": "when"}
-    slope = {"trigger_slope": "slope", "trigger_level": "lvl"}
-    window = {"window_top": "top", "window_bottom": "btm"}
+    source = {"trigger_source": "src"}
+    edge = {"trigger_slope": "slope", "trigger_level": "lvl"}
+    window = {"trigger_when": "when", "window_top": "top", "window_bottom": "btm"}
     multi_edge = {"trigger_sources": "srcs", "trigger_slope_array": "slopes", "trigger_level_array": "lvls"}
     return {
-        f"CfgAnlgEdge{name}Trig": _trigger(role, "anlg_edge", **source, **slope),
-        f"CfgAnlgWindow{name}Trig": _trigger(role, "anlg_win", **source, **when, **window),
+        f"CfgAnlgEdge{name}Trig": _trigger(role, "anlg_edge", **source, **edge),
+        f"CfgAnlgWindow{name}Trig": _trigger(role, "anlg_win", **source, **window),
         f"CfgAnlgMultiEdge{name}Trig": _trigger(role, "anlg_multi_edge", **multi_edge),
         f"CfgDigEdge{name}Trig": _trigger(role, "dig_edge", **source, trigger_edge="edge"),
         f"Disable{name}Trig": task_action(
@@ -64,9 +64,9 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
-    """Return the handler that waits for an event and returns its time; None: for the event that the call names."""
+    """Return the handler that waits for an event and returns its time; with None, the call names the event."""
 
-    def get_time(call: Call) -> Answer:
+    def get_time(call: Call) -> ResponseFields:
         requested_event = event
         if requested_event is None:
             requested_event = enum_member(TimestampEvent, call.fields["timestamp_event"], "timestamp_event")
@@ -76,24 +76,24 @@ def _timestamp(event: TimestampEvent | None) -> Handler:
     return get_time
 
 
-def _create_scale(kind: int, *names: tuple[str, str]) -> Handler:
-    """Return the handler that creates a custom scale; `names` are pairs of a field of the call and a parameter."""
+def _create_scale(scale_type: int, *names: tuple[str, str]) -> Handler:
+    """Return the handler that creates a custom scale; `names` are pairs: field of the call, parameter of the scale."""
 
     def create(call: Call) -> None:
         fields = call.fields
         settings = {key: plain_value(fields[name]) for name, key in names}
-        common = {key: fields[key] for key in ("pre_scaled_units", "scaled_units")}
+        units = {key: fields[key] for key in ("pre_scaled_units", "scaled_units")}
         storage = call.instrument.storage
-        storage.store(storage.scales, fields["name"], Scale(kind, settings | common))
+        storage.store(storage.scales, fields["name"], Scale(scale_type, settings | units))
 
     return create
 
 
-def _reverse(call: Call) -> Answer:
+def _reverse_polynomial(call: Call) -> ResponseFields:
     """Return the coefficients of an inverse polynomial; see `reverse_polynomial`."""
     fields = call.fields
-    order = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
-    return {"reverse_coeffs": reverse_polynomial(*(plain_value(fields[name]) for name in order))}
+    names = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
+    return {"reverse_coeffs": reverse_polynomial(*(plain_value(fields[name]) for name in names))}
 
 
 def _save_task(call: Call) -> None:
@@ -104,7 +104,7 @@ def _save_task(call: Call) -> None:
 def _save_channel(call: Call) -> None:
     channels = call.task.settings.find(call.fields["channel_name"])
     if not channels:
-        raise invalid_value("the task has no channel to save. Add a channel, and name it.")
+        raise invalid_value("the task has no channel to save. Add a channel, and save it by its name.")
     name = call.fields["save_as"] or channels[0].name
     call.instrument.storage.save_channel(channels[0], name, call.fields["author"])
 
@@ -120,8 +120,9 @@ def _delete(group: str, field_name: str) -> Handler:
     """Return the handler that deletes a saved item; `group` is the attribute of `Storage` with such items."""
 
     def delete(call: Call) -> None:
-        for items in (getattr(call.instrument.storage, group), call.instrument.storage.authors):
-            items.pop(call.fields[field_name], None)
+        storage, name = call.instrument.storage, call.fields[field_name]
+        getattr(storage, group).pop(name, None)
+        storage.authors.pop(name, None)
 
     return delete
 
@@ -190,7 +191,7 @@ CALLS: dict[str, Handler] = {
     "CreateTableScale": _create_scale(
         TABLE, ("prescaled_vals", "table_pre_scaled_vals"), ("scaled_vals", "table_scaled_vals")
     ),
-    "CalculateReversePolyCoeff": _reverse,
+    "CalculateReversePolyCoeff": _reverse_polynomial,
     "SaveTask": _save_task,
     "SaveGlobalChan": _save_channel,
     "SaveScale": _save_scale,

@@ -8,42 +8,42 @@ from pathlib import Path
 from daq.instrument.devices.names import parse_port
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.task import Task
-from daq.server.calls.call import Answer, Call, Handler, task_action
+from daq.server.calls.call import Call, Handler, ResponseFields, task_action
 from daq.server.protocol import DeviceProperties
 from rig.input_files import read_file
 
 
-def _create_task(call: Call) -> Answer:
+def _create_task(call: Call) -> ResponseFields:
     name, behavior = call.fields["session_name"], call.fields.get("initialization_behavior", 0)
     session, is_new = call.instrument.sessions.open(name, behavior, call.peer, call.strict)
     return {"task": session, "new_session_initialized": is_new}
 
 
-def _load_task(call: Call) -> Answer:
+def _load_task(call: Call) -> ResponseFields:
     name = call.fields["session_name"]
     if name not in call.instrument.storage.tasks:
         raise DaqError(f"there is no saved task {name!r}. Save it first.", Code.TASK_NOT_IN_DATA_NEIGHBORHOOD)
-    answer = _create_task(call)
-    if answer["new_session_initialized"]:
-        task = call.instrument.sessions.find(answer["task"], call.peer)
+    response = _create_task(call)
+    if response["new_session_initialized"]:
+        task = call.instrument.sessions.find(response["task"], call.peer)
         call.instrument.storage.load_task(task.settings, name)
-    return answer
+    return response
 
 
-def _nth_name(values: Callable[[Task], list[str]]) -> Handler:
-    """Return the handler that returns one of several names of a task, by its index from 1."""
+def _nth_name(list_names: Callable[[Task], list[str]]) -> Handler:
+    """Return the handler that returns an element of a list of names, by its index from 1."""
 
-    def get_name(call: Call) -> Answer:
-        names, index = values(call.task), call.fields["index"]
+    def get_name(call: Call) -> ResponseFields:
+        names, index = list_names(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
-            raise invalid_value(f"index is {index}; expected 1 to {len(names)}.")
+            raise invalid_value(f"index {index}: the task has {len(names)} names. Give 1 to {len(names)}.")
         return {"buffer": names[index - 1]}
 
     return get_name
 
 
-def _check_device(call: Call) -> Answer:
-    """Do nothing except to check that the device exists."""
+def _check_device(call: Call) -> ResponseFields:
+    """Check that the device exists, and do nothing else; `DaqError` -200220 if it does not."""
     call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
@@ -54,11 +54,14 @@ def _reset_device(call: Call) -> None:
 
 
 def _teds(action: str) -> Handler:
-    """Return the handler of an action on the electronic data sheet (TEDS) of a sensor; see `TedsMemory`."""
+    """Return the handler of an action on the electronic data sheet (TEDS) of a sensor; see `TedsMemory`.
 
-    def act(call: Call) -> None:
+    `action` is "configure", "clear", "write" (from an array) or "write_file".
+    """
+
+    def handle(call: Call) -> None:
         teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
-        call.instrument.chassis.devices.module(port.device).row(port.kind, port.number)
+        call.instrument.chassis.devices.module(port.device).row(port.direction, port.number)
         path = call.fields.get("file_path", "")
         if action == "configure":
             teds.configure(port, path)
@@ -69,15 +72,15 @@ def _teds(action: str) -> Handler:
                 teds.write(port, read_file(Path(path)) if path else b"")
             except OSError as error:
                 raise DaqError(
-                    f"{path}: {error.strerror}. Give the file of a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+                    f"{path}: {error.strerror}. Give a file with a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
                 ) from None
         else:
             teds.write(port, call.fields["bit_stream"])
 
-    return act
+    return handle
 
 
-def _enumerate_devices(call: Call) -> Answer:
+def _enumerate_devices(call: Call) -> ResponseFields:
     devices = call.instrument.chassis.devices
     return {
         "devices": [
@@ -101,7 +104,7 @@ def _reservation(call: Call) -> tuple[str, str]:
     return name, client
 
 
-def _reset_server(call: Call) -> Answer:
+def _reset_server(call: Call) -> ResponseFields:
     call.instrument.sessions.close_all()
     call.instrument.reservations.clear()
     return {"is_server_reset": True}
@@ -119,10 +122,10 @@ CALLS: dict[str, Handler] = {
     "GetNthTaskChannel": _nth_name(lambda task: [channel.name for channel in task.settings.channels]),
     "GetNthTaskDevice": _nth_name(lambda task: task.settings.device_names),
     "GetNthTaskReadChannel": _nth_name(
-        lambda task: [task.settings.channels[row].name for row in task.settings.rows_to_read()]
+        lambda task: [task.settings.channels[index].name for index in task.settings.indices_to_read()]
     ),
     "GetErrorString": lambda call: {
-        "error_string": call.instrument.text_of_error(call.peer, call.fields["error_code"])
+        "error_string": call.instrument.latest_message(call.peer, call.fields["error_code"])
     },
     "UnregisterEveryNSamplesEvent": task_action(
         lambda task, fields: task.events.listen_every(fields["every_n_samples_event_type"], 0, None)

@@ -1,7 +1,6 @@
-"""Startup code of Python in a process of `daq run`, whose first import folder is this folder.
+"""Startup code of Python in a process of `daq run`: Python imports the first module `sitecustomize` on its path.
 
-It is not a package: Python imports a module of this name at startup. A later module of this name on the path is also
-executed.
+This folder, which is not a package, is the first on the path. The next module of this name is then also executed.
 """
 
 import importlib.machinery

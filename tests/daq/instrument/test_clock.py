@@ -7,7 +7,7 @@ import pytest
 from nidaqmx.constants import AcquisitionType
 from nidaqmx.errors import DaqError, DaqReadError
 
-from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _Delays, clock, longest_step
+from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _DelayReport, clock, longest_step
 from rig.errors import SceneError
 from tests.daq.client import Task, connect, inputs, raises_code
 
@@ -21,7 +21,7 @@ class CountingBench:
         self.position = 0
         lock = threading.RLock()
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
-        self.live = True
+        self.is_in_use = True
         self.delays = []
 
     def advance(self, ticks):
@@ -68,7 +68,7 @@ def test_real_clock_runs_while_needed():
     bench, real = CountingBench(), RealClock()
     with bench.changed:
         assert real.wait(bench, lambda: bench.position >= 20, lambda: 20, 30.0)
-    bench.live = False
+    bench.is_in_use = False
     for thread in threading.enumerate():
         if thread.name == "bench":
             thread.join(10.0)
@@ -134,8 +134,8 @@ def test_timeout_reports_number_of_samples_read():
 
 def test_real_and_fast_clock_give_same_samples():
     readings = []
-    for kind in ("fast", "real"):
-        connect("bare-structure", kind)
+    for name in ("fast", "real"):
+        connect("bare-structure", name)
         with Task() as task:
             inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
             task.start()
@@ -151,11 +151,11 @@ def test_delayed_bench_advances_at_limited_rate():
 
 
 def test_delay_of_machine_is_logged_once(caplog):
-    delays = _Delays()
+    report = _DelayReport()
     # Wall-clock times and delays, s.
     for now, delay in ((1.0, 0.5), (1.1, 0.2), (1.2, 0.01), (2.0, 0.3), (2.1, 0.0), (3.0, 0.1)):
-        delays.note(delay, now)
+        report.add(delay, now)
     assert [record.getMessage() for record in caplog.records if "0.50 s behind" in record.getMessage()]
     assert len(caplog.records) == 1
-    delays.note(0.0, 12.0)
+    report.add(0.0, 12.0)
     assert "0.30 s behind" in caplog.records[-1].getMessage()

@@ -88,7 +88,7 @@ def run(
     while True:
         block = drive.shape[1] if max_block is None else max_block
         blocks = [
-            bench.physical(bench.acquire(drive[:, start : start + block]).samples)
+            bench.to_units(bench.acquire(drive[:, start : start + block]).samples)
             for start in range(0, drive.shape[1], block)
         ]
         station.now += drive.shape[1]

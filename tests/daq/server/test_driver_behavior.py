@@ -23,7 +23,7 @@ from tests.daq.client import RATE, Task, connect, options, pass_samples, raises_
 class WallClock(ManualClock):
     """A manual clock with the properties of a real-time clock."""
 
-    runs_free = True
+    is_free_running = True
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from nidaqmx.scale import Scale
 
 import daq
 from daq.instrument.clock import ManualClock
-from daq.server.calls.answers import handler_of
+from daq.server.calls.handlers import handler_of
 from daq.server.client_defaults import open_channel
-from daq.server.protocol import SERVICE, _is_list, methods
+from daq.server.protocol import SERVICE, is_repeated, methods
 from daq.server.served_instrument import Limits
 from rig import load
 
@@ -74,7 +74,7 @@ def fill(message, rng, sessions, depth=0):
     for field in message.DESCRIPTOR.fields:
         if rng.random() < (0.1 if field.containing_oneof is None else 0.5):
             continue
-        is_list, value_or_list = _is_list(field), getattr(message, field.name)
+        is_list, value_or_list = is_repeated(field), getattr(message, field.name)
         for _ in range(rng.choice((0, 1, 3)) if is_list else 1):
             if field.message_type is not None:
                 submessage = message_factory.GetMessageClass(field.message_type)()
@@ -245,7 +245,7 @@ def test_invalid_time_is_rejected(seconds):
 
 
 def test_too_many_calls_are_rejected():
-    with daq.connect("bare-structure", clock="fast", limits=Limits(calls=3)) as rig:
+    with daq.connect("bare-structure", clock="fast", limits=Limits(max_calls_per_client=3)) as rig:
         excessive_client = client(rig)
         with inputs(excessive_client, "cDAQ1Mod1/ai0") as task:
             streams = [

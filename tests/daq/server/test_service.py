@@ -172,7 +172,7 @@ def test_used_device_is_not_reset(shared):
 
 
 def test_modules_of_lost_client_are_released():
-    limits = Limits(patience=0.2)  # s
+    limits = Limits(disconnect_timeout=0.2)  # s
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
         lost_client = client(rig)
         task = inputs(lost_client, sample_mode=AcquisitionType.CONTINUOUS)
@@ -186,7 +186,7 @@ def test_modules_of_lost_client_are_released():
 
 
 def test_excessive_requests_are_rejected():
-    limits = Limits(tasks=3, message=1 << 20)
+    limits = Limits(max_tasks_per_client=3, max_message_bytes=1 << 20)
     with daq.connect("bare-structure", clock="fast", limits=limits) as rig:
         first_client = client(rig)
         tasks = [inputs(first_client) for _ in range(3)]
@@ -202,7 +202,7 @@ def test_excessive_requests_are_rejected():
 
 
 def test_excessive_buffers_are_rejected():
-    with daq.connect("bare-structure", clock="fast", limits=Limits(memory=1 << 20)) as rig:
+    with daq.connect("bare-structure", clock="fast", limits=Limits(max_buffer_bytes=1 << 20)) as rig:
         large_client, small_client = client(rig), client(rig)
         with nidaqmx.Task(grpc_options=large_client) as task, inputs(small_client, samps_per_chan=100) as small_task:
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")

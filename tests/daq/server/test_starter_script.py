@@ -54,7 +54,7 @@ def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
     blocks = []
     with daq.connect(make_scene(channels, converter), clock="fast") as connection:
         chassis = connection.chassis
-        chassis.listeners.append(lambda source, block: blocks.append(source.physical(block.samples)))
+        chassis.listeners.append(lambda source, block: blocks.append(source.to_units(block.samples)))
         report_missing_excitation(chassis)
         namespace = {}
         exec(starter(connection), namespace)

@@ -23,7 +23,7 @@ from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteE
 
 import rig
 from daq.instrument.clock import ManualClock
-from daq.server.calls.answers import handler_of, script_function
+from daq.server.calls.handlers import handler_of, script_function
 from daq.server.protocol import methods
 from tests.daq.client import RATE, Task, connect, inputs, options, pass_samples, raises_code
 

@@ -116,8 +116,8 @@ def test_any_request_gives_answer_or_driver_error(bench, method):
         try_any()
 
 
-@pytest.mark.parametrize("kind", COUNT_TYPES)
-def test_counts_read_are_twos_complement(bench, kind):
+@pytest.mark.parametrize("count_type", COUNT_TYPES)
+def test_counts_read_are_twos_complement(bench, count_type):
     connection, bits, channel = bench
     with nidaqmx.Task("signed", grpc_options=connection) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
@@ -126,20 +126,20 @@ def test_counts_read_are_twos_complement(bench, kind):
         task.start()
         signed = np.array(send(channel, "ReadBinaryI32", **request).read_array)
         task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 0
-        if bits > np.iinfo(COUNT_TYPES[kind]).bits:
+        if bits > np.iinfo(COUNT_TYPES[count_type]).bits:
             with pytest.raises(grpc.RpcError) as caught:
-                send(channel, f"ReadBinary{kind}", **request)
+                send(channel, f"ReadBinary{count_type}", **request)
             assert code_of(caught.value) == DAQmxErrors.READ_DATA_TYPE_TOO_SMALL
             return
-        response = send(channel, f"ReadBinary{kind}", **request)
+        response = send(channel, f"ReadBinary{count_type}", **request)
     assert signed.min() < 0 < signed.max()
-    assert np.array_equal(response.read_array, signed.astype(COUNT_TYPES[kind]))
+    assert np.array_equal(response.read_array, signed.astype(COUNT_TYPES[count_type]))
 
 
-@pytest.mark.parametrize("kind", COUNT_TYPES)
-def test_counts_written_are_twos_complement(bench, kind):
+@pytest.mark.parametrize("count_type", COUNT_TYPES)
+def test_counts_written_are_twos_complement(bench, count_type):
     connection, bits, channel = bench
-    width = np.iinfo(COUNT_TYPES[kind]).bits
+    width = np.iinfo(COUNT_TYPES[count_type]).bits
     with nidaqmx.Task("counts", grpc_options=connection) as task:
         task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output_volts = connection.chassis.last_volts
@@ -148,9 +148,9 @@ def test_counts_written_are_twos_complement(bench, kind):
         @given(st.integers(-(2 ** (bits - 1)), 2 ** (bits - 1) - 1))
         @example(-1)
         def write(count):
-            number = int(np.int64(count).astype(COUNT_TYPES[kind]))
+            number = int(np.int64(count).astype(COUNT_TYPES[count_type]))
             samples = {"num_samps_per_chan": 1, "write_array": [number], "auto_start": True}
-            send(channel, f"WriteBinary{kind}", task={"name": "counts"}, **samples)
+            send(channel, f"WriteBinary{count_type}", task={"name": "counts"}, **samples)
             assert output_volts[0] == count * 10.0 / 2 ** (bits - 1)
 
         if bits <= width:

@@ -21,7 +21,7 @@ def read_channels(text: str, drive: np.ndarray) -> tuple[np.ndarray, tuple[Chann
     """Return the readings of a scene's channels in their units (channels, samples), and the channels."""
     bench = Bench(rig.loads(STRUCTURE + text))
     block = bench.acquire(drive)
-    return bench.physical(block.samples), bench.channels
+    return bench.to_units(block.samples), bench.channels
 
 
 def interval_averages(volts: np.ndarray) -> np.ndarray:

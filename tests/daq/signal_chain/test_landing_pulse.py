@@ -57,7 +57,7 @@ def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray,
 @pytest.mark.parametrize("rate", [20480.0, 51200.0])
 def test_impact_pulse_has_closed_form(rate: float) -> None:
     bench, samples, _, offset, peak = simulate_impact(rate, 10.0)
-    pulse = np.abs(bench.physical(samples[None])[0])
+    pulse = np.abs(bench.to_units(samples[None])[0])
     assert pulse.max() == pytest.approx(peak, rel=0.02)
     # The force begins with a step and decreases linearly to zero; extrapolate its last two samples.
     last = np.flatnonzero(pulse > 0.05 * peak)[-1]

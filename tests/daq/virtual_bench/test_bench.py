@@ -34,7 +34,7 @@ def test_counts_read_as_physical_units() -> None:
     bench = Bench(rig.load("fig8-no-damper"))
     block = bench.acquire(drive_of(2000, 1.0))
     assert block.samples.dtype == np.int32
-    readings = bench.physical(block.samples)
+    readings = bench.to_units(block.samples)
     body = [channel.at for channel in bench.channels].index("body 1")
     truth = block.motion.displacement[0]
     assert bench.channels[body].unit == "m"
@@ -47,7 +47,7 @@ def test_summed_acceleration_is_velocity() -> None:
     bench = Bench(scene)
     block = bench.acquire(drive_of(5120, 3.0))
     assert len(block.motion.events) > 10
-    velocity = np.cumsum(bench.physical(block.samples)[:3], axis=1) / bench.rate
+    velocity = np.cumsum(bench.to_units(block.samples)[:3], axis=1) / bench.rate
     np.testing.assert_allclose(velocity, block.motion.velocity[:3], rtol=0, atol=1e-9)
 
 

@@ -120,7 +120,7 @@ def test_force_at_slower_rate_has_stated_response(at, ratio):
         "{structure: {masses: [1 kg], springs: [40 kN/m], damping: {modal: 1 %}}, shaker: {kind: force, body: 1}, "
         f"channels: [{{name: drive, at: {at}}}], converter: {{rate: 10240 Hz}}}}"
     )
-    bench, rate, frequency = Bench(scene, ticks=1), 10240.0 / ratio, 205.0
+    bench, rate, frequency = Bench(scene, ticks_per_sample=1), 10240.0 / ratio, 205.0
     time = np.arange(10240) / bench.tick_rate
     block = bench.advance(3.0 * np.cos(2 * np.pi * frequency * time)[None], [rate])[rate]
     instants = (block.first + np.arange(block.samples.shape[1])) / rate

@@ -1,4 +1,4 @@
-"""Finds the handler of a remote call. A call that no device on a bench supports returns the same error as hardware."""
+"""Finds the handler of a remote call; a call that no device on the bench supports returns the error of hardware."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import NoReturn
 from daq.instrument.devices.measurements import MEASUREMENTS
 from daq.instrument.devices.names import parse_port, unflatten
 from daq.instrument.errors import Code, DaqError, unsupported
-from daq.server.attributes import attribute_call
+from daq.server.attributes import attribute_handler
 from daq.server.calls import channels, samples, settings, tasks
 from daq.server.calls.call import Call, Handler
 
-_INPUT_CHANNEL = re.compile(r"Create(TEDS)?AI(\w+)Chan")
-_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
+# Names of the calls that create inputs, and of those that create any channel (A: analog, C: counter, D: digital).
+_CREATE_INPUT = re.compile(r"Create(TEDS)?AI(\w+)Chan")
+_CREATE_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 # Boundaries between the words of a call's name.
 _WORDS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[a-z])(?=[0-9])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -24,21 +25,21 @@ def handler_of(name: str) -> Handler | None:
     for group in (tasks, channels, settings, samples):
         if name in group.CALLS:
             return group.CALLS[name]
-    channel = _INPUT_CHANNEL.fullmatch(name)
-    if channel and channel[2] in MEASUREMENTS:
-        return channels.create_input(MEASUREMENTS[channel[2]], teds=bool(channel[1]))
-    return attribute_call(name)
+    create_input = _CREATE_INPUT.fullmatch(name)
+    if create_input and create_input[2] in MEASUREMENTS:
+        return channels.create_input(MEASUREMENTS[create_input[2]], has_teds=bool(create_input[1]))
+    return attribute_handler(name)
 
 
 def script_function(method: str) -> str:
-    """Return the function of a script that makes a call: that of the package nidaqmx, or the name in NI's driver.
+    """Return the name by which users know a call: the function in the package nidaqmx, or else that in NI's driver.
 
     >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
     ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')
     """
-    channel = _CHANNEL.fullmatch(method)
-    if channel:
-        words = filter(None, (channel[1], channel[2], _WORDS.sub("_", channel[3])))
+    create_channel = _CREATE_CHANNEL.fullmatch(method)
+    if create_channel:
+        words = filter(None, (create_channel[1], create_channel[2], _WORDS.sub("_", create_channel[3])))
         return f"add_{'_'.join(words).lower()}"
     return _WORDS.sub("_", method).lower() if method.startswith("Cfg") else f"DAQmx{method}"
 
@@ -64,8 +65,8 @@ def rejection(method: str) -> Callable[[Call], NoReturn]:
         for terminal in unflatten(terminals):
             port = parse_port(terminal)
             module = modules.module(port.device)
-            module.row(port.kind, port.number)
-            raise module.measurement_error(f"{port.name}: {function}")
+            module.row(port.direction, port.number)
+            raise module.unsupported_measurement_error(f"{port.name}: {function}")
         raise unsupported(function)
 
     return reject

@@ -50,7 +50,7 @@ class Sleepers:
     """Threads that wait until a bench has reached a position, in ticks.
 
     A thread is woken only when its position is reached. A reader that waits for 100 ms would otherwise wake 25 times,
-    at each step of 4 ms, and delay other readers. Callers hold the `lock` of the bench; it is released while they sleep.
+    at each step of 4 ms, and delay others. Callers hold the `lock` of the bench; it is released while they sleep.
     """
 
     def __init__(self, lock: threading.RLock) -> None:

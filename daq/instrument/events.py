@@ -44,7 +44,7 @@ class Events:
     ) -> None:
         """Register a listener that is called after every `n_samples` samples acquired or generated; None removes it.
 
-        `has_outputs`: whether the task has outputs. Raises `DaqError` -200966 or -200967 if there is already a listener,
+        `has_outputs`: whether the task has outputs. Raises `DaqError` -200966 or -200967 if a listener is registered,
         -200980 or -200981 for the other direction than that of the task, -200880 for zero samples.
         """
         event = enum_member(EverySamples, event_type, "every_n_samples_event_type")

@@ -108,8 +108,8 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
     pretrigger, samples = settings["ref_trig_pretrig_samples"], task.samples
     if not task.finite or task.direction == "ao":
         raise DaqError(
-            "a reference trigger requires a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the total "
-            "number of samples before and after the trigger.",
+            "a reference trigger requires a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the "
+            "total number of samples before and after the trigger.",
             Code.REF_TRIG_WHEN_CONTINUOUS,
         )
     if not 0 <= pretrigger < samples:

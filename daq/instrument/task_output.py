@@ -158,7 +158,7 @@ class TaskOutput:
                 )
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples, V, at the tick rate of the bench, and keep the last value; return their number per channel."""
+        """Output samples, V, at the tick rate, and keep the last value; return the number per channel."""
         chassis, rows = self._chassis, [channel.row for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
@@ -188,8 +188,8 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
         is_outside = ~((row >= low) & (row <= high))
         if is_outside.any():
             raise DaqError(
-                f"{channel.name}: {row[is_outside][0]:g} V is outside the limits, {low:g} to {high:g} V. Write voltages "
-                "within the limits, or extend them.",
+                f"{channel.name}: {row[is_outside][0]:g} V is outside the limits, {low:g} to {high:g} V. Write "
+                "voltages within the limits, or extend them.",
                 Code.INVALID_AO_DATA_WRITE,
                 samples_done=0,
             )

@@ -1,4 +1,4 @@
-"""The measurement chain of a scene: computes the volts at the converter from motion and forces, block by block."""
+"""The signal chain of a scene: computes the samples in volts from motion and forces, block by block."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from rig.simulation.motion import Motion
 
 
 class Chain:
-    """All channels of a scene, up to the converter's input; results do not depend on the division into blocks.
+    """All channels of a scene, from motion to samples in volts; results do not depend on the division into blocks.
 
     `rate` is the rate of the motion, Hz, a multiple of the converter's true rate (its sample rate with the clock
-    error). `points` are the places whose motion is given, such as "body 1"; `inputs` are the inputs of the rig whose
+    error). `points` are the points whose motion is given, such as "body 1"; `inputs` are the inputs of the rig whose
     forces or drives are given.
 
     The acceleration of a point is piecewise cubic between samples and impacts (`daq.dsp.interpolation`). Each impact
-    is an impulse of acceleration at its instant. The analog stages are linear, and their response to this input is
-    exact (`daq.dsp.propagation`). Samples are the output of the decimation filter if the scene has a filter. Without
-    it, the output of an integrator is read at the instant of the sample. A signal without integration may contain
+    is an impulse of acceleration at its instant. The response of the analog stages to this input is exact, including
+    their limits (`daq.dsp.propagation`). If the scene has a decimation filter, the samples are its output. Without a
+    filter, the output of an integrator is read at the instant of the sample. A signal without integration may contain
     impulses, so it is averaged over the interval that ends at the sample. All stages are at rest before sample 0.
     The random numbers of a channel depend only on the seed and the name of the channel.
 
@@ -61,16 +61,16 @@ class Chain:
         self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
         self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
-        # The first samples, before the removed delay of the filter has passed, are not returned.
+        # Number of the first samples that are not returned because the delay of the filter is removed.
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
-        setups = [self._set_up(row, channel) for row, channel in enumerate(channels)]
+        parts = [self._build_channel(row, channel) for row, channel in enumerate(channels)]
         self.channel_settings: tuple[Channel, ...] = tuple(channels)
         self.overload = np.zeros((len(channels), 0), dtype=bool)  # of the latest block, like its samples
-        self._paths = [path for path, _, _ in setups]
-        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in setups)
-        self.effects = {info.name: effects for _, info, effects in setups}
+        self._paths = [path for path, _, _ in parts]
+        self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in parts)
+        self.effects = {info.name: effects for _, info, effects in parts}
 
-    def _set_up(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
+    def _build_channel(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
         """Return the signal path of a channel, at rest, its description and its effects."""
         scene, delay = self._scene, self._delays[row]
         settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
@@ -85,21 +85,22 @@ class Chain:
     def set_conditioning(self, channel_settings: Sequence[Channel]) -> None:
         """Change couplings and sensor supplies; a changed channel restarts from rest, as at power-on.
 
-        `channel_settings` has the new settings of all channels, in their order.
+        `channel_settings` are the new settings of all channels, in their order.
         """
         infos = list(self.channels)
         for row, (previous, channel) in enumerate(zip(self.channel_settings, channel_settings, strict=True)):
             if channel != previous:
-                self._paths[row], infos[row], self.effects[channel.name] = self._set_up(row, channel)
+                self._paths[row], infos[row], self.effects[channel.name] = self._build_channel(row, channel)
         self.channel_settings, self.channels = tuple(channel_settings), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
         """Return the voltages of the next block, V, shape (channels, samples); see also `overload`.
 
-        `forces`, shape (inputs, motion samples), are forces or drives of the inputs, interpolated linearly.
+        `forces` are the forces or drives of the inputs at the motion samples, shape (inputs, motion samples); they are
+        interpolated linearly.
         """
         count = motion.displacement.shape[1]
-        # Converter samples in the block: sample n is at motion sample n times the oversampling.
+        # Samples of the converter in this block: sample n is at motion sample n times the oversampling.
         first, stop = (-(-k // self._oversampling) for k in (motion.first, motion.first + count))
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
@@ -108,32 +109,32 @@ class Chain:
             if isinstance(interpolator, MotionInterpolator):
                 cubics = interpolator.interpolate(motion)
             else:
-                # An input that does not exist is zero: the force of a hammer that is not used.
+                # An input that is not given is zero, such as the force of a hammer that is not used.
                 name, factor = self._sources[row]
-                external = np.zeros(count)
+                signal = np.zeros(count)
                 if forces is not None and name in self._inputs:
-                    external = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
-                cubics = interpolator.interpolate(external)
+                    signal = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
+                cubics = interpolator.interpolate(signal)
             volts[row], overload[row] = path.measure(cubics, jitter)
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
 
 
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
-    """Return ideal channels for a scene without `channels`: accelerations of all points, and external forces."""
+    """Return ideal channels for a scene without `channels`: accelerations of all points, and forces of its inputs."""
     channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
     if isinstance(scene.test, Impulse):
         channels.append(Channel(name="force", at="hammer"))
         return tuple(channels)
     for number, shaker in enumerate(scene.shakers, 1):
         if shaker.kind == "force":
-            name, location = (at_shaker(part, number, len(scene.shakers)) for part in ("force", "shaker"))
+            name, location = (at_shaker(word, number, len(scene.shakers)) for word in ("force", "shaker"))
             channels.append(Channel(name=name.replace(" ", ""), at=location))
     return tuple(channels)
 
 
 def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
-    """Return the input that a force or drive channel measures, and the voltage or force per unit of the input."""
+    """Return the input that a force or drive channel measures, and the measured quantity per unit of the input."""
     if not channel.measures_voltage:
         return channel.at, 1.0
     number = channel.number or 1
@@ -142,7 +143,7 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
 
 
 def _interpolator(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
-    """Return the interpolator of the quantity that a channel measures: of motion, or of a force or drive."""
+    """Return the interpolator of the quantity that a channel measures: of a motion, or of a force or drive."""
     if channel.measures_force or channel.measures_voltage:
         return ForceInterpolator()
     if channel.at not in points:

@@ -1,4 +1,4 @@
-"""Description of a measurement channel: its quantity, and the frequency response from true quantity to reading."""
+"""Description of a measurement channel: its location, quantity, and response from true quantity to reading."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ class ChannelInfo:
     """
 
     name: str
-    at: str  # "body 2", "table", "hammer", "shaker" or "drive"
+    at: str  # location: "body 2", "table", "hammer", "shaker" or "drive"
     quantity: Quantity  # after integration, if any
     sensitivity: float  # nominal, V per unit
     rate: float  # nominal sample rate, Hz
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
     gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s
-    average: bool = False  # each sample is the average over the sample interval that ends at it
-    delay: float = 0.0  # in addition to that of the averaging, s
-    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `Decimation`, used for its magnitude only
-    volts_per_count: float | None = None
+    average: bool = False  # each sample is the average over the interval that ends at it
+    delay: float = 0.0  # of filter and skew, s; that of the averaging is not included
+    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `Decimation`; its delay is part of `delay`
+    volts_per_count: float | None = None  # None if samples are in volts
     range: float | None = None  # full scale of the converter, ± V
-    sensor: Mapping[str, str] = field(default_factory=dict)  # data sheet, figures with units
+    sensor: Mapping[str, str] = field(default_factory=dict)  # settings of all devices, as text with units
 
     @property
     def unit(self) -> str:
@@ -76,7 +76,7 @@ class ChannelInfo:
         f = np.asarray(frequency, dtype=float)
         s = 2j * np.pi * f
         value = np.full(f.shape, self.gain, dtype=complex)
-        # Zeros and poles take turns: the product of all poles alone, in rad/s, could overflow.
+        # Multiply and divide in turns: the product of all poles alone, in rad/s, could overflow.
         for i in range(max(len(self.zeros), len(self.poles))):
             if i < len(self.zeros):
                 value *= s - self.zeros[i]
@@ -94,7 +94,7 @@ class ChannelInfo:
         return value
 
     def to_metadata(self) -> dict[str, str]:
-        """Return the fields as text, without loss of digits, for the metadata of a recording."""
+        """Return the fields as text for the metadata of a recording; numbers keep all digits."""
         values: dict[str, Any] = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         values["zeros"] = [(root.real, root.imag) for root in map(complex, self.zeros)]
         values["poles"] = [(root.real, root.imag) for root in map(complex, self.poles)]

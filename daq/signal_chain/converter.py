@@ -1,6 +1,6 @@
-"""Converters: the inputs turn volts into counts; the outputs clip and quantize the drives of the shakers.
+"""Converters: the inputs convert volts to counts; the outputs clip and quantize the drives of the shakers.
 
-A count is the step of a quantized voltage; a sample in counts is the integer code of a converter.
+One count is the quantization step. A sample in counts is the integer code of the converter.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Quantizer:
         self.lost = tuple((first, stop - 1) for first, stop in spans)
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
-        """Return samples in counts (in volts if there are no bits), and whether each was clipped; same shape."""
+        """Return samples in counts (in volts without bits or range), and whether each was clipped; same shape."""
         if self._range is None:
             return volts, np.zeros(volts.shape, dtype=bool)
         if self._bits is None or self._volts_per_count is None:
@@ -61,9 +61,9 @@ class Quantizer:
 
 
 class Outputs:
-    """Clips and quantizes the drives at the outputs; an output without a range, and the hammer, are ideal.
+    """Clips and quantizes the drives at the outputs; outputs without a range, and the hammer, are ideal.
 
-    `inputs` are the names of the rig's inputs, `units` the units of their drives.
+    `inputs` are the names of the rig's inputs, `units` the units of their drives: "N", "m" or "V".
 
     >>> import rig
     >>> scene = rig.load("reference-A")
@@ -73,7 +73,7 @@ class Outputs:
     """
 
     def __init__(self, scene: Scene, inputs: Sequence[str], units: Sequence[str]) -> None:
-        # Row of the drive, full scale and step (None: not quantized) of each output with a range, in the drive's unit.
+        # For each output with a range: index of the drive, full scale and step (None: not quantized), in its unit.
         self._limited: list[tuple[int, float, float | None]] = []
         for number, shaker in enumerate(scene.shakers, 1):
             settings = complete_from_preset(shaker.output)
@@ -98,7 +98,7 @@ class Outputs:
 
 
 def describe_output(scene: Scene, number: int) -> str:
-    """Describe the quantity that the output of shaker `number` (from 1) drives, and its scale per volt.
+    """Describe the quantity that the output of shaker `number` (from 1) drives, and its value per volt.
 
     >>> import rig
     >>> describe_output(rig.load("bare-structure"), 1), describe_output(rig.load("fig8-no-damper"), 1)

@@ -1,10 +1,10 @@
 """The decimation filter of a delta-sigma converter.
 
 A delta-sigma converter oversamples. Its samples are the output of a long symmetric low-pass filter, which removes
-content above half the sample rate. Here the filter acts on the continuous signal. The signal chain provides the exact
-Legendre moments of the signal over each interval of the oversampled signal (sample interval / oversampling), impacts
-included. The impulse response of the filter is expanded in Legendre polynomials over the same intervals. The sum of
-moments times coefficients is the convolution integral.
+content above half the sample rate. Here the filter acts on the continuous signal. An interval is a sample interval
+divided by the oversampling. The signal chain provides the exact Legendre moments of the signal over each interval,
+impacts included: its integrals, weighted with the Legendre polynomials. The impulse response of the filter is expanded
+in Legendre polynomials over the same intervals. The sum of moments times coefficients is the convolution integral.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Array
 
-# With eight moments for each sample interval, the error of the filter's output is at most 3e-6 (relative).
+# Number of moments of each interval, with which the relative error of the filter's output is at most 3e-6.
 MOMENTS = 8
 # Edge of the passband as a ratio to the sample rate.
 PASSBAND_EDGE = 0.4535
 # Edge of the stopband as a ratio to the sample rate.
 STOPBAND_EDGE = 0.5465
-# With a Kaiser window of twice this length, the response falls by over 100 dB between passband and stopband.
+# Delay of the filter, half its length. With a Kaiser window of this length, the stopband is below -100 dB.
 DELAY_SAMPLES = 38
-# Design attenuation of the Kaiser window, dB.
+# Design attenuation of the Kaiser window; beta = 0.1102 (attenuation - 8.7) (J. F. Kaiser, 1974).
 _ATTENUATION_DB = 109.0
 
 
@@ -63,17 +63,14 @@ class Decimation:
         return int(np.ceil(2 * self.delay))
 
     def impulse_response(self, time: Array) -> Array:
-        """Return the impulse response, per sample interval; its integral is 1 within 1e-5.
-
-        `time`: time from the middle of the response, in sample intervals.
-        """
+        """Return the impulse response at times from its middle, in sample intervals; its integral is 1 within 1e-5."""
         inside = np.clip(1.0 - (time / self.delay) ** 2, 0.0, None)
         window = np.where(inside > 0, np.i0(self.beta * np.sqrt(inside)) / np.i0(self.beta), 0.0)
         return 2 * self.cutoff * np.sinc(2 * self.cutoff * time) * window
 
     def magnitude(self, frequency: ArrayLike) -> Array:
-        """Return the frequency response without the delay, which is real by symmetry; shape of `frequency` (Hz)."""
-        # Sum instead of the integral: with 16 points it is accurate to 1e-6 up to 15 times the sample rate.
+        """Return the frequency response without the delay, which is real by symmetry, at frequencies in Hz."""
+        # Fourier integral as a sum: with 16 points per sample it is accurate to 1e-6 up to 15 times the sample rate.
         points_per_sample = 16
         values = self.impulse_response(np.arange(self.delay * points_per_sample) / points_per_sample)
         values[1:] *= 2.0
@@ -86,8 +83,8 @@ class Decimation:
 def legendre_taps(low_pass: Decimation, oversampling: int) -> Array:
     """Return the Legendre coefficients of the impulse response, shape (oversampling, MOMENTS, length).
 
-    An interval is a sample interval divided by `oversampling`; `length` is in sample intervals. Entry (p, k, j) weights
-    moment k of the interval that ends p intervals and j samples before the output sample.
+    `length` is the length of the response in sample intervals. Entry (p, k, j) weights moment k of the interval that
+    ends p intervals and j samples before the output sample.
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]

@@ -1,4 +1,4 @@
-"""Turns data sheets into the stages of a channel: accelerometer or force sensor, integrating amplifier, coupling."""
+"""Converts data sheets into the stages of a channel: sensor, integrating amplifier, AC coupling."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
 from rig.scene.presets import complete_from_preset, needs_supply
 
-# Quality factor of a mounted resonance without a given value.
+# Quality factor of a mounted resonance if the scene does not state it.
 DEFAULT_Q = 30.0
-# Ratio of the lateral to the vertical acceleration without a given value.
+# Ratio of the lateral to the vertical acceleration if the scene does not state it.
 DEFAULT_LATERAL_RATIO = 0.1
-# Corner of an AC coupling without a given value.
+# Corner frequency of an AC coupling if the scene does not state it.
 DEFAULT_AC_CORNER_HZ = 0.5
 
 
 def channel_stages(channel: Channel, converter: Converter, seed: int) -> tuple[Stage, ...]:
-    """Return the stages of a channel: the sensor, then an amplifier and the AC coupling of the input, if present."""
+    """Return the stages of a channel: its sensor, its amplifier if any, and the AC coupling of the input if any."""
     coupling: tuple[Stage, ...] = ()
     if converter.coupling == "AC":
         corner = DEFAULT_AC_CORNER_HZ if converter.ac_corner is None else converter.ac_corner
@@ -33,7 +33,7 @@ def channel_stages(channel: Channel, converter: Converter, seed: int) -> tuple[S
     else:
         sensor = accelerometer(complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name)
     if needs_supply(channel) and converter.excitation == 0.0:
-        # The output of a sensor's amplifier without supply is zero.
+        # Without supply, the output of the sensor's internal amplifier is zero.
         sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)
     amplifier = () if channel.integrator is None else (integrating_amplifier(channel.integrator),)
     return (sensor, *amplifier, *coupling)
@@ -42,9 +42,9 @@ def channel_stages(channel: Channel, converter: Converter, seed: int) -> tuple[S
 def accelerometer(settings: Accelerometer, seed: int, channel: str) -> Stage:
     """Return the stage of an accelerometer: mounted resonance and low cut-off, limit of the output, noise and offset.
 
-    Tolerance, temperature drift and transverse sensitivity add up to one deviation of the sensitivity, which the
-    data sheet does not state. The rig moves vertically. The lateral acceleration is assumed to be in phase with the
-    vertical acceleration and proportional to it; its direction is random.
+    Tolerance, temperature drift and transverse sensitivity are combined into one deviation of the sensitivity from its
+    data sheet. The rig moves vertically. The lateral acceleration is assumed to be in phase with the vertical
+    acceleration and proportional to it; its direction is random.
 
     >>> ideal = accelerometer(Accelerometer(), 1, "body1")
     >>> ideal.nominal, ideal.effects
@@ -110,15 +110,15 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
 def integrating_amplifier(settings: Integrator) -> Stage:
     """Return the stage of an integrating amplifier of order n: ``gain / (s + w)^n`` with w = 2 pi corner, in rad/s.
 
-    A low cut-off adds a high pass at the input. The gain is divided equally among the integrations. The output of
-    each integration is limited to the saturation voltage. The noise is that at the amplifier's output.
+    A low cut-off adds a high pass at the input. Each integration has the gain ``gain^(1/n)``, and its output is limited
+    to the saturation voltage. The noise is that at the amplifier's output.
 
     >>> from rig.scene.measurement_chain import Integrator
     >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects
     {'integration': 2}
     """
-    gain = settings.gain ** (1.0 / settings.order)
-    sections = [integration(settings.corner, gain)] * settings.order
+    gain_of_integration = settings.gain ** (1.0 / settings.order)
+    sections = [integration(settings.corner, gain_of_integration)] * settings.order
     if settings.low_cutoff is not None:
         sections.insert(0, high_pass(settings.low_cutoff, "amplifier low cut-off"))
     return Stage(

@@ -1,4 +1,4 @@
-"""Checks of the metadata fields of a recording when it is opened, so that later code can rely on their values."""
+"""Checks the metadata fields of a recording when it is opened, so that later code can rely on their values."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MAX_SAMPLES = 2**53
 
 
 class Check(NamedTuple):
-    """Condition on a value: a test, and its description for messages."""
+    """Condition of a valid value, and its description for messages."""
 
     is_valid: Callable[[Any], bool]
     expected: str
 
 
 def check(fields: Mapping[str, Any], checks: Mapping[str, Check]) -> None:
-    """Check the fields that have a check; raise `RecordingError` at the first invalid value.
+    """Apply the checks to the fields of the same names; raise `RecordingError` at the first invalid value.
 
     >>> check({"rate": 0.0}, {"rate": POSITIVE})
     Traceback (most recent call last):
@@ -59,7 +59,7 @@ def is_count(value: Any) -> bool:
 
 
 def _is_location(value: Any) -> bool:
-    """Return whether a value is a place on the rig, such as "body 1" or "table"; it may be empty."""
+    """Return whether a value is a location on the rig, such as "body 1" or "table"; it may be empty."""
     if isinstance(value, str) and value.startswith("body "):
         return re.fullmatch(r"body [1-9][0-9]{0,5}", value) is not None
     return value == "" or is_name(value)
@@ -85,7 +85,7 @@ def _is_filter(value: Any) -> bool:
 
 
 def _optional(check: Check) -> Check:
-    """Return the check that also allows a missing value."""
+    """Return a check that also accepts None (null in JSON)."""
     return Check(lambda value: value is None or check.is_valid(value), f"{check.expected}, or null")
 
 
@@ -100,7 +100,7 @@ NAMES = Check(lambda value: isinstance(value, list) and all(map(is_name, value))
 
 CHANNEL_CHECKS = {
     "name": NAME,
-    "at": Check(_is_location, "a place such as body 1 or table"),
+    "at": Check(_is_location, "a location such as body 1 or table"),
     "sensitivity": NOT_ZERO,
     "rate": POSITIVE,
     "zeros": Check(_are_roots, "at most 100 pairs of numbers, rad/s"),

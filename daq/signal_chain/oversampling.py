@@ -1,6 +1,6 @@
-"""Chooses the oversampling: the number of equal intervals per sample in which motion and voltages are computed.
+"""Chooses the oversampling: the number of intervals per sample in which motion and voltages are computed.
 
-The class `DriveInterpolator` interpolates the drive from the sample rate to this rate.
+`DriveInterpolator` interpolates the drive from the sample rate to the oversampled rate.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 
-# With a filter, the motion of every rig is resolved up to this frequency, Hz.
+# With a filter, the motion is resolved at least up to this frequency, Hz.
 MIN_BAND_HZ = 1000.0
-# Up to this ratio of frequency to oversampled rate, cubic interpolation (`daq.dsp.interpolation`) is accurate to
-# 0.0001 dB.
+# Largest ratio of a frequency to the oversampled rate at which cubic interpolation (`daq.dsp.interpolation`) is
+# accurate to 0.0001 dB.
 MAX_RESOLVED_RATIO = 0.1
-# Largest oversampled rate, Hz. Faster oscillations are aliased, as in the modulator of a real converter.
+# Largest oversampled rate, Hz. Oscillations too fast for it are aliased, as in the modulator of a real converter.
 MAX_RATE = 1.024e6
 
 
 def choose_oversampling(scene: Scene) -> int:
     """Return the number of intervals per sample of a scene's converter, at least 1.
 
-    Without a decimation filter, motion between samples matters only if a sensor can saturate or a contact has a
-    finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter can
-    remove them.
+    Without a decimation filter, motion between samples matters only if a sensor or amplifier can saturate or a contact
+    has a finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter
+    can remove them.
 
     >>> import rig
     >>> scene = rig.loads("structure: {masses: [1 kg], springs: [10 MN/m]}")
@@ -43,7 +43,7 @@ def choose_oversampling(scene: Scene) -> int:
     1
     """
     system, rate = assemble(scene), scene.converter.true_rate
-    filtered = complete_from_preset(scene.converter).filter is not None
+    has_filter = complete_from_preset(scene.converter).filter is not None
     # The limits of sensor and amplifier act on the signal in front of the filter.
     channels = scene.channels or ()
     saturations = [
@@ -54,26 +54,26 @@ def choose_oversampling(scene: Scene) -> int:
     saturations += [channel.integrator.saturation for channel in channels if channel.integrator is not None]
     has_limit = any(saturation is not None for saturation in saturations)
     max_frequency = 0.0  # highest frequency of the motion, Hz
-    if filtered or has_limit:
+    if has_filter or has_limit:
         max_frequency = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
     if system.finite_contact.any():
         # A sensor responds to a contact even if the contact begins and ends between two samples.
         max_frequency = max(max_frequency, system.max_rate / (2 * np.pi))
-    required = max_frequency / rate / MAX_RESOLVED_RATIO
+    oversampling = max_frequency / rate / MAX_RESOLVED_RATIO
     for spheres in spheres_of(scene).values():
-        # A contact of grains takes half a period of their oscillation, and its force acts on the body.
+        # The contact of two grains lasts half a period of their oscillation, and its force acts on the body.
         max_frequency = max(max_frequency, 0.5 / contact_time(spheres.settings))
-    if filtered:
-        # The image of the highest frequency, mirrored at half the oversampled rate, must be in the stopband.
-        image_ratio = max_frequency / rate + STOPBAND_EDGE
+    if has_filter:
+        # The alias of the highest frequency, mirrored at half the oversampled rate, must be in the stopband.
+        alias_ratio = max_frequency / rate + STOPBAND_EDGE
         resolved_ratio = max(max_frequency, MIN_BAND_HZ) / rate
         if not has_limit:
             resolved_ratio = min(resolved_ratio, PASSBAND_EDGE)
-        required = max(image_ratio, resolved_ratio / MAX_RESOLVED_RATIO)
-        # The drive is piecewise linear; its corners excite a table up to its bandwidth.
+        oversampling = max(alias_ratio, resolved_ratio / MAX_RESOLVED_RATIO)
+        # The drive is piecewise linear; its kinks excite a table up to the table's bandwidth.
         bandwidths = (shaker.bandwidth for shaker in scene.shakers if isinstance(shaker, TableShaker))
-        required = max(required, max(bandwidths, default=0.0) / rate / MAX_RESOLVED_RATIO)
-    return max(1, min(math.ceil(required), int(MAX_RATE / rate)))
+        oversampling = max(oversampling, max(bandwidths, default=0.0) / rate / MAX_RESOLVED_RATIO)
+    return max(1, min(math.ceil(oversampling), int(MAX_RATE / rate)))
 
 
 class DriveInterpolator:
@@ -91,18 +91,18 @@ class DriveInterpolator:
     def interpolate(self, drive: Array) -> Array:
         """Return the next block of drive at the higher rate, from its samples (inputs, samples).
 
-        Each sample after the first becomes `factor` values. The very first sample of the drive becomes one value.
+        Each sample becomes `factor` values, the last of which is the sample. Sample 0 becomes one value.
         """
         if self._fractions.size == 1:
             return drive
-        nodes = np.concatenate([self._last, drive], axis=1)
-        if nodes.shape[1] == 0:
+        samples = np.concatenate([self._last, drive], axis=1)
+        if samples.shape[1] == 0:
             return drive
-        # The very first sample, which no interval precedes; empty in later blocks.
+        # Sample 0, which no interval precedes; empty in later blocks.
         first_sample = drive[:, : 1 - self._last.shape[1]]
-        self._last = nodes[:, -1:]
-        start, end = nodes[:, :-1, None], nodes[:, 1:, None]
-        between = start + (end - start) * self._fractions
-        between[:, :, -1] = nodes[:, 1:]
-        between = between.reshape(len(drive), between.shape[1] * between.shape[2])
-        return np.concatenate([first_sample, between], axis=1)
+        self._last = samples[:, -1:]
+        start, end = samples[:, :-1, None], samples[:, 1:, None]
+        values = start + (end - start) * self._fractions
+        values[:, :, -1] = samples[:, 1:]
+        values = values.reshape(len(drive), values.shape[1] * values.shape[2])
+        return np.concatenate([first_sample, values], axis=1)

@@ -1,6 +1,6 @@
 """Sampling of the voltage at the converter's input: at an instant, as an average, or through a decimation filter.
 
-The voltage is known in equal intervals, one or more per sample (oversampling). Its moments over an interval are the
+The voltage is computed in equal intervals, one or more per sample (oversampling). Its moments over an interval are the
 integrals of the voltage times the Legendre polynomials; the first is the average.
 """
 
@@ -23,10 +23,10 @@ class Sampler(Protocol):
     """Computes the samples of a block from the voltage at the converter's input."""
 
     moments: int  # number of required moments of the voltage over each interval
-    intervals: int  # intervals that affect a sample, up to the interval that ends at it
-    # Required outputs at the end of each interval: from the state (outputs, states), and from the input (outputs,).
-    output_matrix: Array
-    feedthrough: Array
+    intervals: int  # number of intervals on which a sample depends, up to the interval that ends at it
+    # Required outputs at the end of each interval are output_matrix @ state + feedthrough * input.
+    output_matrix: Array  # (outputs, states)
+    feedthrough: Array  # (outputs,)
 
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array into which the moments of the next intervals are written.
@@ -37,12 +37,12 @@ class Sampler(Protocol):
     def read(self, outputs: Array, sample_ends: slice) -> Array:
         """Return the samples of a block, V, from the outputs (outputs, intervals) and the moments in the buffer.
 
-        `sample_ends` are the intervals that end at a sample. The result is valid until the next call.
+        `sample_ends` selects the intervals that end at a sample. The result is valid until the next call.
         """
 
 
 class PointSampler:
-    """Reads the voltage at the instant of the sample; it misses an impulse between two instants."""
+    """Reads the voltage at the instant of the sample; impulses between two instants are missed."""
 
     moments = 0
 
@@ -65,7 +65,7 @@ class PointSampler:
 
 
 class AverageSampler:
-    """Averages the voltage over the interval that ends at the sample: for a signal that may contain impulses."""
+    """Averages the voltage over the sample interval that ends at the sample, so that no impulse is missed."""
 
     moments = 1
 
@@ -126,7 +126,10 @@ class Jitter:
         self._voltage = Overlap(filter_delay + 1)
 
     def error(self, voltage: Array, timing_error: Array) -> Array:
-        """Return the error of each sample, V, from voltages without jitter and timing errors in standard deviations."""
+        """Return the error of each sample, V, from the voltages without jitter.
+
+        `timing_error` is in standard deviations of the jitter.
+        """
         count = voltage.size
         self._voltage.reserve(count)[:] = voltage
         delayed = self._voltage.samples

@@ -1,8 +1,8 @@
-"""Computes the samples of one channel from the motion or force at its sensor, through amplifier and coupling.
+"""Computes the samples of one channel, V, from the motion or force at its sensor.
 
-A stage is one device of the channel: sensor, amplifier or coupling. A section is one linear element of its circuit,
-such as a high pass. An interval is the sample interval divided by the oversampling; the circuit is propagated from
-interval to interval.
+A stage is a device of the channel: sensor, amplifier or coupling. A section is a linear element of its circuit, such as
+a high pass. An interval is the sample interval divided by the oversampling; the circuit is propagated from interval to
+interval.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from daq.signal_chain.stage import Stage, is_averaged
 from rig.arrays import Array
 from rig.scene.measurement_chain import Converter
 
-# Number of Legendre polynomials per sample interval that represent noise in front of a filter; see `FastNoise`.
+# Number of Legendre polynomials per interval that represent noise in front of a filter; see `daq.dsp.noise.FastNoise`.
 NOISE_TERMS = 3
-# The zero shift after an overload is negligible below this ratio to the limit: the last digit of a data sheet.
+# Ratio to the sensor's limit below which the zero shift after an overload is negligible: data sheets have three digits.
 NEGLIGIBLE_ZERO_SHIFT_RATIO = 1e-3
 
 
 class SignalPath:
     """Sensor, amplifier, coupling and sampling of one channel.
 
-    The limits of sensor and amplifier act on the continuous signal, before it is filtered and sampled. `delay`, in s,
-    is the delay of the channel by skew, the time difference between the sampling of different channels.
+    The limits of sensor and amplifier act on the continuous signal, before it is filtered and sampled. `delay` is the
+    delay of the channel by skew, s. Skew is the time difference between the sampling of different channels.
     """
 
     def __init__(
@@ -56,18 +56,19 @@ class SignalPath:
         rate, gain = sample_rate * oversampling, sensor.nominal * (1.0 + sensor.deviation)
         # The sampler delays by whole intervals, `Delay` by the remaining part of an interval.
         delay_intervals = int(delay * rate)
-        filtered, self._oversampling, self._interval = converter.filter is not None, oversampling, 0
+        has_filter, self._oversampling = converter.filter is not None, oversampling
+        self._first_interval = 0  # number of the first interval of the next block
         self._sampler: Sampler
-        if filtered:
+        if has_filter:
             low_pass = Decimation.standard(converter.sample_rate)
             self._sampler = FilteredSampler(circuit, low_pass, oversampling, delay_intervals, buffers)
         elif is_averaged(stages, converter):
             self._sampler = AverageSampler(circuit, oversampling, delay_intervals, buffers)
         else:
             self._sampler = PointSampler(circuit, gain, oversampling, delay_intervals)
-        entries, sources = _disturbances(stages, name, sample_rate, seed, filtered)
+        entries, sources = _disturbances(stages, name, sample_rate, seed, has_filter)
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
-        direct = np.array([0.0 if filtered else circuit.d[entry.section] for entry in entries])
+        direct = np.array([0.0 if has_filter else circuit.d[entry.section] for entry in entries])
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._discrete = _discretized(circuit, gain, rate, self._sampler.moments, entries)
         state_limits: list[float] = []  # V
@@ -75,7 +76,7 @@ class SignalPath:
             limit = np.inf if stage.rails is None else stage.rails
             for section in stage.sections:
                 state_limits += [limit if section.name == INTEGRATION else np.inf] * section.states
-        # The section whose input is the output of the sensor, which the sensor's limit clips.
+        # The limit of the sensor clips its output, which is the input of this section.
         limited_section = len(sensor.sections)
         self._limits = tabulate_limits(
             sections, limited_section, sensor.limit, np.array(state_limits), gain, rate, entries, self._discrete
@@ -88,9 +89,9 @@ class SignalPath:
         self._delay = Delay(delay_fraction) if delay_fraction else None
         self._jitter = None
         if converter.jitter:
-            filter_delay = DELAY_SAMPLES if filtered else 0
+            filter_delay = DELAY_SAMPLES if has_filter else 0
             self._jitter = Jitter(converter.jitter * sample_rate, filter_delay)
-            # The last output is the voltage, from which the jitter takes the slope.
+            # The voltage is added as the last output, because the error by jitter requires its slope.
             self._output_matrix = np.concatenate([self._output_matrix, circuit.c[None]])
             self._feedthrough = np.append(self._feedthrough, circuit.d[0] * gain)
         self._feedthrough_excess = np.full(len(self._output_matrix), -circuit.d[limited_section])
@@ -100,17 +101,17 @@ class SignalPath:
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
     def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
-        """Return the samples of a block in V, and for each sample whether a limit of sensor or amplifier affected it.
+        """Return the samples of a block, V, and for each sample whether a limit of sensor or amplifier affected it.
 
-        `cubics` is the sensor's input, piecewise cubic, in every interval of the block. `timing_error` is the timing
-        error of each sample, in standard deviations of the jitter.
+        `cubics` are the cubics of the sensor's input in the intervals of the block. `timing_error` is the timing error
+        of each sample in standard deviations of the jitter.
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
         intervals = cubics.interval_cubics.shape[1]
         # The intervals of the block that end at a sample.
-        sample_ends = slice(-self._interval % self._oversampling, intervals, self._oversampling)
-        self._interval += intervals
+        sample_ends = slice(-self._first_interval % self._oversampling, intervals, self._oversampling)
+        self._first_interval += intervals
         disturbances = self._disturbances.draw(intervals)
         outputs = np.empty((self._feedthrough.size, intervals))
         propagate(
@@ -130,7 +131,7 @@ class SignalPath:
 
 
 class Overloads:
-    """Flags samples that depend on an interval in overload, or on one whose zero shift is not yet negligible.
+    """Flags samples that depend on an interval in overload, or on an interval with a zero shift that is not negligible.
 
     The zero shift is the offset of a sensor after an overload; it decays exponentially. `rate` is in intervals per
     second, `affecting_intervals` the number of intervals on which a sample depends.
@@ -138,10 +139,10 @@ class Overloads:
 
     def __init__(self, stages: Sequence[Stage], rate: float, affecting_intervals: int) -> None:
         recovery_rates = [-section.a[0, 0] for section in stages[0].sections if section.name == RECOVERY]
-        self._decay_intervals = rate / recovery_rates[0] if recovery_rates else 0.0
+        self._decay_intervals = rate / recovery_rates[0] if recovery_rates else 0.0  # time constant of the zero shift
         self._affecting_intervals = affecting_intervals
         self._severity = np.zeros(1)
-        self._flagged_ahead = 0  # intervals of the next block that are already known to be affected
+        self._affected_ahead = 0  # number of intervals of the next block that earlier overloads affect
 
     def severity_buffer(self, intervals: int) -> Array:
         """Return the array for the severity of each interval; see `daq.dsp.propagation.propagate`."""
@@ -151,29 +152,30 @@ class Overloads:
 
     def flags(self, sample_ends: slice) -> NDArray[np.bool_]:
         """Return the flag of each sample, given the intervals that end at a sample."""
-        severity = self._severity[1:]  # 0: within the limit; otherwise 1 + zero shift / limit
-        if self._flagged_ahead <= 0 and not severity.any():
+        severity = self._severity[1:]  # 0 within the limit, in overload 1 + zero shift / limit
+        if self._affected_ahead <= 0 and not severity.any():
             return np.zeros(severity[sample_ends].size, dtype=bool)
         overloaded = np.flatnonzero(severity)
-        # The zero shift decays exponentially; count the intervals until it is negligible.
-        excess = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT_RATIO, 1.0)
-        recovery = np.ceil(self._decay_intervals * np.log(excess)).astype(np.int64)
+        # Number of intervals until the zero shift is negligible.
+        decay_ratio = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT_RATIO, 1.0)
+        recovery = np.ceil(self._decay_intervals * np.log(decay_ratio)).astype(np.int64)
+        # For each interval, and before the first: the interval from which samples are valid again.
         valid_from = np.zeros(severity.size + 1, dtype=np.int64)
-        valid_from[0] = self._flagged_ahead
+        valid_from[0] = self._affected_ahead
         valid_from[overloaded + 1] = overloaded + self._affecting_intervals + recovery
         valid_from = np.maximum.accumulate(valid_from)
-        self._flagged_ahead = int(valid_from[-1]) - severity.size
+        self._affected_ahead = int(valid_from[-1]) - severity.size
         return (valid_from[1:] > np.arange(severity.size))[sample_ends]
 
 
-# Discretized circuits by their matrices. Channels with equal data sheets, also of other benches, share them.
+# Discretized circuits by their matrices: channels with equal data sheets share them, also those of other benches.
 _CIRCUIT_CACHE: dict[tuple[object, ...], DiscreteCircuit] = {}
 # Number of circuits at which the cache is emptied.
 _MAX_CIRCUITS = 64
 
 
 def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> DiscreteCircuit:
-    """Discretize a circuit, or return the matrices of an equal circuit."""
+    """Discretize a circuit; an equal circuit is taken from the cache."""
     matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
     key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
     if key not in _CIRCUIT_CACHE:
@@ -184,9 +186,12 @@ def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entri
 
 
 def _disturbances(
-    stages: Sequence[Stage], channel: str, rate: float, seed: int, filtered: bool
+    stages: Sequence[Stage], channel: str, rate: float, seed: int, has_filter: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
-    """Return the entry of each disturbance into the circuit, and its source: the noise and offset of each stage."""
+    """Return the noises and offsets of the stages: the entry of each into the circuit, and its source.
+
+    `rate` is the sample rate, Hz.
+    """
     entries: list[Entry] = []
     sources: list[Disturbance] = []
     section = 0
@@ -195,12 +200,12 @@ def _disturbances(
         if stage.noise is not None:
             noise, corner, name = stage.noise, stage.noise_corner, stage.name + " noise"
             sources.append(Noise(noise, corner, rate, generator(seed, channel, name)))
-            terms = NOISE_TERMS if filtered else 1
-            for degree in range(1, terms):
+            n_terms = NOISE_TERMS if has_filter else 1
+            for degree in range(1, n_terms):
                 noise_generator = generator(seed, channel, f"{name} {degree}")
                 sources.append(FastNoise(noise, corner, rate, noise_generator, degree))
-            entries += [Entry(section, degree, filtered) for degree in range(terms)]
+            entries += [Entry(section, degree, has_filter) for degree in range(n_terms)]
         if stage.offset is not None:
             sources.append(Offset(stage.offset, stage.settling, rate))
-            entries.append(Entry(section, 0, filtered))
+            entries.append(Entry(section, 0, has_filter))
     return entries, sources

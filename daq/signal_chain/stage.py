@@ -1,4 +1,4 @@
-"""Description of a channel's devices in series (stages), and the frequency response and effects that follow from it.
+"""Description of a channel's devices in series (stages), and the channel's response and effects.
 
 An effect is a property by which a real channel deviates from an ideal one, such as noise, saturation or a resonance.
 """
@@ -35,8 +35,8 @@ class Stage:
     noise_corner: float | None = None  # frequency below which the noise rises as 1/f, Hz
     offset: float | None = None  # at the output, V
     settling: float | None = None  # time constant with which the offset settles from zero after power-on, s
-    limit: float | None = None  # largest output voltage, V
-    rails: float | None = None  # largest output voltage of each integration, V
+    limit: float | None = None  # largest magnitude of a sensor's output, V
+    rails: float | None = None  # largest magnitude of the output of each integration, V
     data: Mapping[str, str] = field(default_factory=dict)  # settings as text, from `data_sheet`
 
     @property
@@ -45,7 +45,8 @@ class Stage:
         effects: dict[str, int] = {}
         for section in self.sections:
             effects[section.name] = effects.get(section.name, 0) + section.states
-        candidates = {
+        # Setting, None without the effect, and number of states.
+        optional_effects = {
             "sensitivity deviation": (self.deviation or None, 0),
             "saturation": (self.limit or self.rails, 0),
             "noise": (self.noise, 0),
@@ -53,11 +54,11 @@ class Stage:
             "offset": (self.offset, 0),
             "offset settling": (self.settling, 1),
         }
-        return effects | {name: states for name, (value, states) in candidates.items() if value is not None}
+        return effects | {name: states for name, (value, states) in optional_effects.items() if value is not None}
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Return whether each sample is an average over its interval: by default if the signal may contain impulses."""
+    """Return whether each sample is an average over its interval; by default it is without an integrating amplifier."""
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)
@@ -86,7 +87,7 @@ def data_sheet(device: str, settings: Settings) -> dict[str, str]:
 def channel_info(
     name: str, at: str, stages: Sequence[Stage], converter: Converter, rate: float, delay: float
 ) -> ChannelInfo:
-    """Describe a channel by the nominal response of its stages, at a sample rate in Hz, with a delay by skew in s."""
+    """Describe a channel by the nominal response of its stages; `rate` in Hz, `delay` by skew in s."""
     sections = [section for stage in stages for section in stage.sections]
     integrations = sum(section.name == INTEGRATION for section in sections)
     zeros = [zero for section in sections for zero in section.zeros]
@@ -94,7 +95,8 @@ def channel_info(
     gain = float(np.prod([section.gain for section in sections]))
     for stage in stages[1:]:
         gain /= stage.nominal
-    # The response refers to the integrated quantity: each integration adds a zero at 0 Hz, which cancels a pole there.
+    # The response refers to the integrated quantity (velocity, displacement): each integration adds a zero at 0 Hz.
+    # Zeros and poles at 0 Hz cancel.
     zeros += [0j] * integrations
     for _ in range(min(zeros.count(0j), poles.count(0j))):
         zeros.remove(0j)
@@ -131,11 +133,11 @@ def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float)
         effects["averaging"] = 1
     else:
         effects["point sampling"] = 0
-    candidates = {
+    optional_effects = {
         "skew": delay or None,
         "jitter": converter.jitter,
         "converter noise": converter.noise,
         "clipping": converter.range,
         "quantisation": converter.bits,
     }
-    return effects | {name: 0 for name, value in candidates.items() if value is not None}
+    return effects | {name: 0 for name, value in optional_effects.items() if value is not None}

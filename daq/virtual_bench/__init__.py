@@ -1,1 +1,1 @@
-"""The bench: plant, measuring chain and converter on one clock; drive in, samples at one or several rates out."""
+"""The virtual bench: converts the drive of the rig into samples of its channels at one or several rates."""

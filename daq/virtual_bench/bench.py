@@ -1,4 +1,7 @@
-"""The virtual bench of a scene: the simulated rig (plant), and its channels sampled at one or several rates."""
+"""The virtual bench of a scene: the simulated rig (plant), and its channels sampled at one or several rates.
+
+A tick is a time step of the bench. The drive has a value at each tick, or at each sample of the converter.
+"""
 
 from __future__ import annotations
 
@@ -27,18 +30,18 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
-# Duration of the past motion on which the filters settle if sampling at a rate begins while the rig moves, s.
+# Duration of the past motion on which filters settle if sampling at another rate begins while the rig moves, s.
 _SETTLING_S = 2.0
-# Upper limit of this duration in ticks: a stiff scene has a million ticks per second.
+# Upper limit of this duration, ticks: the bench of a stiff scene has a million ticks per second.
 _MAX_PAST_TICKS = 1 << 18
 
 
 class Bench:
-    """Plant, measuring chain and converter of a scene, from power-on.
+    """Plant, signal chain and converter of a scene, from power-on.
 
-    `acquire` uses a drive at the sample rate of the converter and returns samples at that rate. `advance` uses a drive
-    at the finer rate of the ticks and samples at several rates. The samples depend neither on how the drive is split
-    among calls nor on other rates.
+    `acquire` requires a drive at the sample rate of the converter and returns samples at that rate. `advance` requires
+    a drive at the tick rate and returns samples at several rates. The samples depend neither on the division of the
+    drive among calls nor on the other rates.
 
     >>> import rig
     >>> bench = Bench(rig.load("bare-structure"))
@@ -48,10 +51,10 @@ class Bench:
     (4, 100)
     """
 
-    def __init__(self, scene: Scene, ticks: int | None = None) -> None:
+    def __init__(self, scene: Scene, ticks_per_sample: int | None = None) -> None:
         self.scene = scene
-        self.ticks_per_sample = choose_oversampling(scene) if ticks is None else ticks
-        # Samples and ticks per second of the nominal clock; the bench runs at the true rate of the converter.
+        self.ticks_per_sample = choose_oversampling(scene) if ticks_per_sample is None else ticks_per_sample
+        # In samples and ticks per second of the nominal clock; the plant runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks_per_sample
         self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks_per_sample)
@@ -65,20 +68,20 @@ class Bench:
         self.inputs: tuple[str, ...] = tuple(plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(plant.drive_units)
         self.points: tuple[str, ...] = tuple(plant.points)
-        self.drive = np.zeros((len(self.inputs), 0))
+        self.drive = np.zeros((len(self.inputs), 0))  # of the last `advance`, at the samples of the converter
 
     @property
     def channels(self) -> tuple[ChannelInfo, ...]:
-        """The channels at `rate`, in the order of the rows of `Block.samples`."""
+        """Descriptions of the channels at `rate`, in the order of the rows of `Block.samples`."""
         return self._base_stream.channels
 
     @property
     def lost(self) -> tuple[tuple[int, int], ...]:
-        """First and last sample of each range that is lost between converter and recording, at `rate`."""
+        """First and last sample, at `rate`, of each range that is lost between converter and recording."""
         return self._base_stream.lost
 
     def lost_at(self, rate: float) -> tuple[tuple[int, int], ...]:
-        """Return the lost ranges at another rate of the last `advance`, as `lost` does."""
+        """Return the lost ranges at a rate of the last `advance`; see `lost`."""
         return self._streams[rate].lost
 
     @property
@@ -99,48 +102,50 @@ class Bench:
         """
         drive = validate_drive(drive, self.inputs)
         plant_drive = self._drive_interpolator.interpolate(self._outputs.convert(drive))
-        return self._base_stream.take(self._plant.advance(plant_drive), plant_drive)
+        return self._base_stream.sample(self._plant.advance(plant_drive), plant_drive)
 
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
         """Drive the rig and return the samples at `rate` and at each of `rates`.
 
-        The drive, shape (inputs, ticks), is interpolated linearly between ticks. At a rate that the last call did not
-        have, sampling begins with filters that have settled on the past motion.
+        The drive, shape (inputs, ticks), is interpolated linearly between ticks. If the last call did not have a rate,
+        its filters first settle on the past motion.
         """
         rates = {self.rate, *rates}
-        self._streams = {rate: self._streams.get(rate) or self._new_stream(rate) for rate in sorted(rates)}
+        self._streams = {rate: self._streams.get(rate) or self._make_stream(rate) for rate in sorted(rates)}
         drive = self._outputs.convert(drive)
         motion = self._plant.advance(drive)
         self._past_motion.append((motion, drive))
         self.drive = drive[:, -motion.first % self.ticks_per_sample :: self.ticks_per_sample]
         while motion.first - self._past_motion[0][0].first > min(_SETTLING_S * self.tick_rate, _MAX_PAST_TICKS):
             self._past_motion.popleft()
-        return {rate: stream.take(motion, drive) for rate, stream in self._streams.items()}
+        return {rate: stream.sample(motion, drive) for rate, stream in self._streams.items()}
 
-    def _new_stream(self, rate: float) -> Stream:
+    def _make_stream(self, rate: float) -> Stream:
         per_tick = samples_per_tick(rate, self.tick_rate)
         return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.channel_settings)
 
     def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
+        """Convert samples, shape (channels, samples), to the channels' units by their nominal sensitivities."""
         return self._base_stream.to_units(samples)
 
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of all channels, and the true motion at their instants, which tests and control do not use."""
+    """Samples of all channels, and the true motion at their instants, which tests and controllers must not use."""
 
     first: int  # number of the first sample, from power-on
     samples: Array | NDArray[np.int32]  # volts or counts, shape (channels, samples)
-    overload: NDArray[np.bool_]  # whether each sample exceeds the range of its channel or a limit of a device
+    overload: NDArray[
+        np.bool_
+    ]  # whether each sample exceeds the range of its channel, or depends on a saturated device
     motion: Motion
 
 
 class Stream:
     """Samples of all channels at one rate: sample n is taken n / rate seconds after power-on of the bench.
 
-    The samples depend neither on their division into blocks nor on other streams. The filters settle on `past_motion`,
-    motion and drive before the stream begins.
+    The samples depend neither on their division into blocks nor on other streams. `past_motion` is the motion and drive
+    of the blocks before the stream begins, on which its filters settle.
     """
 
     def __init__(
@@ -155,7 +160,7 @@ class Stream:
         self._scene = at_rate(scene, rate)
         min_intervals = choose_oversampling(self._scene)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
-            # The drive is linear from tick to tick: longer intervals would undersample the force and voltage channels.
+            # Force and drive channels measure the drive, which must be resolved from tick to tick.
             min_intervals = max(min_intervals, math.ceil(1 / per_tick))
         self._intervals_per_sample = intervals = _choose_intervals(min_intervals, per_tick)
         motion_rate = self._scene.converter.true_rate * intervals
@@ -164,12 +169,12 @@ class Stream:
         past_motion = list(past_motion)
         start_tick = past_motion[0][0].first if past_motion else 0
         self._first = first_sample(per_tick, start_tick)
-        self._motion = MotionAtRate(per_tick * intervals, intervals, 1.0 / plant.rate, self._first * intervals)
+        self._motion_at_rate = MotionAtRate(per_tick * intervals, intervals, 1.0 / plant.rate, self._first * intervals)
         self._converter = Quantizer(self._scene.converter)
         self.lost, self.latency = self._converter.lost, self._chain.latency
         self.set_conditioning(self._chain.channel_settings if channel_settings is None else channel_settings)
         for motion, drive in past_motion:
-            self.take(motion, drive)
+            self.sample(motion, drive)
 
     @property
     def channel_settings(self) -> tuple[Channel, ...]:
@@ -182,9 +187,9 @@ class Stream:
         self.channels = self._chain.channels
         self._scale = np.array([[channel.unit_per_count] for channel in self.channels])
 
-    def take(self, motion: Motion, drive: Array) -> Block:
+    def sample(self, motion: Motion, drive: Array) -> Block:
         """Return the samples of the next ticks, with the drive of shape (inputs, ticks)."""
-        motion, drive = self._motion.take(motion, drive)
+        motion, drive = self._motion_at_rate.resample(motion, drive)
         samples, overload = self._converter.convert(self._chain.measure(motion, drive))
         if self._intervals_per_sample > 1:
             motion = motion.decimated(self._intervals_per_sample, self._interval)
@@ -192,12 +197,12 @@ class Stream:
         return Block(first, samples, overload | self._chain.overload, motion)
 
     def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples, shape (channels, samples), to the channels' units by the data sheets."""
+        """Convert samples, shape (channels, samples), to the channels' units by their nominal sensitivities."""
         return samples * self._scale
 
 
 def samples_per_tick(rate: float, tick_rate: float) -> Fraction:
-    """Return the number of samples per tick at a rate (both rates in 1/s) as a fraction.
+    """Return the number of samples per tick as a fraction; both rates are in 1/s.
 
     >>> samples_per_tick(51200.0 / 6, 51200.0)
     Fraction(1, 6)
@@ -220,7 +225,7 @@ def first_tick(per_tick: Fraction, sample: int) -> int:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Return the scene with another sample rate, without its test if the rate is too low for the tones."""
+    """Return the scene with another sample rate; its test is removed if the rate is too low for the test."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)
@@ -232,7 +237,8 @@ def at_rate(scene: Scene, rate: float) -> Scene:
 
 def _choose_intervals(min_intervals: int, per_tick: Fraction) -> int:
     """Return the number of intervals per sample: at least `min_intervals`, of whole ticks if possible."""
-    ticks = 1 / per_tick
-    if ticks.denominator > 1:
+    ticks_per_sample = 1 / per_tick
+    if ticks_per_sample.denominator > 1:
         return min_intervals
-    return next((count for count in range(min_intervals, int(ticks) + 1) if int(ticks) % count == 0), min_intervals)
+    ticks = int(ticks_per_sample)
+    return next((count for count in range(min_intervals, ticks + 1) if ticks % count == 0), min_intervals)

@@ -1,4 +1,4 @@
-"""Resample the motion of the plant from its ticks to the instants at which a converter takes its samples."""
+"""Resamples the motion of the plant from its ticks to the instants that a sample rate requires."""
 
 from __future__ import annotations
 
@@ -17,30 +17,32 @@ from rig.simulation.motion import Motion
 class MotionAtRate:
     """Resamples a motion and its drive: instant n is n / rate ticks after power-on.
 
-    `group` instants make up a sample, and only complete groups are returned. `tick` is the duration of a tick, s. An
-    instant at a tick has the motion of the tick. Between ticks and breaks (jumps of velocity or acceleration) the
-    acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and displacement. The drive is
-    interpolated linearly.
+    A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s, `first`
+    the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of velocity or
+    acceleration), the acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and displacement.
+    The drive is interpolated linearly.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:
         self._rate, self._group, self._tick = rate, group, tick
-        self._first = self._next = self._output_stop = first
+        self._first = first
+        self._next = first  # first instant that has not been resampled
+        self._output_stop = first  # first instant that has not been returned
         # Values at the instants of an incomplete group, and breaks after the last returned instant.
         self._pending: list[NDArray[Any]] = []
         self._breaks: list[NDArray[Any]] = []
         # Displacement, velocity, acceleration and drive at the last tick.
         self._last: list[Array] = []
 
-    def take(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
-        """Return motion and drive at complete groups of instants, from those at the next ticks."""
+    def resample(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
+        """Return motion and drive at complete groups of instants, given those at the next ticks."""
         stop = motion.first + forces.shape[1]
         is_group_end = (stop - 1) % self._group == 0
         if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and is_group_end:
-            # The instants are the ticks, and none is pending: nothing needs to be copied.
+            # The instants are the ticks, and none is pending, so nothing needs to be copied.
             self._next = self._output_stop = stop
             return motion, forces
-        earliest, values = self._next, self._resampled(motion, forces)
+        earliest_instant, values = self._next, self._interpolate(motion, forces)
         if self._pending:
             values = [np.concatenate(pair, axis=1) for pair in zip(self._pending, values, strict=True)]
         first, complete_groups = self._output_stop, (self._next - 1 - self._first) // self._group
@@ -48,24 +50,25 @@ class MotionAtRate:
         count = self._output_stop - first
         self._pending = [row[:, count:] for row in values]
         displacement, velocity, acceleration, force, gap, contact = (row[:, :count] for row in values)
-        number, offset, *break_motion = self._take_breaks(motion, earliest)
+        break_instant, offset, *break_motion = self._take_breaks(motion, earliest_instant)
         resampled = replace(
             motion, first=first - self._first, displacement=displacement, velocity=velocity, acceleration=acceleration,
-            gap=gap, contact=contact, break_sample=number - self._first, break_offset=offset,
+            gap=gap, contact=contact, break_sample=break_instant - self._first, break_offset=offset,
             break_displacement=break_motion[0], break_velocity=break_motion[1], break_acceleration=break_motion[2],
         )  # fmt: skip
         return resampled, force
 
-    def _resampled(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
+    def _interpolate(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
         """Return displacement, velocity, acceleration, drive, gap and contact at the instants of a block."""
-        ratio, begin = self._rate, self._next
+        rate, first_instant = self._rate, self._next
         last_tick = motion.first + forces.shape[1] - 1
-        self._next = max(begin, last_tick * ratio.numerator // ratio.denominator + 1)
-        ticks, remainder = np.divmod(np.arange(begin, self._next) * ratio.denominator, ratio.numerator)
-        fraction = remainder / ratio.numerator
-        # Instants before the first tick of the block are replaced below, because they lie between ticks.
-        at, tick = np.maximum(ticks - motion.first, 0), ticks - motion.first
-        resampled = [row[:, at] for row in (*_motion_rows(motion), forces, motion.gap, motion.contact)]
+        self._next = max(first_instant, last_tick * rate.numerator // rate.denominator + 1)
+        ticks, remainder = np.divmod(np.arange(first_instant, self._next) * rate.denominator, rate.numerator)
+        fraction = remainder / rate.numerator
+        tick = ticks - motion.first
+        # An instant before the first tick of the block lies between ticks; its values are replaced below.
+        column = np.maximum(tick, 0)
+        resampled = [row[:, column] for row in (*_motion_rows(motion), forces, motion.gap, motion.contact)]
         if remainder.any():
             is_between = remainder > 0
             new = _between_ticks(motion, forces, self._last, self._tick, tick[is_between] + fraction[is_between])
@@ -74,15 +77,15 @@ class MotionAtRate:
         self._last = [row[:, -1:] for row in (*_motion_rows(motion), forces)]
         return resampled
 
-    def _take_breaks(self, motion: Motion, earliest: int) -> list[NDArray[Any]]:
-        """Return and remove the breaks before `_output_stop`, as in `Motion`, each with the instant after it."""
+    def _take_breaks(self, motion: Motion, earliest_instant: int) -> list[NDArray[Any]]:
+        """Return and remove the breaks before `_output_stop`, in the form of `Motion`: with the instant after each."""
         interval = self._tick / float(self._rate)
         if self._rate == 1:
             new = [motion.break_sample, motion.break_offset]
         else:
             time = (motion.break_sample - 1) * self._tick + motion.break_offset
-            number = np.maximum(np.ceil(time / interval).astype(np.int64), earliest)
-            new = [number, np.clip(time - (number - 1) * interval, 0.0, interval)]
+            next_instant = np.maximum(np.ceil(time / interval).astype(np.int64), earliest_instant)
+            new = [next_instant, np.clip(time - (next_instant - 1) * interval, 0.0, interval)]
         new += [motion.break_displacement, motion.break_velocity, motion.break_acceleration]
         if self._breaks:
             new = [np.concatenate(pair, axis=-1) for pair in zip(self._breaks, new, strict=True)]
@@ -98,7 +101,10 @@ def _motion_rows(motion: Motion) -> tuple[Array, Array, Array]:
 def _between_ticks(
     motion: Motion, forces: Array, last: list[Array], tick: float, instants: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Interpolate displacement, velocity, acceleration and drive at instants, in ticks after the first tick."""
+    """Interpolate displacement, velocity, acceleration and drive at instants, in ticks after the block's first tick.
+
+    `last` has the values at the last tick of the previous block, `tick` is the duration of a tick, s.
+    """
     n_last = 1 if last else 0
     at_ticks = np.arange(-n_last, forces.shape[1])
     breaks = (motion.break_sample - 1 - motion.first) + motion.break_offset / tick

@@ -108,7 +108,7 @@ class TaskSettings:
             )
         if self.direction not in ("", direction):
             raise DaqError(
-                "a task cannot have inputs and outputs. Create another task, and start it by this task's start trigger.",
+                "a task cannot have inputs and outputs. Use two tasks, and start one by the other's start trigger.",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
         names = [port.name for port in ports]

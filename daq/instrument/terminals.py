@@ -43,7 +43,7 @@ class Terminals:
 
     def __init__(self, scene: Scene) -> None:
         # The tick rate is the smallest multiple of the converter's rate that reaches the fastest rate of each module
-        # and the rate that oversampling requires. Samples of modules that divide the same clock then coincide with ticks.
+        # and the rate that oversampling requires. Samples of modules that divide one clock then coincide with ticks.
         sample_rate, input_preset = scene.converter.sample_rate, scene.converter.preset
         output_presets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
         inputs = None if input_preset is None else module(input_preset).inputs

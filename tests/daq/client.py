@@ -17,7 +17,7 @@ reads_waveforms = pytest.mark.skipif(
 
 
 def connect(scene, clock="fast"):
-    """Connect an instrument to a scene, in place of the previous one, and return its chassis."""
+    """Connect an instrument to a scene for all later tasks, in place of the previous one; return its chassis."""
     while _connected:
         _connected.pop().close()
     _connected.append(daq.connect(scene, clock=clock))
@@ -36,7 +36,7 @@ class Task(nidaqmx.Task):
         super().__init__(name, grpc_options=options())
 
 
-def inputs(task, channels="Dev1/ai0", **timing):
+def add_inputs(task, channels="Dev1/ai0", **timing):
     """Add voltage inputs to a task, with a sample clock if `timing` is given."""
     task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
     if timing:
@@ -44,11 +44,11 @@ def inputs(task, channels="Dev1/ai0", **timing):
     return task
 
 
-def output(task, wave, **timing):
-    """Add an output to a task, and write its samples."""
+def add_output(task, volts, **timing):
+    """Add an output with a sample clock to a task, and write its samples, V."""
     task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
     task.timing.cfg_samp_clk_timing(RATE, **timing)
-    task.write(wave)
+    task.write(volts)
     return task
 
 

@@ -22,7 +22,7 @@ from daq.server.client_defaults import SERVER
 from daq.server.script import STARTUP
 
 HERE = Path(__file__).resolve().parent
-# Features that a vibration rig does not have: pattern of the names of their tests.
+# Features that a vibration rig does not have, and patterns of the names of their tests.
 OUT_OF_SCOPE = {
     "digital lines": r"digital|test_d[io]_|_d[io]_|waveform_d[io]|\bdo_|sim_6535|port|line_|watchdog_line|power_up",
     "counters": r"counter|test_c[io]_|_c[io]_chan|(readers|writers)_c[io]|encoder|pulse_|arm_start|"
@@ -46,7 +46,7 @@ OUT_OF_SCOPE = {
 
 
 def main() -> int:
-    """Run the tests and print the numbers of outcomes, by group."""
+    """Run the tests and print the number of each outcome by group; return the exit code."""
     if len(sys.argv) < 2:
         print(__doc__)
         return 2
@@ -55,21 +55,21 @@ def main() -> int:
     with subprocess.Popen([sys.executable, HERE / "serve.py"], stdout=subprocess.PIPE, text=True) as server:
         try:
             with tempfile.TemporaryDirectory() as folder:
-                return _run_suite(path, arguments, _port(server), Path(folder))
+                return _run_suite(path, arguments, _read_port(server), Path(folder))
         finally:
             server.terminate()
 
 
-def _port(server: subprocess.Popen[str]) -> int:
+def _read_port(server: subprocess.Popen[str]) -> int:
     assert server.stdout is not None
     line = server.stdout.readline()
     return int(line.rpartition(" ")[2])
 
 
 def _run_suite(path: Path, arguments: list[str], port: int, folder: Path) -> int:
-    """Run pytest in NI's repository with the server at a port; return the exit code."""
+    """Run NI's tests in the repository at `path` with the server at a port; return the exit code."""
     server_script, report = folder / "server", folder / "report.xml"
-    # NI's fixture starts a server and reads its port. This script only prints the port of the running server.
+    # NI's fixture starts a server program and reads its port. This program only prints the port of the running server.
     server_script.write_text(f"#!/bin/sh\necho Server listening on port {port}\nexec sleep 86400\n")
     server_script.chmod(0o755)
     environment = os.environ | {
@@ -85,19 +85,19 @@ def _run_suite(path: Path, arguments: list[str], port: int, folder: Path) -> int
 
 
 def _print_report(report: Path) -> int:
-    """Print the numbers of outcomes by group, and the failed tests, of a JUnit report; return exit code 0."""
+    """Print the outcomes in a JUnit report by group, and the failed tests; return exit code 0."""
     groups: dict[str, Counter[str]] = {}
     failed = []
     for case in ET.parse(report).getroot().iter("testcase"):
         name = f"{case.get('classname')}.{case.get('name')}"
-        outcome = next((part.tag for part in case if part.tag in ("failure", "error", "skipped")), "passed")
+        outcome = next((element.tag for element in case if element.tag in ("failure", "error", "skipped")), "passed")
         feature = next(
             (feature for feature, pattern in OUT_OF_SCOPE.items() if re.search(pattern, name, re.IGNORECASE)), None
         )
         group = f"out of scope: {feature}" if feature else ".".join(name.split(".")[1:3])
         groups.setdefault(group, Counter())[outcome] += 1
         if not feature and outcome in ("failure", "error"):
-            message = next((part.get("message", "") for part in case if part.tag == outcome), "")
+            message = next((element.get("message", "") for element in case if element.tag == outcome), "")
             failed.append(f"{name}: {' '.join(message.split())[:120]}")
     total: Counter[str] = Counter()
     for group, counts in sorted(groups.items()):

@@ -1,4 +1,4 @@
-"""The simulated devices that NI's tests expect, with a sine at every input, as NI's simulated devices have."""
+"""The devices that NI's tests expect; every input reads a sine, as those of NI's simulated devices."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from daq.instrument.settings.storage import Storage
 from daq.instrument.task import Task
 from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration, TimingType
 from daq.signal_chain.channel import ChannelInfo
-from daq.virtual_bench.bench import samples_per_tick
+from daq.virtual_bench.bench import first_sample, samples_per_tick
 from rig.scene.modules import Rates
 
 # Codes of NI-DAQmx for product categories and bus types.
 _X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659
 _TS_CHASSIS, _TS_MODULE = 16180, 16181
+_PXIE_4331 = 0x74A9C4C4  # product number that NI's tests expect
 _PCIE, _PXIE, _USB, _TCPIP, _CDAQ = 13612, 14706, 12586, 14828, 14637
-_INPUT_COUNT = 200
+# Number of channels of the bench that the devices share.
+_N_CHANNELS = 32
 
 
 def modules() -> list[Module]:
-    """Return the devices of NI's `tests/max_config`; all of them share the same inputs and outputs."""
-    rows = tuple(range(32))
+    """Return the devices of NI's `tests/max_config`; the first input of every device is the same channel."""
+    indices = tuple(range(_N_CHANNELS))
     general = Module(
-        "",
-        "",
+        name="",
+        product_type="",
         category=_SC_EXPRESS,
         bus=_PXIE,
         ranges=(0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0),
@@ -50,10 +52,12 @@ def modules() -> list[Module]:
         ),
         simultaneous=False,
     )
-    x_series = replace(general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=rows, outputs=rows[:4])
+    x_series = replace(
+        general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=indices, outputs=indices[:4]
+    )
     sensor_module = replace(
         general,
-        inputs=rows[:8],
+        inputs=indices[:8],
         ranges=(10.0,),
         terminal_configurations=(TerminalConfiguration.DIFFERENTIAL, TerminalConfiguration.PSEUDO_DIFFERENTIAL),
     )
@@ -74,41 +78,41 @@ def modules() -> list[Module]:
         )
 
     return [
-        replace(general, name="aoTester", product_type="PXIe-4322", outputs=rows[:8]),
+        replace(general, name="aoTester", product_type="PXIe-4322", outputs=indices[:8]),
         replace(
-            sensor_module, name="bridgeTester", product_type="PXIe-4331", number=0x74A9C4C4, rates=Rates(0.01, 102400.0)
+            sensor_module, name="bridgeTester", product_type="PXIe-4331", number=_PXIE_4331, rates=Rates(0.01, 102400.0)
         ),
         replace(sensor_module, name="chargeTester", product_type="PXIe-4480", category=_DSA),
-        replace(general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=rows[:2], outputs=rows[:2]),
+        replace(general, name="dmmTester", product_type="NI myDAQ", bus=_USB, inputs=indices[:2], outputs=indices[:2]),
         replace(sensor_module, name="dsaTester", product_type="PXIe-4466", category=_DSA, ranges=(10.0, 42.4)),
         *(replace(x_series, name=f"nidaqmxMultithreadingTester{number}") for number in range(1, 5)),
         replace(sensor_module, name="positionTester", product_type="PXIe-4340"),
         Module("tsChassisTester", "TS-15000", category=_TS_CHASSIS, bus=_PXIE),
         in_chassis("tsPowerTester1", "TS-15200", 1),
         in_chassis("tsPowerTester2", "TS-15200", 2),
-        in_chassis("tsVoltageTester1", "TS-15100", 3, inputs=rows[:4], outputs=rows[:2]),
+        in_chassis("tsVoltageTester1", "TS-15100", 3, inputs=indices[:4], outputs=indices[:2]),
         Module("cdaqChassisTester", "cDAQ-9189", category=_CHASSIS, bus=_TCPIP),
-        in_chassis("cdaqTesterMod2", "NI 9215", 2, inputs=rows[:4]),
-        in_chassis("cdaqTesterMod3", "NI 9775", 3, inputs=rows[:4]),
-        in_chassis("cdaqTesterMod5", "NI 9263", 5, outputs=rows[:4]),
-        in_chassis("cdaqTesterMod6", "NI 9205", 6, inputs=rows),
+        in_chassis("cdaqTesterMod2", "NI 9215", 2, inputs=indices[:4]),
+        in_chassis("cdaqTesterMod3", "NI 9775", 3, inputs=indices[:4]),
+        in_chassis("cdaqTesterMod5", "NI 9263", 5, outputs=indices[:4]),
+        in_chassis("cdaqTesterMod6", "NI 9205", 6, inputs=indices),
     ]
 
 
 class SimulatedSignals:
-    """Replacement of `Terminals` and `Bench`: every input is a sine within the limits of its channel."""
+    """Stub of `Terminals` and `Bench`, whose methods it has: every input is a sine within the limits of its channel."""
 
-    rate, tick_rate = 1000.0, 10_000.0
+    rate, tick_rate = 1000.0, 10_000.0  # Hz
 
     def __init__(self) -> None:
         self.bench = self
         self.scene = rig.load("bare-structure")
         self.dtype: type[np.generic] = np.float64
         self.channels: Sequence[ChannelInfo] = [
-            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_INPUT_COUNT)
+            ChannelInfo(f"ai{number}", "body 1", "acceleration", 1.0, self.rate) for number in range(_N_CHANNELS)
         ]
-        self.drive_per_volt = np.ones(32)
-        self._low, self._high = np.full((_INPUT_COUNT, 1), -5.0), np.full((_INPUT_COUNT, 1), 5.0)
+        self.drive_per_volt = np.ones(_N_CHANNELS)
+        self._low_volts, self._high_volts = np.full((_N_CHANNELS, 1), -5.0), np.full((_N_CHANNELS, 1), 5.0)
         self._position = 0
 
     def lost_at(self, rate: float) -> Sequence[tuple[int, int]]:
@@ -121,15 +125,15 @@ class SimulatedSignals:
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Any]:
         """See `Terminals.advance`."""
-        begin, self._position = self._position, self._position + ticks
-        return {rate: self._block(begin, begin + ticks, rate) for rate in {self.rate, *rates}}
+        start_tick, self._position = self._position, self._position + ticks
+        return {rate: self._block(start_tick, self._position, rate) for rate in {self.rate, *rates}}
 
-    def _block(self, begin: int, end: int, rate: float) -> _Block:
+    def _block(self, start_tick: int, stop_tick: int, rate: float) -> _Block:
         """Return the samples at a rate between two ticks."""
         per_tick = samples_per_tick(rate, self.tick_rate)
-        first, stop = (-(-tick * per_tick.numerator // per_tick.denominator) for tick in (begin, end))
+        first, stop = (first_sample(per_tick, tick) for tick in (start_tick, stop_tick))
         sine = 0.4 * np.sin(2 * np.pi * np.arange(first, stop) / 50)
-        values = (self._high + self._low) / 2 + (self._high - self._low) / 2 * sine
+        values = (self._high_volts + self._low_volts) / 2 + (self._high_volts - self._low_volts) / 2 * sine
         return _Block(first, values, np.zeros(values.shape, bool))
 
     def release_outputs(self) -> None:
@@ -151,8 +155,8 @@ class SimulatedSignals:
     def set_conditioning(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `Terminals.set_conditioning`."""
         for channel in channels:
-            self._low[channel.row] = channel.settings["ai_min"] * channel.volts_per_unit
-            self._high[channel.row] = channel.settings["ai_max"] * channel.volts_per_unit
+            self._low_volts[channel.row] = channel.settings["ai_min"] * channel.volts_per_unit
+            self._high_volts[channel.row] = channel.settings["ai_max"] * channel.volts_per_unit
 
     def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
         """See `Terminals.filter_properties`."""

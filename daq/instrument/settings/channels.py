@@ -20,7 +20,7 @@ from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, Termi
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
 _RIGHT_JUSTIFIED, _BITS = 10279, 10109
 # Errors of the query of limits that a script has reset, because limits have no default.
-_LIMIT_ERRORS = {"ai_max": Code.AI_MAX_LIMIT_ERRORS, "ai_min": Code.AI_MIN_LIMIT_ERRORS}
+_LIMIT_ERRORS = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
 
 # Settings of every input, with their defaults; the numbers of named values are those of NI-DAQmx.
 _INPUT: dict[str, Any] = {

@@ -82,13 +82,13 @@ def cut(motion, first, stop):
     )
 
 
-def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, more=""):
+def scene_of(*channels, converter="{rate: 5120 Hz}", bodies=1, other_settings=""):
     """Return a scene with channels c1 on body 1, c2 on body 2, ...; each is given by its further keys."""
     listed = "".join(f"\n  - {{name: c{n}, at: body {n}{keys}}}" for n, keys in enumerate(channels, 1))
     bodies = max(bodies, len(channels))
     return rig.loads(
         f"structure: {{masses: {['1 kg'] * bodies}, springs: {['1 kN/m'] * bodies}}}\n"
-        f"{'channels:' + listed if channels else ''}\nconverter: {converter}\n{more}"
+        f"{'channels:' + listed if channels else ''}\nconverter: {converter}\n{other_settings}"
     )
 
 

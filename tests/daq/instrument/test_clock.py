@@ -1,4 +1,4 @@
-"""Clocks of the instrument: how real, fast and manual time advance the bench, and how waiting clients are woken."""
+"""Clocks of the instrument: when the real, fast and manual clock advance the bench, and wake waiting clients."""
 
 import threading
 
@@ -9,7 +9,7 @@ from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _DelayReport, clock, longest_step
 from rig.errors import SceneError
-from tests.daq.client import Task, connect, inputs, raises_code
+from tests.daq.client import Task, add_inputs, connect, raises_code
 
 
 class CountingBench:
@@ -52,7 +52,7 @@ def test_fast_clock_times_out_in_bench_time():
     bench = CountingBench()
     with bench.changed:
         assert not FastClock().wait(bench, lambda: False, lambda: 7, 0.25)
-    assert bench.position == 250
+    assert bench.position == 250  # 0.25 s at 1000 Hz
 
 
 def test_manual_clock_advances_only_on_request():
@@ -64,7 +64,7 @@ def test_manual_clock_advances_only_on_request():
     assert bench.position == 500
 
 
-def test_real_clock_runs_while_needed():
+def test_real_clock_stops_with_last_task():
     bench, real = CountingBench(), RealClock()
     with bench.changed:
         assert real.wait(bench, lambda: bench.position >= 20, lambda: 20, 30.0)
@@ -103,7 +103,7 @@ def test_each_thread_wakes_at_its_position():
 def test_bench_failure_is_reported_to_reader(monkeypatch, capsys):
     chassis = connect("bare-structure", "real")
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         task.read(10)
         monkeypatch.setattr(chassis, "_step", lambda limit: 1 / 0)
@@ -112,7 +112,7 @@ def test_bench_failure_is_reported_to_reader(monkeypatch, capsys):
     assert "ZeroDivisionError" in capsys.readouterr().err
 
 
-def test_clock_is_chosen_by_name():
+def test_clock_is_selected_by_name():
     assert isinstance(clock("manual"), ManualClock)
     with pytest.raises(SceneError, match="real, fast, manual"):
         clock("sundial")
@@ -122,9 +122,9 @@ def test_timeout_reports_number_of_samples_read():
     manual = ManualClock()
     connect("bare-structure", manual)
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
-        manual.advance(0.1)
+        manual.advance(0.1)  # 512 samples
         with raises_code(-200284, kind=DaqReadError, samples=512):
             task.read(600)
         manual.advance(0.2)
@@ -137,20 +137,20 @@ def test_real_and_fast_clock_give_same_samples():
     for name in ("fast", "real"):
         connect("bare-structure", name)
         with Task() as task:
-            inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
+            add_inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
             task.start()
             readings.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
     assert np.array_equal(*readings)
 
 
 def test_delayed_bench_advances_at_limited_rate():
-    # After a delay of one second, the bench advances at twice real time, in steps of 5 ms.
+    # After a delay of one second, the thread runs every 5 ms and advances the bench by twice that time.
     steps = [longest_step(1.0)] + [longest_step(0.005) for _ in range(20)]
     assert steps[0] == RealClock.MAX_STEP_S
     assert sum(steps[1:]) == pytest.approx(2.0 * 20 * 0.005)
 
 
-def test_delay_of_machine_is_logged_once(caplog):
+def test_delay_is_logged_at_most_every_10_s(caplog):
     report = _DelayReport()
     # Wall-clock times and delays, s.
     for now, delay in ((1.0, 0.5), (1.1, 0.2), (1.2, 0.01), (2.0, 0.3), (2.1, 0.0), (3.0, 0.1)):

@@ -1,4 +1,4 @@
-"""A full input buffer: overwritten samples are counted and reported once, or acquisition stops."""
+"""A full input buffer of 1000 samples: overwritten samples are reported once, or the acquisition stops."""
 
 import re
 
@@ -7,7 +7,7 @@ from nidaqmx.constants import AcquisitionType, OverwriteMode
 from nidaqmx.errors import DaqReadError
 
 from daq.instrument.clock import ManualClock
-from tests.daq.client import Task, connect, inputs, pass_samples, raises_code
+from tests.daq.client import Task, add_inputs, connect, pass_samples, raises_code
 
 
 @pytest.fixture
@@ -17,7 +17,7 @@ def chassis():
 
 def start_acquisition(task):
     """Start continuous acquisition into a buffer of 1000 samples."""
-    inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
     task.in_stream.input_buf_size = 1000
     task.start()
 
@@ -25,7 +25,7 @@ def start_acquisition(task):
 def test_overrun_is_counted_and_reading_continues(chassis):
     with Task() as task:
         start_acquisition(task)
-        pass_samples(chassis, 1300)
+        pass_samples(chassis, 1300)  # 300 more than the buffer
         with raises_code(-200279, "300 samples", kind=DaqReadError):
             task.read(100)
         assert task.in_stream.curr_read_pos == 300
@@ -35,17 +35,17 @@ def test_overrun_is_counted_and_reading_continues(chassis):
         assert not task.is_task_done()
 
 
-@pytest.mark.parametrize("block", [1, 51, 512, 999])
-def test_single_delay_is_reported_once(chassis, block):
+@pytest.mark.parametrize("block_size", [1, 51, 512, 999])
+def test_single_delay_is_reported_once(chassis, block_size):
     with Task() as task:
         start_acquisition(task)
         pass_samples(chassis, 2600)
         with raises_code(-200279, "1600 samples", kind=DaqReadError):
-            task.read(block)
+            task.read(block_size)
         for number in range(20):
-            assert task.in_stream.curr_read_pos == 1600 + number * block
-            pass_samples(chassis, block)
-            assert len(task.read(block)) == block
+            assert task.in_stream.curr_read_pos == 1600 + number * block_size
+            pass_samples(chassis, block_size)
+            assert len(task.read(block_size)) == block_size
 
 
 def test_every_loss_is_counted_once(chassis):

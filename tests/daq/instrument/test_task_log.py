@@ -1,4 +1,4 @@
-"""The log of a task: files with all samples, gaps, triggers and failures."""
+"""The log of a task: its files contain all samples, gaps, triggers and errors."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def chassis():
 
 
 def configure_logging_task(task, path, mode=LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE, **timing):
-    """Add two inputs to a task, and log them into a file."""
+    """Add two inputs to a task, continuous by default, and log them into a file; return the task."""
     task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
     task.timing.cfg_samp_clk_timing(RATE, **(timing or {"sample_mode": AcquisitionType.CONTINUOUS}))
     task.in_stream.configure_logging(path, mode, operation=operation)
@@ -49,6 +49,7 @@ def test_log_marks_overrun_as_gap(chassis, tmp_path):
         pass_samples(chassis, 200)
         task.read(200)
         pass_samples(chassis, 800)
+        # Of the 800 unread samples, the buffer contains the last 500.
         with raises_code(-200279, kind=DaqReadError):
             task.read(100)
         later = np.array(task.read(500))
@@ -62,7 +63,7 @@ def test_log_marks_overrun_as_gap(chassis, tmp_path):
 
 
 def test_log_after_overrun_is_complete(chassis, tmp_path):
-    path = tmp_path / "paused.mcap"
+    path = tmp_path / "overrun.mcap"
     with Task() as task:
         configure_logging_task(task, path)
         task.in_stream.input_buf_size = 500
@@ -102,7 +103,7 @@ def test_log_names_modules_with_shared_sensors(tmp_path):
 
 
 def test_task_that_only_logs_rejects_reads(chassis, tmp_path):
-    path = tmp_path / "alone.mcap"
+    path = tmp_path / "only_logged.mcap"
     with Task() as task:
         configure_logging_task(task, path, LoggingMode.LOG)
         task.in_stream.input_buf_size = 500
@@ -154,7 +155,7 @@ def test_log_states_where_samples_were_lost(tmp_path, mode, name):
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
     path = tmp_path / name
-    with Task("broken") as task:
+    with Task("lossy") as task:
         configure_logging_task(task, path, mode)
         task.start()
         pass_samples(chassis, 1000)
@@ -163,7 +164,7 @@ def test_log_states_where_samples_were_lost(tmp_path, mode, name):
     if name.endswith(".tdms"):
         import nptdms
 
-        assert "lost after the converter" in nptdms.TdmsFile.read(path)["broken"]["Dev1/ai1"].properties["error"]
+        assert "lost after the converter" in nptdms.TdmsFile.read(path)["lossy"]["Dev1/ai1"].properties["error"]
         return
     with daq.open(path) as recording:
         assert (recording.status, recording.samples) == ("failed", 512)
@@ -184,7 +185,7 @@ def test_log_states_where_samples_were_lost(tmp_path, mode, name):
         ("nowhere/new.mcap", LoggingOperation.CREATE, "nowhere"),
     ],
 )
-def test_impossible_log_file_is_explained(chassis, tmp_path, name, operation, hint):
+def test_error_of_impossible_log_file_names_remedy(chassis, tmp_path, name, operation, hint):
     (tmp_path / "old.mcap").write_bytes(b"something")
     with Task() as task:
         configure_logging_task(task, tmp_path / name, operation=operation)

@@ -20,7 +20,7 @@ LEVELS = st.integers(-4, 4).map(float)
 
 
 def first_trigger(samples, skip, is_trigger, is_arming):
-    """Return the index of the first triggering sample after an arming sample; `skip` samples cannot trigger."""
+    """Return the index of the first triggering sample after an arming sample; the first `skip` cannot trigger."""
     is_armed = False
     for index, sample in enumerate(samples):
         if is_trigger(sample):
@@ -102,12 +102,12 @@ def test_time_trigger_is_at_next_sample():
         ("ai/referencetrigger", OtherTask("", "ai", True)),
     ],
 )
-def test_terminal_is_pulse_or_task_event(terminal, source):
+def test_terminal_has_pulse_or_trigger_of_task(terminal, source):
     assert digital_source(terminal, Slope.FALLING) == source
 
 
 @pytest.mark.parametrize("terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"])
-def test_error_of_unusable_terminal_names_others(terminal):
+def test_error_of_unusable_terminal_names_usable_terminals(terminal):
     with pytest.raises(DaqError, match="PFI0") as caught:
         digital_source(terminal, Slope.RISING)
     assert caught.value.code == Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING == -89136

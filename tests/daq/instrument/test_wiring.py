@@ -1,4 +1,4 @@
-"""Settings of a task have their effect on the bench: sensor supply, coupling, data sheets; devices are the scene's."""
+"""Sensor supply, coupling and TEDS of a task act on the bench; the devices are those of the scene."""
 
 import numpy as np
 import pytest
@@ -35,12 +35,12 @@ def standard_deviations(task, samples=4000):
 def vibration_levels(source):
     """Return the standard deviations of all inputs, g, while the shaker vibrates.
 
-    `source` supplies the first sensor, the module the second; the third is ideal.
+    `source` supplies the first sensor, the module the second; the third sensor is ideal.
     """
-    with Task() as driving, Task() as task:
-        driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
-        driving.write(0.5 * np.sin(2 * np.pi * 20 * np.arange(256) / RATE))
+    with Task() as output_task, Task() as task:
+        output_task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        output_task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.write(0.5 * np.sin(2 * np.pi * 20 * np.arange(256) / RATE))
         for terminal, excitation in enumerate((source, ExcitationSource.INTERNAL, ExcitationSource.NONE)):
             task.ai_channels.add_ai_accel_chan(
                 f"cDAQ1Mod1/ai{terminal}",
@@ -51,7 +51,7 @@ def vibration_levels(source):
                 current_excit_val=0.002,
             )
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=4000)
-        driving.start()
+        output_task.start()
         return standard_deviations(task)
 
 
@@ -60,8 +60,8 @@ def test_sensor_without_supply_has_no_signal():
     supplied = vibration_levels(ExcitationSource.INTERNAL)
     connect_module()
     unsupplied = vibration_levels(ExcitationSource.NONE)
-    # In g.
-    assert supplied[0] > 1e-2 and unsupplied[0] < 1e-3 * supplied[0]
+    assert supplied[0] > 1e-2  # g
+    assert unsupplied[0] < 1e-3 * supplied[0]
     # The other inputs are unaffected; the sensor without an internal amplifier works even without supply.
     np.testing.assert_allclose(unsupplied[1:], supplied[1:], rtol=1e-3)
 
@@ -71,7 +71,7 @@ def test_dc_coupling_shows_bias():
     with Task() as task:
         channel = task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-10, max_val=10)
         channel.ai_excit_src, channel.ai_excit_val = ExcitationSource.INTERNAL, 0.0021
-        for coupling, bias in ((Coupling.DC, 9.0), (Coupling.AC, 0.0)):
+        for coupling, bias in ((Coupling.DC, 9.0), (Coupling.AC, 0.0)):  # bias of the sensor, V
             task.stop()
             channel.ai_coupling = coupling
             task.timing.cfg_samp_clk_timing(1280.0, samps_per_chan=16000)
@@ -100,16 +100,17 @@ def test_different_coupling_of_used_input_is_rejected():
             second.start()
 
 
-def test_data_sheet_sets_sensitivity():
+def test_teds_sets_sensitivity():
     connect_module()
     terminals = System.remote(options()).devices["cDAQ1Mod1"].ai_physical_chans
     sensor = terminals["ai0"]
+    # Manufacturer 25 (PCB), model 352, template 25 (accelerometer).
     assert (sensor.teds_mfg_id, sensor.teds_model_num, sensor.teds_template_ids) == (25, 352, [25])
     assert sensor.teds_serial_num != terminals["ai1"].teds_serial_num
     with Task() as task:
         channels = task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai0:1", "acc", min_val=-40, max_val=40)
         assert task.channel_names == ["acc0", "acc1"]
-        assert channels.ai_accel_sensitivity == pytest.approx(0.1, rel=2e-4)
+        assert channels.ai_accel_sensitivity == pytest.approx(0.1, rel=2e-4)  # V/g
         with raises_code(-200709):
             task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai2")
 
@@ -145,18 +146,18 @@ def test_shakers_follow_their_own_outputs():
     assert [device.product_type for device in devices] == ["cDAQ-9178", "NI 9234", "NI 9234", "NI 9260 (BNC)"]
     # The outputs have different numbers of periods in 512 samples.
     output_volts = np.stack([np.sin(2 * np.pi * n * np.arange(512) / 512) for n in (4, 11)])
-    with Task() as driving, Task() as task:
-        driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod3/ao0:1", min_val=-4, max_val=4)
+    with Task() as output_task, Task() as task:
+        output_task.ao_channels.add_ao_voltage_chan("cDAQ1Mod3/ao0:1", min_val=-4, max_val=4)
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai3,cDAQ1Mod2/ai0", min_val=-5, max_val=5)
-        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=8192)
-        driving.write(output_volts, auto_start=True)
+        output_task.write(output_volts, auto_start=True)
         spectra = np.abs(np.fft.rfft(np.array(task.read(8192))[:, -512:], axis=1)) / 256
     assert np.argmax(spectra, axis=1).tolist() == [4, 11]
     assert spectra[0, 11] < 1e-3 > spectra[1, 4]
 
 
-def test_changed_input_starts_new_file(tmp_path):
+def test_changed_supply_starts_new_recording(tmp_path):
     chassis = connect_module()
     recording = LiveRecording(chassis, tmp_path / "run.mcap")
     with Task() as task:

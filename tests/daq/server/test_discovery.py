@@ -16,7 +16,7 @@ RATE = 5120.0  # Hz
 
 
 class ReflectedClient:
-    """A client that knows only the calls of the reflection service; the server describes all others."""
+    """A client that knows only the reflection service, by which the server describes all other calls."""
 
     def __init__(self, address):
         from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
@@ -91,7 +91,7 @@ def test_client_of_reflection_writes_and_reads(client):
     client.daqmx("ClearTask", task=written_task)
     client.daqmx("ClearTask", task=read_task)
     assert result.samps_per_chan_read == 500
-    assert max(map(abs, result.read_array)) > 0.01
+    assert max(map(abs, result.read_array)) > 0.01  # V; the output has moved the table
 
 
 def test_devices_are_enumerated(rig, client):
@@ -104,12 +104,12 @@ def test_devices_are_enumerated(rig, client):
 
 def test_health_is_serving(client):
     for service in ("", "nidaqmx_grpc.NiDAQmx"):
-        assert client.call("grpc.health.v1.Health", "Check", service=service).status == 1
+        assert client.call("grpc.health.v1.Health", "Check", service=service).status == 1  # SERVING
 
 
 def test_reservation_excludes_other_clients(client):
     service = "nidevice_grpc.SessionUtilities"
-    mine, other = ({"reservation_id": "rig", "client_id": name} for name in ("me", "other"))
+    mine, other = ({"reservation_id": "rig", "client_id": name} for name in ("mine", "other"))
     assert client.call(service, "Reserve", **mine).is_reserved
     assert not client.call(service, "IsReservedByClient", **other).is_reserved
     assert not client.call(service, "Unreserve", **other).is_unreserved
@@ -134,7 +134,7 @@ def test_unreadable_request_is_not_logged(rig, method, caplog):
     assert not caplog.records
 
 
-def test_proto_files_are_written_once(tmp_path):
+def test_proto_files_do_not_replace_other_files(tmp_path):
     paths = write_proto_files(tmp_path)
     assert {f"{path.relative_to(tmp_path)}" for path in paths} >= {"nidaqmx.proto", "session.proto"}
     assert write_proto_files(tmp_path) == paths
@@ -143,7 +143,7 @@ def test_proto_files_are_written_once(tmp_path):
         write_proto_files(tmp_path)
 
 
-def test_proto_text_has_choices_maps_and_aliases():
+def test_proto_text_has_oneofs_maps_and_aliases():
     file = descriptor_pb2.FileDescriptorProto(name="a.proto", package="a", syntax="proto3")
     enum = file.enum_type.add(name="E")
     enum.options.allow_alias = True

@@ -21,7 +21,7 @@ from tests.daq.client import RATE, Task, connect, options, pass_samples, raises_
 
 
 class WallClock(ManualClock):
-    """A manual clock with the properties of a real-time clock."""
+    """A manual clock whose times count from 1970, as those of the real clock."""
 
     is_free_running = True
 
@@ -31,7 +31,7 @@ def chassis():
     return connect("bare-structure", "fast")
 
 
-def inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
+def add_inputs(task, channels="cDAQ1Mod1/ai0", samples=100, **timing):
     """Add voltage inputs with a sample clock to a task."""
     task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
     task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=samples, **timing)
@@ -47,7 +47,7 @@ def test_waveform_starts_at_wall_clock_time(monkeypatch):
     for idle_s in (0, 3, 100):
         now[0] += idle_s * 10**9
         with Task() as task:
-            inputs(task)
+            add_inputs(task)
             task.start()
             clock.advance(100 / RATE)
             waveform = task.read_waveform(100)
@@ -60,26 +60,26 @@ def test_waveform_starts_at_wall_clock_time(monkeypatch):
 
 def test_on_demand_output_allows_any_input_rate():
     connect("bare-structure", "fast")
-    with Task() as steady, Task() as reading:
-        steady.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        steady.start()
-        inputs(reading)
-        reading.timing.samp_clk_rate = 10240.0
-        assert len(reading.read(100)) == 100
-        assert steady.write(0.5) == 1
+    with Task() as constant_output, Task() as input_task:
+        constant_output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        constant_output.start()
+        add_inputs(input_task)
+        input_task.timing.samp_clk_rate = 10240.0
+        assert len(input_task.read(100)) == 100
+        assert constant_output.write(0.5) == 1
 
 
 def test_trigger_source_names_its_device(chassis):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         task.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
         assert task.triggers.start_trigger.dig_edge_src == "/cDAQ1Mod1/PFI0"
         assert task.triggers.start_trigger.trig_type == TriggerType.DIGITAL_EDGE
 
 
-def test_invalid_sample_events_are_rejected(chassis):
+def test_output_event_of_input_task_is_rejected(chassis):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         with raises_code(-200980):
             task.register_every_n_samples_transferred_from_buffer_event(10, print)
 
@@ -99,15 +99,15 @@ def test_custom_scale_scales_readings(chassis):
 
 def test_window_trigger_starts_within_window(chassis):
     with Task() as task:
-        inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
+        add_inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
         pass_samples(chassis, 2000)
         task.triggers.start_trigger.cfg_anlg_window_start_trig(0.4, 0.1, "cDAQ1Mod1/ai3")
         assert 0.1 <= task.read(100)[0] <= 0.4
 
 
-def test_saved_task_loads_equal(chassis):
+def test_saved_task_is_loaded_with_its_settings(chassis):
     with Task("mine") as task:
-        inputs(task)
+        add_inputs(task)
         task.save(overwrite_existing_task=True)
     with PersistedTask("mine", grpc_options=options()).load() as task:
         assert task.timing.samp_clk_rate == RATE
@@ -117,7 +117,7 @@ def test_saved_task_loads_equal(chassis):
 def test_paused_log_continues_in_another_file(chassis, tmp_path):
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.configure_logging(str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE)
         task.start()
         first_samples = task.read(100)
@@ -128,14 +128,15 @@ def test_paused_log_continues_in_another_file(chassis, tmp_path):
         second_samples = task.read(70)
         task.stop()
     for path, expected in ((first, first_samples), (second, second_samples)):
-        rec = daq.open(path)
-        (channel,) = rec.channels.values()
-        np.testing.assert_allclose(rec.read(channel.name) * channel.sensitivity, expected, rtol=1e-9)
+        with daq.open(path) as recording:
+            (channel,) = recording.channels.values()
+            volts = recording.read(channel.name) * channel.sensitivity
+        np.testing.assert_allclose(volts, expected, rtol=1e-9)
 
 
 def test_start_trigger_time_is_known(chassis):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         trigger = task.triggers.start_trigger
         trigger.cfg_dig_edge_start_trig("/cDAQ1/PFI0")
         trigger.timestamp_enable = True
@@ -146,6 +147,6 @@ def test_start_trigger_time_is_known(chassis):
 
 def test_array_of_wrong_type_is_rejected(chassis):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         with pytest.raises((TypeError, DaqError)):
             AnalogMultiChannelReader(task.in_stream).read_many_sample(np.zeros((1, 100), np.int32), 100)

@@ -1,6 +1,6 @@
-"""Calls with wrong, malicious or excessive values harm only the client that sends them.
+"""Calls with wrong, malicious or excessive values disturb only the client that sends them.
 
-The *witness* is an undisturbed task of another client: its samples must not depend on the calls.
+The *witness* is a task of another client, whose samples must not depend on these calls.
 """
 
 import random
@@ -26,7 +26,7 @@ from rig import load
 RATE = 5120.0  # Hz
 N_CALLS = 300  # random calls during the witness's task
 # Values of fields: valid values, limits, and values that a careless server would not expect.
-TEXTS = (
+STRINGS = (
     "",
     "cDAQ1Mod2/ai0",
     "cDAQ1Mod2/ai1:3",
@@ -41,7 +41,7 @@ TEXTS = (
 NUMBERS = (0.0, 1.0, -1.0, 5.0, -5.0, 100.0, 5120.0, 1e300, 1e-320, float("nan"), float("inf"))
 INTEGERS = (0, 1, 2, 3, 10, 100, 10_178, 10_280, 10_348, 2**31 - 1)
 VALUES_BY_TYPE = {
-    "string": lambda rng: rng.choice(TEXTS),
+    "string": lambda rng: rng.choice(STRINGS),
     "bytes": lambda rng: rng.choice((b"", b"\0" * 7, b"\xff" * 1000)),
     "double": lambda rng: rng.choice(NUMBERS),
     "bool": lambda rng: rng.random() < 0.5,
@@ -56,12 +56,12 @@ def two_modules():
     return load("bare-structure", {"channels": channels, "converter": {"preset": "NI 9234", "rate": "5120 Hz"}})
 
 
-def client(rig):
+def connect_client(rig):
     """Return session options of a separate client."""
     return nidaqmx.GrpcSessionOptions(open_channel(rig.address), "")
 
 
-def inputs(options, channels="cDAQ1Mod1/ai0:3", **timing):
+def input_task_of(options, channels="cDAQ1Mod1/ai0:3", **timing):
     """Return a task with voltage inputs at `RATE`."""
     task = nidaqmx.Task(grpc_options=options)
     task.ai_channels.add_ai_voltage_chan(channels)
@@ -70,7 +70,7 @@ def inputs(options, channels="cDAQ1Mod1/ai0:3", **timing):
 
 
 def fill(message, rng, sessions, depth=0):
-    """Fill the fields of a message with random values; sessions are those of `sessions` or do not exist."""
+    """Fill fields of a message with random values; the names of sessions are those of `sessions`, or invalid."""
     for field in message.DESCRIPTOR.fields:
         if rng.random() < (0.1 if field.containing_oneof is None else 0.5):
             continue
@@ -79,18 +79,20 @@ def fill(message, rng, sessions, depth=0):
             if field.message_type is not None:
                 submessage = message_factory.GetMessageClass(field.message_type)()
                 if field.message_type.full_name == "nidevice_grpc.Session":
-                    submessage.name = rng.choice((*sessions, *sessions, "nobody", *TEXTS[-3:]))
+                    submessage.name = rng.choice((*sessions, *sessions, "nobody", *STRINGS[-3:]))
                 elif depth < 3 and not field.message_type.GetOptions().map_entry:
                     fill(submessage, rng, sessions, depth + 1)
                 else:
                     continue
                 (value_or_list.add() if is_list else value_or_list).CopyFrom(submessage)
                 continue
-            kind = next((name for name in VALUES_BY_TYPE if field.type == getattr(field, f"TYPE_{name.upper()}")), "")
-            value = VALUES_BY_TYPE[kind](rng) if kind else rng.choice(INTEGERS)
+            value_type = next(
+                (name for name in VALUES_BY_TYPE if field.type == getattr(field, f"TYPE_{name.upper()}")), ""
+            )
+            value = VALUES_BY_TYPE[value_type](rng) if value_type else rng.choice(INTEGERS)
             if field.name in ("timeout", "time_to_wait"):
                 value = rng.choice((0.0, 0.01, float("nan")))
-            if is_list and kind != "string":
+            if is_list and value_type != "string":
                 value_or_list.append(value)
             elif not is_list:
                 setattr(message, field.name, value)
@@ -101,8 +103,8 @@ def send(channel, name, data):
     return channel.unary_unary(f"/{SERVICE.full_name}/{name}")(data, timeout=20.0)
 
 
-def open_stream(options, task, name):
-    """Register an event, whose stream stays open."""
+def open_event_stream(options, task, name):
+    """Register for an event of a task; return the stream of events, which stays open."""
     method = next(method for method in methods() if method.name == name)
     request = method.request()
     request.task.name = task._handle.name
@@ -117,19 +119,19 @@ def open_stream(options, task, name):
 
 
 def send_random_call(channel, method, rng, sessions):
-    """Send a call with random fields, sometimes with damaged bytes; return the server's error, or an empty text."""
+    """Send a call with random fields, sometimes with damaged bytes; return the server's error, or ""."""
     request = method.request()
     fill(request, rng, sessions)
     data = bytearray(request.SerializeToString())
-    # One request in 21 has three damaged bytes.
-    for _ in range(rng.choice((0,) * 20 + (3,)) if data else 0):
+    n_damaged = rng.choice((0,) * 20 + (3,))  # bytes
+    for _ in range(n_damaged if data else 0):
         data[rng.randrange(len(data))] = rng.randrange(256)
     try:
-        answer = send(channel, method.name, bytes(data))
+        response = send(channel, method.name, bytes(data))
     except grpc.RpcError as error:
         return error.details()
     if method.name == "CreateTask":
-        sessions.append(method.response.FromString(answer).task.name)
+        sessions.append(method.response.FromString(response).task.name)
     return ""
 
 
@@ -145,8 +147,11 @@ def create_valid_task(channel, sessions):
 
 
 def read_witness_during(actions):
-    """Read the witness's task to its end during other calls to the server; return its samples (4, 2000)."""
-    with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(client(rig), samps_per_chan=2000) as witness:
+    """Read 2000 samples of the witness during other calls to the server; return them, shape (4, 2000)."""
+    with (
+        daq.connect(two_modules(), clock=ManualClock()) as rig,
+        input_task_of(connect_client(rig), samps_per_chan=2000) as witness,
+    ):
         witness.start()
         for action in actions(open_channel(rig.address)):
             rig.chassis.advance(round(2000 / N_CALLS * rig.chassis.rate / RATE))
@@ -155,7 +160,7 @@ def read_witness_during(actions):
         return np.array(witness.read(2000, timeout=0.0))
 
 
-def test_random_calls_harm_only_their_client(capfd):
+def test_random_calls_disturb_only_their_client(capfd):
     rng, sessions, errors = random.Random(20), ["nobody"], []
     supported = [method for method in methods() if not method.streams and handler_of(method.name)]
     # Outputs drive the shaker, and change the readings of all clients by design.
@@ -184,7 +189,7 @@ def test_random_calls_harm_only_their_client(capfd):
         (lambda rig: Scale.create_polynomial_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
     ],
 )
-def test_error_of_invalid_value_names_problem(call, hint):
+def test_error_names_the_invalid_value(call, hint):
     with daq.connect("bare-structure", clock=ManualClock()) as rig, pytest.raises(DaqError, match=hint):
         call(rig)
 
@@ -198,7 +203,7 @@ def test_impossible_polynomial_reversal_is_rejected(points, order, forward):
 
 
 def test_invalid_number_is_rejected_without_effect():
-    with daq.connect(two_modules(), clock=ManualClock()) as rig, inputs(rig) as task:
+    with daq.connect(two_modules(), clock=ManualClock()) as rig, input_task_of(rig) as task:
         channel = task.ai_channels["cDAQ1Mod1/ai0"]
         with pytest.raises(DaqError, match="finite"):
             channel.ai_excit_val = float("nan")
@@ -209,30 +214,33 @@ def test_invalid_number_is_rejected_without_effect():
 
 def test_endless_wait_does_not_block_others():
     with daq.connect(two_modules(), clock="fast") as rig:
-        channel, answers = open_channel(rig.address), []
-        with inputs(nidaqmx.GrpcSessionOptions(channel, ""), samps_per_chan=100) as waiting:
+        channel, error_codes = open_channel(rig.address), []
+        with input_task_of(nidaqmx.GrpcSessionOptions(channel, ""), samps_per_chan=100) as waiting:
             waiting.triggers.start_trigger.cfg_anlg_edge_start_trig("cDAQ1Mod1/ai0", trigger_level=4.9)
             waiting.start()
 
             def wait():
                 with pytest.raises(DaqError) as caught:
                     waiting.read(100, timeout=-1.0)
-                answers.append(caught.value.error_code)
+                error_codes.append(caught.value.error_code)
 
             thread = threading.Thread(target=wait)
             thread.start()
-            with inputs(client(rig), "cDAQ1Mod2/ai0:2", samps_per_chan=100) as other:
+            with input_task_of(connect_client(rig), "cDAQ1Mod2/ai0:2", samps_per_chan=100) as other:
                 for _ in range(3):
                     assert np.shape(other.read(100)) == (3, 100)
             waiting.stop()
             thread.join()
-    assert len(answers) == 1
+    assert len(error_codes) == 1
 
 
 def test_unresponsive_client_does_not_stop_clock():
     with daq.connect(two_modules(), clock="fast") as rig:
         timing = {"sample_mode": AcquisitionType.CONTINUOUS, "samps_per_chan": 100}
-        with inputs(client(rig), **timing) as unresponsive, inputs(client(rig), "cDAQ1Mod2/ai0:2", **timing) as other:
+        with (
+            input_task_of(connect_client(rig), **timing) as unresponsive,
+            input_task_of(connect_client(rig), "cDAQ1Mod2/ai0:2", **timing) as other,
+        ):
             unresponsive.register_every_n_samples_acquired_into_buffer_event(1, lambda *_: 0)
             unresponsive.start()
             assert np.shape(other.read(500)) == (3, 500)
@@ -246,15 +254,15 @@ def test_invalid_time_is_rejected(seconds):
 
 def test_too_many_calls_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(max_calls_per_client=3)) as rig:
-        excessive_client = client(rig)
-        with inputs(excessive_client, "cDAQ1Mod1/ai0") as task:
+        excessive_client = connect_client(rig)
+        with input_task_of(excessive_client, "cDAQ1Mod1/ai0") as task:
             streams = [
-                open_stream(excessive_client, task, name)
+                open_event_stream(excessive_client, task, name)
                 for name in ("RegisterDoneEvent", "RegisterEveryNSamplesEvent", "RegisterSignalEvent")
             ]
             with pytest.raises(DaqError, match="3 unfinished calls"):
                 task.start()
-            with inputs(client(rig), "Dev7/ai0", samps_per_chan=100) as other:
+            with input_task_of(connect_client(rig), "Dev7/ai0", samps_per_chan=100) as other:
                 assert len(other.read(100)) == 100
             for stream in streams:
                 stream.cancel()

@@ -28,8 +28,8 @@ def script(tmp_path):
     return write
 
 
-# The beginning of a script; the rest of the test's script is indented as part of the task.
-READ = """
+# Beginning of a script; the statements that a test appends are indented, within the task.
+READING_SCRIPT = """
 import sys, nidaqmx
 from nidaqmx.constants import AcquisitionType
 with nidaqmx.Task() as task:
@@ -40,7 +40,7 @@ with nidaqmx.Task() as task:
 
 
 def test_script_gets_rig_and_arguments(script, capfd):
-    path = script(READ + "    print(len(task.read(10)), sys.argv[1:], __name__)\n")
+    path = script(READING_SCRIPT + "    print(len(task.read(10)), sys.argv[1:], __name__)\n")
     assert run_script(path, ["--fast", "x"], "bare-structure", "fast") == 0
     assert capfd.readouterr().out == "10 ['--fast', 'x'] __main__\n"
 
@@ -50,20 +50,20 @@ def test_script_gets_rig_and_arguments(script, capfd):
     [({"test": None}, False, True), ({"test": None}, True, False), ({}, False, False)],
     ids=["nothing drives", "the script drives", "the test drives"],
 )
-def test_undriven_bench_is_reported_at_end(changes, is_driven_by_script, is_reported, script, capfd):
+def test_missing_drive_is_reported_at_end(changes, is_driven_by_script, is_reported, script, capfd):
     drive = """
     with nidaqmx.Task() as out:
         out.ao_channels.add_ao_voltage_chan(nidaqmx.system.System.local().devices[-1].ao_physical_chans[0].name)
         out.write(0.1)
 """
-    path = script(READ + "    task.read(10)\n" + (drive if is_driven_by_script else ""))
+    path = script(READING_SCRIPT + "    task.read(10)\n" + (drive if is_driven_by_script else ""))
     assert run_script(path, scene=rig.load("bare-structure", changes), clock="fast") == 0
     assert ("nothing drove the bench" in capfd.readouterr().err) is is_reported
 
 
 def test_time_limit_sends_ctrl_c(script, capfd):
     path = script(
-        READ
+        READING_SCRIPT
         + """
     try:
         while True:
@@ -80,7 +80,7 @@ def test_time_limit_sends_ctrl_c(script, capfd):
 @pytest.mark.thorough
 def test_clock_advances_while_script_waits_for_enter(script, capfd):
     path = script(
-        READ
+        READING_SCRIPT
         + """
     def count_samples(handle, kind, samples, data):
         global total
@@ -99,9 +99,11 @@ def test_clock_advances_while_script_waits_for_enter(script, capfd):
     assert capfd.readouterr().out.startswith("Press Enter to stop. ")
 
 
-@pytest.mark.parametrize("end, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)])
-def test_exit_code_of_script_is_kept(script, capfd, end, code):
-    assert run_script(script(end), scene="bare-structure", clock="fast") == code
+@pytest.mark.parametrize(
+    "last_statement, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)]
+)
+def test_exit_code_of_script_is_kept(script, capfd, last_statement, code):
+    assert run_script(script(last_statement), scene="bare-structure", clock="fast") == code
     stderr = capfd.readouterr().err
     assert "script.py" in stderr or code == 3 or "why" in stderr
     assert "daq/server" not in stderr
@@ -118,10 +120,10 @@ def test_syntax_error_shows_only_the_script(script, capfd, source):
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])
-def test_invalid_time_limit_is_rejected_first(script, capfd, seconds):
+def test_invalid_time_limit_is_rejected_before_run(script, capfd, seconds):
     with pytest.raises(SceneError, match="seconds") as caught:
         run_script(script("print('ran')"), scene="bare-structure", clock="fast", seconds=seconds)
-    assert caught.value.exit_code == 2
+    assert caught.value.exit_code == 2  # bad input
     assert capfd.readouterr().out == ""
 
 
@@ -143,12 +145,12 @@ print(len(task.read(100)))
     assert "Traceback" not in result.stderr
 
 
-def test_missing_script_is_named(tmp_path):
+def test_error_names_missing_script(tmp_path):
     with pytest.raises(SceneError, match=r"nothing\.py"):
         run_script(tmp_path / "nothing.py")
 
 
-def test_unknown_scene_is_named(script):
+def test_error_names_unknown_scene(script):
     with pytest.raises(SceneError, match="no-such-scene"):
         run_script(script("pass"), scene="no-such-scene")
 
@@ -156,7 +158,7 @@ def test_unknown_scene_is_named(script):
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_example_shows_its_result(name, capfd, monkeypatch):
-    # The doctests may have imported it already.
+    # The doctests may have imported the example already.
     monkeypatch.delitem(sys.modules, f"daq.examples.{name}", raising=False)
     runpy.run_module(f"daq.examples.{name}", run_name="__main__")
     stdout = capfd.readouterr().out
@@ -171,7 +173,7 @@ def test_example_shows_its_result(name, capfd, monkeypatch):
     assert "NOT" not in stdout
 
 
-def test_example_of_acquisition_source_gives_all_samples():
+def test_acquisition_source_example_gives_all_samples():
     from daq.examples.acquisition_source import VirtualRig
 
     source = VirtualRig("bare-structure", clock="fast")
@@ -223,7 +225,7 @@ def test_processes_share_rig_and_clock(script, tmp_path, method):
     assert run_script(script(TWO_PROCESSES), [method, str(path)], "bare-structure", "fast") == 0
     drive = 1e-3 * np.arange(512) / 512  # m; the table moves 1 mm per V.
     expected = Bench(rig.load("bare-structure")).acquire(drive[None]).samples
-    # The bench of the script simulates more samples than the expected bench, so that rounding differs.
+    # The bench of the script has more ticks per sample, so that rounding differs.
     np.testing.assert_allclose(np.load(path), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 

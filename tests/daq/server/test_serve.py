@@ -1,4 +1,4 @@
-"""A served rig: live display, live recording, network addresses, and access only with certificates."""
+"""A served rig: live display, live recording, network addresses, and access by certificates."""
 
 import contextlib
 import socket
@@ -39,8 +39,8 @@ def test_viewer_shows_channels(tmp_path):
     values_by_channel = {info.name: [] for info in infos}
     n_motion_chunks = 0
     for chunk in RrdReader(tmp_path / "live.rrd").stream():
-        place, name = chunk.entity_path.rpartition("/")[::2]
-        if place.startswith("/channels/") and not chunk.is_static:
+        folder, name = chunk.entity_path.rpartition("/")[::2]
+        if folder.startswith("/channels/") and not chunk.is_static:
             values_by_channel[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
         n_motion_chunks += chunk.entity_path == "/rig/body_2" and not chunk.is_static
     assert n_motion_chunks
@@ -115,7 +115,7 @@ def test_invalid_address_is_rejected(address):
         parse_address(address, 0)
 
 
-def test_name_with_other_address_is_not_loopback(monkeypatch):
+def test_name_with_a_public_address_is_not_loopback(monkeypatch):
     for addresses, expected in ((["::1", "127.0.0.1"], True), (["::1", "192.0.2.1"], False)):
         answer = [(0, 0, 0, "", (address, 0)) for address in addresses]
         monkeypatch.setattr(socket, "getaddrinfo", lambda *_, answer=answer: answer)
@@ -133,16 +133,16 @@ def test_live_recording_marks_overloads(tmp_path):
         assert {mark.kind for mark in recording.markers} == {"overload"}
 
 
-def test_failed_recording_does_not_disturb_clients(tmp_path, capsys):
+def test_failed_recording_does_not_stop_clients(tmp_path, capsys):
     path = tmp_path / "new" / "run.mcap"
     with daq.connect("bare-structure", clock="fast") as connection, nidaqmx.Task(grpc_options=connection) as task:
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0", min_val=-500, max_val=500)
         task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=100)
         with contextlib.closing(LiveRecording(connection.chassis, path)):
-            path.write_bytes(b"precious")
+            path.write_bytes(b"existing file")
             assert [len(task.read(100)) for _ in range(2)] == [100, 100]
     assert capsys.readouterr().err.count("run.mcap") == 1
-    assert path.read_bytes() == b"precious"
+    assert path.read_bytes() == b"existing file"
 
 
 def test_recording_without_samples_is_reported(tmp_path, capsys):

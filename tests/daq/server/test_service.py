@@ -1,4 +1,4 @@
-"""The server: clients, sessions (tasks under a name that clients share), limits, and modules that tasks share."""
+"""The server: its clients, sessions (tasks that clients share by name), limits, and modules that tasks share."""
 
 import queue
 import threading
@@ -17,22 +17,23 @@ from daq.instrument.clock import ManualClock
 from daq.server.client_defaults import open_channel
 from daq.server.serve import serve
 from daq.server.served_instrument import Limits
+from rig import load
 from rig.errors import SceneError
 from tests.daq.client import RATE, raises_code
 
 
 @pytest.fixture(scope="module")
-def shared():
+def shared_rig():
     with daq.connect("bare-structure", clock=ManualClock()) as rig:
         yield rig
 
 
-def client(rig, name="", **options):
+def connect_client(rig, name="", **options):
     """Return session options of a separate client."""
     return nidaqmx.GrpcSessionOptions(open_channel(rig.address), name, **options)
 
 
-def inputs(options, channels="cDAQ1Mod1/ai0", name="", **timing):
+def input_task_of(options, channels="cDAQ1Mod1/ai0", name="", **timing):
     """Return a task with voltage inputs, with a sample clock if `timing` is given."""
     task = nidaqmx.Task(name, grpc_options=options)
     task.ai_channels.add_ai_voltage_chan(channels, min_val=-500.0, max_val=500.0)
@@ -41,18 +42,15 @@ def inputs(options, channels="cDAQ1Mod1/ai0", name="", **timing):
     return task
 
 
-def test_devices_are_enumerated(shared):
-    devices = System.remote(shared).devices
+def test_devices_are_enumerated(shared_rig):
+    devices = System.remote(shared_rig).devices
     assert devices.device_names == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
     assert [device.name for device in devices["cDAQ1"].chassis_module_devices] == ["cDAQ1Mod1", "cDAQ1Mod2"]
     assert devices["cDAQ1Mod1"].ai_physical_chans.channel_names[-1] == "cDAQ1Mod1/ai3"
 
 
 def test_named_module_rejects_on_demand_reading():
-    import rig as package
-
-    scene = package.load("bare-structure")
-    scene = scene.replace(converter={"preset": "NI 9234", "rate": "5120 Hz"})
+    scene = load("bare-structure").replace(converter={"preset": "NI 9234", "rate": "5120 Hz"})
     with daq.connect(scene, clock="fast") as rig:
         module = System.remote(rig).devices["cDAQ1Mod1"]
         assert (module.product_type, module.ai_voltage_rngs) == ("NI 9234", [-5.0, 5.0])
@@ -65,14 +63,14 @@ def test_named_module_rejects_on_demand_reading():
 
 
 @pytest.mark.parametrize("name", ["cDAQ9189-1D91958Mod1", "Dev12", "PXI1Slot4"])
-def test_device_name_of_real_hardware_is_accepted(shared, name):
-    with inputs(shared, f"{name}/ai0:3", samps_per_chan=10) as task:
+def test_device_name_of_real_hardware_is_accepted(shared_rig, name):
+    with input_task_of(shared_rig, f"{name}/ai0:3", samps_per_chan=10) as task:
         assert task.number_of_channels == 4
         assert task.devices[0].name == name
 
 
-def test_defaults_are_those_of_driver(shared):
-    with inputs(shared) as task:
+def test_defaults_are_those_of_driver(shared_rig):
+    with input_task_of(shared_rig) as task:
         assert task.timing.samp_quant_samp_mode == AcquisitionType.CONTINUOUS
         assert task.triggers.reference_trigger.pretrig_samples == 2
         channel = task.ai_channels[0]
@@ -83,8 +81,8 @@ def test_defaults_are_those_of_driver(shared):
         assert task.ai_channels[0].ai_max == 400.0
 
 
-def test_reset_units_are_those_of_driver(shared):
-    with nidaqmx.Task(grpc_options=shared) as task:
+def test_reset_units_are_those_of_driver(shared_rig):
+    with nidaqmx.Task(grpc_options=shared_rig) as task:
         units = AccelSensitivityUnits.VOLTS_PER_G
         channel = task.ai_channels.add_ai_accel_chan(
             "cDAQ1Mod1/ai0", sensitivity=0.1, sensitivity_units=units, units=AccelUnits.METERS_PER_SECOND_SQUARED
@@ -97,7 +95,7 @@ def test_reset_units_are_those_of_driver(shared):
 def test_terminal_may_be_used_twice():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
-        inputs(rig, "cDAQ1Mod1/ai3,cDAQ1Mod1/ai3", samps_per_chan=50) as task,
+        input_task_of(rig, "cDAQ1Mod1/ai3,cDAQ1Mod1/ai3", samps_per_chan=50) as task,
     ):
         first, second = task.read(50)
     assert first == second
@@ -106,28 +104,28 @@ def test_terminal_may_be_used_twice():
 def test_inputs_and_output_have_own_rates():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
-        inputs(rig, "cDAQ1Mod1/ai3") as reading,
-        nidaqmx.Task(grpc_options=rig) as driving,
+        input_task_of(rig, "cDAQ1Mod1/ai3") as input_task,
+        nidaqmx.Task(grpc_options=rig) as output_task,
     ):
-        reading.timing.cfg_samp_clk_timing(51200.0, samps_per_chan=1000)
-        driving.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        driving.timing.cfg_samp_clk_timing(10240.0, samps_per_chan=200)
-        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        driving.write(np.arange(200) / 100)
-        driving.start()
-        reading.start()
-        reading.wait_until_done()
-        driving.wait_until_done()
-        assert driving.out_stream.total_samp_per_chan_generated == 200
+        input_task.timing.cfg_samp_clk_timing(51200.0, samps_per_chan=1000)
+        output_task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        output_task.timing.cfg_samp_clk_timing(10240.0, samps_per_chan=200)
+        output_task.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
+        output_task.write(np.arange(200) / 100)
+        output_task.start()
+        input_task.start()
+        input_task.wait_until_done()
+        output_task.wait_until_done()
+        assert output_task.out_stream.total_samp_per_chan_generated == 200
         assert rig.chassis.rate == 51200.0
-        assert rig.chassis.last_volts[0] == 1.99
+        assert rig.chassis.last_volts[0] == 199 / 100  # the last written sample
 
 
-def test_slow_module_averages_fast_one():
+def test_slow_module_averages_samples_of_fast_module():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
-        inputs(rig, "Dev1/ai3") as fast_task,
-        inputs(rig, "Dev2/ai3") as slow_task,
+        input_task_of(rig, "Dev1/ai3") as fast_task,
+        input_task_of(rig, "Dev2/ai3") as slow_task,
     ):
         fast_task.timing.cfg_samp_clk_timing(51200.0, samps_per_chan=401)
         slow_task.timing.cfg_samp_clk_timing(12800.0, samps_per_chan=101)
@@ -145,55 +143,55 @@ def test_on_demand_samples_are_generated_in_order():
         assert rig.chassis.last_volts[0] == 0.3
 
 
-def test_attached_client_cannot_end_session(shared):
-    with inputs(client(shared), name="common", samps_per_chan=10) as task:
-        attached_task = nidaqmx.Task("common", grpc_options=client(shared))
+def test_attached_client_cannot_end_session(shared_rig):
+    with input_task_of(connect_client(shared_rig), name="common", samps_per_chan=10) as task:
+        attached_task = nidaqmx.Task("common", grpc_options=connect_client(shared_rig))
         assert attached_task.timing.samp_quant_samp_per_chan == 10
         attached_task.close()
         assert task.timing.samp_quant_samp_per_chan == 10
     attach = nidaqmx.SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION
     with pytest.raises(DaqError):
-        nidaqmx.Task("common", grpc_options=client(shared, initialization_behavior=attach))
+        nidaqmx.Task("common", grpc_options=connect_client(shared_rig, initialization_behavior=attach))
 
 
-def test_existing_session_is_rejected(shared):
+def test_existing_session_is_rejected(shared_rig):
     initialize = nidaqmx.SessionInitializationBehavior.INITIALIZE_SERVER_SESSION
-    with inputs(client(shared), name="mine"), pytest.raises(RpcError) as caught:
-        nidaqmx.Task("mine", grpc_options=client(shared, initialization_behavior=initialize))
+    with input_task_of(connect_client(shared_rig), name="mine"), pytest.raises(RpcError) as caught:
+        nidaqmx.Task("mine", grpc_options=connect_client(shared_rig, initialization_behavior=initialize))
     assert caught.value.rpc_code == grpc.StatusCode.ALREADY_EXISTS
 
 
-def test_used_device_is_not_reset(shared):
-    with inputs(client(shared), sample_mode=AcquisitionType.CONTINUOUS) as task:
+def test_device_used_by_others_is_not_reset(shared_rig):
+    with input_task_of(connect_client(shared_rig), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         with raises_code(-50103):
-            System.remote(client(shared)).devices["cDAQ1Mod1"].reset_device()
+            System.remote(connect_client(shared_rig)).devices["cDAQ1Mod1"].reset_device()
         assert not task.is_task_done()
 
 
-def test_modules_of_lost_client_are_released():
+def test_modules_of_disconnected_client_are_released():
     limits = Limits(disconnect_timeout=0.2)  # s
     with daq.connect("bare-structure", clock=ManualClock(), limits=limits) as rig:
-        lost_client = client(rig)
-        task = inputs(lost_client, sample_mode=AcquisitionType.CONTINUOUS)
+        disconnected_client = connect_client(rig)
+        task = input_task_of(disconnected_client, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
-        lost_client.grpc_channel.close()
+        disconnected_client.grpc_channel.close()
         deadline = time.monotonic() + 60
         while rig.chassis.tasks and time.monotonic() < deadline:
             threading.Event().wait(0.05)
-        with inputs(rig, sample_mode=AcquisitionType.CONTINUOUS) as next_task:
+        with input_task_of(rig, sample_mode=AcquisitionType.CONTINUOUS) as next_task:
             next_task.start()
 
 
 def test_excessive_requests_are_rejected():
     limits = Limits(max_tasks_per_client=3, max_message_bytes=1 << 20)
     with daq.connect("bare-structure", clock="fast", limits=limits) as rig:
-        first_client = client(rig)
-        tasks = [inputs(first_client) for _ in range(3)]
+        first_client = connect_client(rig)
+        tasks = [input_task_of(first_client) for _ in range(3)]
         with pytest.raises(DaqError, match="3 open tasks"):
-            inputs(first_client)
+            input_task_of(first_client)
         with (
-            inputs(client(rig), samps_per_chan=1 << 18) as task,
+            input_task_of(connect_client(rig), samps_per_chan=1 << 18) as task,
             pytest.raises(DaqError, match="fewer samples at a time"),
         ):
             task.read(1 << 18)
@@ -203,8 +201,11 @@ def test_excessive_requests_are_rejected():
 
 def test_excessive_buffers_are_rejected():
     with daq.connect("bare-structure", clock="fast", limits=Limits(max_buffer_bytes=1 << 20)) as rig:
-        large_client, small_client = client(rig), client(rig)
-        with nidaqmx.Task(grpc_options=large_client) as task, inputs(small_client, samps_per_chan=100) as small_task:
+        large_client, small_client = connect_client(rig), connect_client(rig)
+        with (
+            nidaqmx.Task(grpc_options=large_client) as task,
+            input_task_of(small_client, samps_per_chan=100) as small_task,
+        ):
             task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
             task.timing.cfg_samp_clk_timing(51200.0)
             for _ in range(2):
@@ -213,18 +214,21 @@ def test_excessive_buffers_are_rejected():
                 task.write(np.zeros(60_000), auto_start=False)
             assert len(small_task.read(100)) == 100
             assert task.write(np.zeros(1000), auto_start=False) == 1000
-        with inputs(large_client, samps_per_chan=1_000_000) as task, pytest.raises(DaqError, match="smaller buffers"):
+        with (
+            input_task_of(large_client, samps_per_chan=1_000_000) as task,
+            pytest.raises(DaqError, match="smaller buffers"),
+        ):
             task.start()
 
 
-def test_invalid_requests_reach_only_caller(shared):
-    channel = open_channel(shared.address)
+def test_invalid_requests_do_not_stop_server(shared_rig):
+    channel = open_channel(shared_rig.address)
     for method in ("ReadAnalogF64", "CreateAIVoltageChan", "WriteRaw", "GetChanAttributeInt32"):
         with pytest.raises(grpc.RpcError):
             channel.unary_unary(f"/nidaqmx_grpc.NiDAQmx/{method}")(b"\xff\xff\xff\xff", timeout=30)
         with pytest.raises(grpc.RpcError):
             channel.unary_unary(f"/nidaqmx_grpc.NiDAQmx/{method}")(b"", timeout=30)
-    assert System.remote(shared).devices.device_names
+    assert System.remote(shared_rig).devices.device_names
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.20", "rig.example.org", "::"])
@@ -234,7 +238,7 @@ def test_public_address_needs_certificates(host):
 
 
 def test_failing_callback_does_not_stop_task(caplog):
-    with daq.connect("bare-structure", clock="fast") as rig, inputs(rig, samps_per_chan=300) as task:
+    with daq.connect("bare-structure", clock="fast") as rig, input_task_of(rig, samps_per_chan=300) as task:
         completed, calls = threading.Event(), queue.Queue()
 
         def raise_error(handle, kind, samples, data):

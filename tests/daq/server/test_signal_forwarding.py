@@ -1,4 +1,4 @@
-"""A signal that ends `daq run` ends its script, too: no process remains, and the log is readable."""
+"""A signal that ends `daq run` also ends its script: no process remains, and the log is readable."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ import pytest
 import daq
 from daq.server import signal_forwarding
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="elsewhere a signal cannot be sent to one process")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows cannot send a signal to a single process")
 
 SCRIPT = """
 import os, signal, sys
@@ -61,7 +61,7 @@ def start_run(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    # Statement before the task, signal to the command or to its process group, exit code of the command.
+    # Statement of the script before its task; signal, sent to the command or its process group; exit code of the command.
     ("before", "signal_number", "send", "code"),
     [
         ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),

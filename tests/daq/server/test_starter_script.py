@@ -32,7 +32,7 @@ def make_scene(channels, converter):
     return rig.loads(SCENE.replace("CHANNELS", channels).replace("CONVERTER", converter))
 
 
-def starter(connection):
+def printed_script(connection):
     """Return the script that `daq serve` prints for clients."""
     port = int(connection.address.rpartition(":")[2])
     return announcement(connection.chassis, "127.0.0.1", port, encrypted=False).rpartition("\n\n")[2]
@@ -57,16 +57,16 @@ def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
         chassis.listeners.append(lambda source, block: blocks.append(source.to_units(block.samples)))
         report_missing_excitation(chassis)
         namespace = {}
-        exec(starter(connection), namespace)
+        exec(printed_script(connection), namespace)
         infos = connection.sensors[:n_channels]
     data = np.atleast_2d(namespace["data"])
     expected = np.concatenate(blocks, axis=1)[:n_channels, :1000]
     # Velocity channels are read in volts.
     volts_per_unit = [info.sensitivity if info.quantity == "velocity" else 1.0 for info in infos]
     np.testing.assert_allclose(data, expected * np.array(volts_per_unit)[:, None], rtol=1e-6, atol=1e-9)
-    # The lower mode at a millimetre is 9 m/s^2 at body 1 and 15 m/s^2 at body 2.
-    moving = [row for row, info in enumerate(infos) if info.quantity == "acceleration"]
-    assert np.all(np.ptp(data[moving], axis=1) > 10.0)
+    # The lower mode with an amplitude of 1 mm has 9 m/s^2 at body 1 and 15 m/s^2 at body 2; ranges are twice that.
+    accelerometers = [row for row, info in enumerate(infos) if info.quantity == "acceleration"]
+    assert np.all(np.ptp(data[accelerometers], axis=1) > 10.0)
     out, err = capsys.readouterr()
     assert str(namespace["data"]) in out
     assert err == ""

@@ -22,7 +22,7 @@ from nidaqmx.errors import DaqError
 
 import rig
 from daq.virtual_bench.bench import Bench
-from tests.daq.client import RATE, Task, connect, inputs, output, pass_samples, raises_code, reads_waveforms
+from tests.daq.client import RATE, Task, add_inputs, add_output, connect, pass_samples, raises_code, reads_waveforms
 
 
 @pytest.fixture
@@ -38,17 +38,17 @@ def sine_voltage(samples, frequency=20.0, amplitude=0.1):
 def read_in_pieces(piece_length, total=512):
     """Drive the shaker and read the four inputs on the same clock; return voltages of shape (4, total).
 
-    Each call reads `piece_length` samples per channel.
+    Each read has at most `piece_length` samples per channel.
     """
     connect("bare-structure", "fast")
-    with Task() as reading, Task() as driving:
-        inputs(reading, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
-        output(driving, sine_voltage(512), sample_mode=AcquisitionType.CONTINUOUS)
-        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
-        driving.start()
-        reading.start()
+    with Task() as input_task, Task() as output_task:
+        add_inputs(input_task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
+        add_output(output_task, sine_voltage(512), sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+        output_task.start()
+        input_task.start()
         lengths = [min(piece_length, total - position) for position in range(0, total, piece_length)]
-        pieces = [np.array(reading.read(length)) for length in lengths]
+        pieces = [np.array(input_task.read(length)) for length in lengths]
     return np.concatenate(pieces, axis=1)
 
 
@@ -65,51 +65,52 @@ def test_readings_are_response_to_drive():
     np.testing.assert_allclose(measured, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
-def test_requested_rate_is_coerced(chassis):
+def test_requested_rate_is_coerced_to_next_higher(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai0:3")
+        add_inputs(task, "Dev1/ai0:3")
         coerced = []
         for rate in (1000.0, 5000.0, 8000.0, 51200.0):
             task.timing.cfg_samp_clk_timing(rate)
             coerced.append(task.timing.samp_clk_rate)
-    assert coerced == pytest.approx([51200 / 31, 5120.0, 51200 / 6, 51200.0], rel=1e-15)
+    # The next higher rates among 51.2 kS/s divided by integers up to 31.
+    assert coerced == pytest.approx([51200 / 31, 51200 / 10, 51200 / 6, 51200.0], rel=1e-15)
 
 
 @reads_waveforms
 def test_task_sets_sampling_rate(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai3")
+        add_inputs(task, "Dev1/ai3")
         task.timing.cfg_samp_clk_timing(10000.0, samps_per_chan=50)
         waveform = task.read_waveform()
     assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / 10240, rel=1e-9)
 
 
-def test_test_defined_in_scene_runs_at_low_rate():
+def test_excitation_of_scene_runs_at_low_rate():
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 2000.0, "drive": 1e-6}, converter={"rate": 10240.0}
     )
     # The rate of the task is too low for the tone of the test, 2 kHz.
     connect(scene, "fast")
     with Task() as task:
-        inputs(task, "Dev1/ai0:3")
+        add_inputs(task, "Dev1/ai0:3")
         task.timing.cfg_samp_clk_timing(2048.0, samps_per_chan=50)
         assert np.any(task.read(50))
 
 
 def test_unstarted_finite_task_reads_all(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai0:3", samps_per_chan=64)
+        add_inputs(task, "Dev1/ai0:3", samps_per_chan=64)
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
         assert task.is_task_done()
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
-    # The bench has ten times the rate of the task: the last of 128 samples is taken at bench sample 1271.
+    # The last of the 2 * 64 samples is at tick 1270 (ten ticks per sample); the position is one tick later.
     assert chassis.position == 127 * 10 + 1
 
 
 def test_shape_follows_from_number_of_samples(chassis):
     with Task() as one_channel, Task() as four_channels:
-        inputs(one_channel, "Dev1/ai0")
-        inputs(four_channels, "Dev2/ai0:3")
+        add_inputs(one_channel, "Dev1/ai0")
+        add_inputs(four_channels, "Dev2/ai0:3")
         assert isinstance(one_channel.read(), float)
         assert len(one_channel.read(1)) == 1
         assert np.shape(four_channels.read()) == (4,)
@@ -118,17 +119,17 @@ def test_shape_follows_from_number_of_samples(chassis):
 
 def test_read_all_gives_available_samples(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         pass_samples(chassis, 300)
         assert len(task.read(READ_ALL_AVAILABLE)) == 300
-        # No samples are left. Each query advances the fast clock, so that a polling loop ends.
+        # All samples have been read, but the query lets the fast clock advance a little, so that polling loops end.
         assert 0 < len(task.read(READ_ALL_AVAILABLE)) < 100
 
 
 def test_read_longer_than_buffer_is_complete(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         task.in_stream.input_buf_size = 100
         assert len(task.read(1000)) == 1000
         assert task.in_stream.curr_read_pos == 1000
@@ -136,7 +137,7 @@ def test_read_longer_than_buffer_is_complete(chassis):
 
 def test_sensitivity_converts_volts(chassis):
     with Task() as volt_task, Task() as g_task, Task() as metric_task:
-        inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
+        add_inputs(volt_task, "Dev1/ai3", samps_per_chan=500)
         for task, device, units in ((g_task, 2, AccelUnits.G), (metric_task, 3, AccelUnits.METERS_PER_SECOND_SQUARED)):
             task.ai_channels.add_ai_accel_chan(
                 f"Dev{device}/ai3",
@@ -157,7 +158,7 @@ def test_sensitivity_converts_volts(chassis):
 
 def test_relative_positions_read_again(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai3", samps_per_chan=200)
+        add_inputs(task, "Dev1/ai3", samps_per_chan=200)
         task.start()
         samples = task.read(200)
         task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 50
@@ -168,7 +169,7 @@ def test_relative_positions_read_again(chassis):
 
 def test_channel_subset_is_read(chassis):
     with Task() as task:
-        inputs(task, "Dev1/ai0:3", samps_per_chan=20)
+        add_inputs(task, "Dev1/ai0:3", samps_per_chan=20)
         task.start()
         all_channels = np.array(task.read(10))
         task.in_stream.channels_to_read = task.ai_channels["Dev1/ai1,Dev1/ai3"]
@@ -177,67 +178,67 @@ def test_channel_subset_is_read(chassis):
 
 
 def test_regeneration_repeats_buffer(chassis):
-    with Task() as driving:
-        output(driving, np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS)
-        driving.start()
+    with Task() as output_task:
+        add_output(output_task, np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.start()
         pass_samples(chassis, 25)
-        assert driving.out_stream.total_samp_per_chan_generated == 25
+        assert output_task.out_stream.total_samp_per_chan_generated == 25
         # Sample 24 repeats sample 4 of the buffer.
         assert chassis.last_volts[0] == 0.4
-        driving.write(np.full(10, 0.9))
+        output_task.write(np.full(10, 0.9))
         pass_samples(chassis, 1)
         assert chassis.last_volts[0] == 0.9
-        driving.stop()
+        output_task.stop()
         pass_samples(chassis, 10)
     assert chassis.last_volts[0] == 0.9
 
 
 def test_short_buffer_repeats_until_number_is_generated(chassis):
-    with Task() as driving:
-        output(driving, [0.1, 0.2, 0.3], samps_per_chan=7)
-        driving.start()
-        driving.wait_until_done()
-        assert driving.out_stream.total_samp_per_chan_generated == 7
+    with Task() as output_task:
+        add_output(output_task, [0.1, 0.2, 0.3], samps_per_chan=7)
+        output_task.start()
+        output_task.wait_until_done()
+        assert output_task.out_stream.total_samp_per_chan_generated == 7
         assert chassis.last_volts[0] == 0.1
 
 
 def test_samples_without_regeneration_are_generated_once(chassis):
-    with Task() as driving:
-        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        driving.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
-        driving.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
-        driving.write(np.zeros(100))
-        driving.start()
+    with Task() as output_task:
+        output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        output_task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+        output_task.write(np.zeros(100))
+        output_task.start()
         for _ in range(5):
-            assert driving.write(np.linspace(0.0, 1.0, 100)) == 100
-        assert driving.out_stream.curr_write_pos == 600
-        assert driving.out_stream.total_samp_per_chan_generated == 500
+            assert output_task.write(np.linspace(0.0, 1.0, 100)) == 100
+        assert output_task.out_stream.curr_write_pos == 600
+        assert output_task.out_stream.total_samp_per_chan_generated == 500
 
 
-def test_single_value_is_held(chassis):
-    with Task() as driving, Task() as reading:
-        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        assert driving.write(1.1) == 1
-        inputs(reading, "Dev1/ai3", samps_per_chan=400)
-        assert np.ptp(reading.read(READ_ALL_AVAILABLE)) > 1.0
+def test_last_output_value_is_held(chassis):
+    with Task() as output_task, Task() as input_task:
+        output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        assert output_task.write(1.1) == 1
+        add_inputs(input_task, "Dev1/ai3", samps_per_chan=400)
+        assert np.ptp(input_task.read(READ_ALL_AVAILABLE)) > 1.0
     assert chassis.last_volts[0] == 1.1
 
 
-def test_output_starts_with_input_clock(chassis):
-    with Task() as reading, Task() as driving:
-        inputs(reading, "Dev1/ai0", samps_per_chan=10)
-        output(driving, np.ones(5), source="/Dev1/ai/SampleClock", samps_per_chan=5)
-        driving.start()
+def test_output_on_input_clock_waits_for_inputs(chassis):
+    with Task() as input_task, Task() as output_task:
+        add_inputs(input_task, "Dev1/ai0", samps_per_chan=10)
+        add_output(output_task, np.ones(5), source="/Dev1/ai/SampleClock", samps_per_chan=5)
+        output_task.start()
         pass_samples(chassis, 20)
-        assert driving.out_stream.total_samp_per_chan_generated == 0
-        reading.read(READ_ALL_AVAILABLE)
-        assert driving.out_stream.total_samp_per_chan_generated == 5
+        assert output_task.out_stream.total_samp_per_chan_generated == 0
+        input_task.read(READ_ALL_AVAILABLE)
+        assert output_task.out_stream.total_samp_per_chan_generated == 5
 
 
 def test_callback_runs_every_100_samples(chassis):
     calls = queue.Queue()
     with Task() as task:
-        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
         def on_samples(handle, kind, samples, data):
             calls.put((kind, samples, len(task.read(samples))))
@@ -255,24 +256,24 @@ def test_callback_runs_every_100_samples(chassis):
 def test_output_callbacks_run(chassis):
     # Each kind of event has its own thread, so the order is not fixed.
     calls, completed = queue.Queue(), queue.Queue()
-    with Task() as driving:
-        output(driving, np.zeros(50), samps_per_chan=250)
-        driving.register_every_n_samples_transferred_from_buffer_event(100, lambda *event: calls.put(event[2]))
-        driving.register_done_event(lambda handle, status, data: completed.put(status))
-        driving.start()
-        driving.wait_until_done()
+    with Task() as output_task:
+        add_output(output_task, np.zeros(50), samps_per_chan=250)
+        output_task.register_every_n_samples_transferred_from_buffer_event(100, lambda *event: calls.put(event[2]))
+        output_task.register_done_event(lambda handle, status, data: completed.put(status))
+        output_task.start()
+        output_task.wait_until_done()
         events = [event_queue.get(timeout=60.0) for event_queue in (calls, calls, completed)]
     assert events == [100, 100, 0]
     assert calls.empty() and completed.empty()
 
 
 def test_callbacks_run_on_another_thread(monkeypatch):
-    # On a busy machine the bench would report that it is slower than real time.
+    # On a busy machine, the delay of the bench must not stop the task.
     monkeypatch.setattr("daq.instrument.chassis._MAX_DELAY_S", float("inf"))
     connect("bare-structure", "real")
     three_calls, threads = threading.Event(), []
     with Task("live") as task:
-        inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
 
         def on_samples(handle, kind, samples, data):
             task.read(samples)
@@ -290,17 +291,17 @@ def test_callbacks_run_on_another_thread(monkeypatch):
 
 def test_committed_task_reserves_its_modules(chassis):
     with Task() as first, Task() as second:
-        inputs(first, "Dev1/ai0:3", samps_per_chan=10)
-        inputs(second, "Dev1/ai0:3", samps_per_chan=10)
+        add_inputs(first, "Dev1/ai0:3", samps_per_chan=10)
+        add_inputs(second, "Dev1/ai0:3", samps_per_chan=10)
         first.control(TaskMode.TASK_COMMIT)
         first.read(READ_ALL_AVAILABLE)
-        with raises_code(-50103):  # The resource is reserved.
+        with raises_code(-50103):  # the resource is reserved
             second.start()
         first.control(TaskMode.TASK_UNRESERVE)
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
 
 
-def test_test_defined_in_scene_runs_without_output():
+def test_excitation_of_scene_runs_without_output():
     connect("fig10b-no-damper", "fast")
     with Task() as task:
         task.ai_channels.add_ai_force_iepe_chan("Dev1/ai3")
@@ -313,16 +314,17 @@ def test_test_defined_in_scene_runs_without_output():
 def test_compensated_filter_delay_keeps_sample_times():
     scene = rig.load("bare-structure")
     without_delay = scene.replace(converter=scene.converter.replace(filter="delta_sigma", remove_delay=True))
-    responses = []
     # The output is a pulse after 1000 samples.
+    pulse = np.concatenate([np.zeros(1000), np.hanning(400)])
+    responses = []
     for variant in (scene, without_delay):
         connect(variant, "fast")
-        with Task() as reading, Task() as driving:
-            inputs(reading, "Dev1/ai3", samps_per_chan=2000)
-            output(driving, np.concatenate([np.zeros(1000), np.hanning(400)]), samps_per_chan=1400)
-            driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
-            driving.start()
-            responses.append(np.array(reading.read(READ_ALL_AVAILABLE)))
+        with Task() as input_task, Task() as output_task:
+            add_inputs(input_task, "Dev1/ai3", samps_per_chan=2000)
+            add_output(output_task, pulse, samps_per_chan=1400)
+            output_task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger")
+            output_task.start()
+            responses.append(np.array(input_task.read(READ_ALL_AVAILABLE)))
     reference, filtered = responses
     correlation = np.correlate(filtered - filtered.mean(), reference - reference.mean(), "full")
     delay_samples = np.argmax(correlation) - (len(reference) - 1)
@@ -330,7 +332,7 @@ def test_compensated_filter_delay_keeps_sample_times():
 
 
 def count_queries(condition, task):
-    """Poll until the condition is true, as a script does; return the number of queries. Fail after 1000."""
+    """Poll until the condition is true, as a script does; return the number of queries, or fail after 1000."""
     for queries in range(1000):
         if condition(task):
             return queries
@@ -346,40 +348,40 @@ def count_queries(condition, task):
     ],
 )
 def test_polling_advances_fast_clock(chassis, condition):
-    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+    with add_inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         assert count_queries(condition, task) > 1
         assert np.array(task.read(READ_ALL_AVAILABLE)).shape == (4, 1000)
 
 
 def test_polling_output_advances_fast_clock(chassis):
-    with output(Task(), sine_voltage(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
+    with add_output(Task(), sine_voltage(1000), sample_mode=AcquisitionType.FINITE, samps_per_chan=1000) as task:
         task.start()
         count_queries(lambda task: task.out_stream.total_samp_per_chan_generated == 1000, task)
 
 
 def test_repeated_reads_without_timeout_succeed(chassis):
-    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
+    with add_inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
 
         def condition(task):
             try:
                 return len(task.read(10, timeout=0.0)[0]) == 10
             except DaqError as no_samples:
-                assert no_samples.error_code == -200284  # Not enough samples before the timeout.
+                assert no_samples.error_code == -200284  # not enough samples before the timeout
                 return False
 
         count_queries(condition, task)
 
 
 def test_single_queries_do_not_advance_clock(chassis):
-    with inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
+    with add_inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(100)
         stream = task.in_stream
         assert (stream.total_samp_per_chan_acquired, stream.avail_samp_per_chan) == (100, 0)
         assert not task.is_task_done()
-        # The last of 100 samples is taken at bench sample 991.
+        # The last of the 100 samples is at tick 990; the position is one tick later.
         assert chassis.position == 99 * 10 + 1
 
 
@@ -398,7 +400,7 @@ def test_every_channel_gets_its_name(chassis, name, expected):
         assert task.channel_names == expected
 
 
-@pytest.mark.parametrize(("port", "names"), [("Dev1/ai0", "a, b"), ("", "a")])
-def test_wrong_number_of_names_is_rejected(chassis, port, names):
+@pytest.mark.parametrize(("channels", "names"), [("Dev1/ai0", "a, b"), ("", "a")])
+def test_more_names_than_channels_are_rejected(chassis, channels, names):
     with Task() as task, pytest.raises(DaqError):
-        task.ai_channels.add_ai_accel_chan(port, names)
+        task.ai_channels.add_ai_accel_chan(channels, names)

@@ -1,6 +1,6 @@
-"""Errors of the remote API have the codes and texts of NI's driver, and name the remedy.
+"""Errors have the codes and texts of NI's driver, and name the remedy.
 
-Negative numbers in these tests are error codes of the driver; the hints are parts of the error texts.
+Negative numbers in these tests are error codes of the driver (`nidaqmx.error_codes`); the hints are parts of messages.
 """
 
 import importlib
@@ -25,7 +25,7 @@ import rig
 from daq.instrument.clock import ManualClock
 from daq.server.calls.handlers import handler_of, script_function
 from daq.server.protocol import methods
-from tests.daq.client import RATE, Task, connect, inputs, options, pass_samples, raises_code
+from tests.daq.client import RATE, Task, add_inputs, connect, options, pass_samples, raises_code
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def chassis():
 
 def test_finished_task_gives_remaining_samples(chassis):
     with Task() as task:
-        inputs(task, samps_per_chan=100)
+        add_inputs(task, samps_per_chan=100)
         task.start()
         pass_samples(chassis, 100)
         assert len(task.read(150)) == 100
@@ -50,7 +50,7 @@ def test_dropped_samples_end_task_until_restart():
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         pass_samples(chassis, 1000)
         with raises_code(-200361, kind=DaqReadError, samples=512):
@@ -63,9 +63,9 @@ def test_dropped_samples_end_task_until_restart():
 
 def test_long_delay_of_machine_overflows_inputs(chassis):
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
-        # Delays of the simulation behind real time, s: short ones are tolerated.
+        # Delays relative to real time, s; up to 5 s are tolerated.
         assert not chassis.report_delay(1.0)
         assert chassis.report_delay(6.0)
         with raises_code(-200361, "fast clock", kind=DaqReadError):
@@ -81,7 +81,7 @@ def start_output(task):
     task.start()
 
 
-def test_exhausted_output_buffer_is_reported(chassis):
+def test_exhausted_output_buffer_is_reported_until_stop(chassis):
     with Task() as task:
         start_output(task)
         with raises_code(-200292, kind=DaqWriteError, samples=0):
@@ -106,7 +106,7 @@ def test_exhausted_output_buffer_is_reported_on_stop(chassis):
 
 def test_running_task_rejects_settings(chassis):
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         for change in (
             lambda: task.timing.cfg_samp_clk_timing(100.0),
@@ -120,6 +120,7 @@ def test_running_task_rejects_settings(chassis):
         ):
             with pytest.raises(DaqError) as caught:
                 change()
+            # Property cannot be set, operation cannot be performed, or event cannot be registered while running.
             assert caught.value.error_code in (-200557, -200479, -200960)
             assert "stop()" in str(caught.value)
 
@@ -153,7 +154,7 @@ def test_channel_limits_are_rejected_or_coerced():
 @pytest.mark.parametrize("rate", [0.0, -1.0, 96000.0])
 def test_impossible_rate_is_rejected(chassis, rate):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         with raises_code(-200077, "51200"):
             task.timing.cfg_samp_clk_timing(rate)
 
@@ -187,14 +188,14 @@ def test_impossible_rate_is_rejected(chassis, rate):
 )
 def test_error_of_invalid_value_names_valid_values(chassis, call, hint):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         with raises_code(-200077, hint):
             call(task)
 
 
 def test_excessive_samples_are_rejected(chassis):
     with Task() as task:
-        inputs(task, samps_per_chan=10**13)
+        add_inputs(task, samps_per_chan=10**13)
         with raises_code(-200077, "memory"):
             task.start()
 
@@ -203,14 +204,14 @@ def test_excessive_samples_are_rejected(chassis):
 def test_infinite_timeout_waits_for_task(timeout):
     connect("bare-structure", "fast")
     with Task() as task:
-        inputs(task, samps_per_chan=512)
+        add_inputs(task, samps_per_chan=512)
         task.start()
         task.wait_until_done(timeout)
         assert task.is_task_done()
 
 
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
-def test_invalid_sensitivity_does_not_replace_old_one(chassis, sensitivity):
+def test_invalid_sensitivity_does_not_replace_valid_sensitivity(chassis, sensitivity):
     with Task() as task:
         with raises_code(-200077, "sensitivity"):
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
@@ -226,8 +227,8 @@ def test_invalid_sensitivity_does_not_replace_old_one(chassis, sensitivity):
 
 def test_error_of_used_module_names_its_task(chassis):
     with Task("mine") as first, Task("yours") as second:
-        inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
-        inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
         with raises_code(-50103, "'mine'"):
             second.start()
@@ -235,37 +236,37 @@ def test_error_of_used_module_names_its_task(chassis):
         second.start()
 
 
-def test_wrong_use_has_code_of_driver(chassis):
+def test_invalid_calls_have_codes_of_driver(chassis):
     def code(call, *arguments):
         """Return the error code of a call that must fail."""
         with pytest.raises(DaqError) as caught:
             call(*arguments)
         return caught.value.error_code
 
-    with Task() as without_channels, Task() as reading, Task() as driving:
+    with Task() as without_channels, Task() as input_task, Task() as output_task:
         assert code(without_channels.start) == -200478
         assert code(without_channels.read) == -200478
-        inputs(reading, sample_mode=AcquisitionType.CONTINUOUS)
-        reading.in_stream.auto_start = False
-        assert code(reading.read, 10) == -200473
-        assert code(lambda: reading.in_stream.overloaded_chans) == -200362
-        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        driving.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
-        assert code(driving.start) == -200462
-        assert code(driving.write, np.zeros((2, 10))) == -200524
-        assert code(driving.write, [0.0, 11.0]) == -200561
-        assert code(driving.write, [0.0, np.nan]) == -200561
-        driving.write(np.zeros(10))
-        driving.start()
-        assert code(driving.wait_until_done, 0.1) == -200560
-        assert code(driving.ai_channels.add_ai_voltage_chan, "Dev1/ai0") == -200479
+        add_inputs(input_task, sample_mode=AcquisitionType.CONTINUOUS)
+        input_task.in_stream.auto_start = False
+        assert code(input_task.read, 10) == -200473
+        assert code(lambda: input_task.in_stream.overloaded_chans) == -200362
+        output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        output_task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
+        assert code(output_task.start) == -200462
+        assert code(output_task.write, np.zeros((2, 10))) == -200524
+        assert code(output_task.write, [0.0, 11.0]) == -200561
+        assert code(output_task.write, [0.0, np.nan]) == -200561
+        output_task.write(np.zeros(10))
+        output_task.start()
+        assert code(output_task.wait_until_done, 0.1) == -200560
+        assert code(output_task.ai_channels.add_ai_voltage_chan, "Dev1/ai0") == -200479
         pass_samples(chassis, 10)
-    assert code(reading.read, 1) == -200088
+    assert code(input_task.read, 1) == -200088
 
 
 def test_offset_before_first_sample_is_rejected(chassis):
     with Task() as task:
-        inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         pass_samples(chassis, 100)
         task.read(20)
@@ -277,7 +278,7 @@ def test_offset_before_first_sample_is_rejected(chassis):
 
 def test_unsupported_call_names_client_function(chassis):
     with Task() as task:
-        inputs(task)
+        add_inputs(task)
         for call, name, code in (
             (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", -200431),
             (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", -200170),
@@ -307,7 +308,7 @@ def test_unsupported_channel_calls_exist_in_client():
 
 def test_timeout_has_text_of_driver(chassis):
     with Task("waiting") as task:
-        inputs(task)
+        add_inputs(task)
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=100)
         task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
         with pytest.raises(DaqReadError) as caught:
@@ -330,9 +331,9 @@ def test_reserved_resource_names_terminal_and_task(chassis):
 
 def test_early_stop_returns_warning_code(chassis):
     with Task("early") as task:
-        inputs(task, samps_per_chan=100)
+        add_inputs(task, samps_per_chan=100)
         task.start()
-        assert chassis.tasks["early"].stop() == 200010  # NI's warning that a finite task was not done.
+        assert chassis.tasks["early"].stop() == 200010  # NI's warning that a finite task was not done
 
 
 def test_closed_task_is_unusable(chassis):
@@ -348,18 +349,18 @@ def test_closed_task_is_unusable(chassis):
 def test_overload_flag_names_channel():
     scene = rig.load("bare-structure")
     chassis = connect(scene.replace(converter=scene.converter.replace(bits=24, range="0.2 V")), ManualClock())
-    with Task() as reading, Task() as driving:
-        reading.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-0.1, max_val=0.1)
-        reading.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
-        driving.ao_channels.add_ao_voltage_chan("Dev1/ao0")
-        driving.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
-        driving.write(np.sin(np.arange(500) / 20))
-        driving.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger", Edge.RISING)
-        driving.start()
-        reading.start()
+    with Task() as input_task, Task() as output_task:
+        input_task.ai_channels.add_ai_voltage_chan("Dev1/ai0:3", min_val=-0.1, max_val=0.1)
+        input_task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        output_task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=500)
+        output_task.write(np.sin(np.arange(500) / 20))
+        output_task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/ai/StartTrigger", Edge.RISING)
+        output_task.start()
+        input_task.start()
         pass_samples(chassis, 50)
-        assert reading.in_stream.overloaded_chans_exist
-        assert "Dev1/ai3" in reading.in_stream.overloaded_chans
-        assert not reading.in_stream.overloaded_chans_exist
-        assert np.abs(reading.read(50)[3]).max() == pytest.approx(0.2, rel=1e-6)
+        assert input_task.in_stream.overloaded_chans_exist
+        assert "Dev1/ai3" in input_task.in_stream.overloaded_chans
+        assert not input_task.in_stream.overloaded_chans_exist
+        assert np.abs(input_task.read(50)[3]).max() == pytest.approx(0.2, rel=1e-6)
         pass_samples(chassis, 450)

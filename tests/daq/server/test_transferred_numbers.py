@@ -1,4 +1,4 @@
-"""Read and write calls with any value of any field: the answer is right, or an error of the driver."""
+"""Read and write calls with any value of any field return a valid response, or an error of the driver."""
 
 import grpc
 import nidaqmx
@@ -17,7 +17,7 @@ from daq.server.protocol import SERVICE, methods
 
 COUNT_TYPES = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 # Calls that read or write samples.
-TRANSFERS = [method for method in methods() if method.name.startswith(("Read", "Write"))]
+TRANSFER_METHODS = [method for method in methods() if method.name.startswith(("Read", "Write"))]
 FEW_EXAMPLES = settings(
     max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -38,13 +38,13 @@ def bench(request):
 
 
 def send(channel, method, **fields):
-    """Send a request with these fields; return the answer."""
+    """Send a request with these fields; return the response."""
     message = message_factory.GetMessageClass(SERVICE.methods_by_name[method].input_type)(**fields)
-    answer = message_factory.GetMessageClass(SERVICE.methods_by_name[method].output_type)
+    response = message_factory.GetMessageClass(SERVICE.methods_by_name[method].output_type)
     call = channel.unary_unary(
         f"/{SERVICE.full_name}/{method}",
         request_serializer=lambda request: request.SerializeToString(),
-        response_deserializer=answer.FromString,
+        response_deserializer=response.FromString,
     )
     return call(message)
 
@@ -95,8 +95,8 @@ def requests(draw, method, task):
 
 
 @pytest.mark.parametrize("bench", [16], indirect=True)
-@pytest.mark.parametrize("method", [method.name for method in TRANSFERS])
-def test_any_request_gives_answer_or_driver_error(bench, method):
+@pytest.mark.parametrize("method", [method.name for method in TRANSFER_METHODS])
+def test_any_request_gives_response_or_driver_error(bench, method):
     connection, _, channel = bench
     with nidaqmx.Task("in", grpc_options=connection) as inputs, nidaqmx.Task("out", grpc_options=connection) as outputs:
         inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:1")
@@ -106,14 +106,14 @@ def test_any_request_gives_answer_or_driver_error(bench, method):
 
         @FEW_EXAMPLES
         @given(st.data())
-        def try_any(data):
+        def send_any_request(data):
             fields = data.draw(requests(method, data.draw(st.sampled_from(["in", "out", ""]))))
             try:
                 send(channel, method, **fields)
             except grpc.RpcError as error:
                 code_of(error)
 
-        try_any()
+        send_any_request()
 
 
 @pytest.mark.parametrize("count_type", COUNT_TYPES)
@@ -151,7 +151,7 @@ def test_counts_written_are_twos_complement(bench, count_type):
             number = int(np.int64(count).astype(COUNT_TYPES[count_type]))
             samples = {"num_samps_per_chan": 1, "write_array": [number], "auto_start": True}
             send(channel, f"WriteBinary{count_type}", task={"name": "counts"}, **samples)
-            assert output_volts[0] == count * 10.0 / 2 ** (bits - 1)
+            assert output_volts[0] == count * 10.0 / 2 ** (bits - 1)  # range ±10 V
 
         if bits <= width:
             write()

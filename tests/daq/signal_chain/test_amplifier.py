@@ -1,4 +1,4 @@
-"""Integrating amplifiers of a channel: gain, corner, low cut-off, saturation and noise."""
+"""Integrating amplifiers of a channel: gain, corner frequency, low cut-off, saturation and noise."""
 
 import numpy as np
 import pytest
@@ -8,27 +8,30 @@ from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion
 
 def test_gain_scales_the_integral():
     path = PointMotion(tones=((7.0, 20.0, 0.4),), impacts=((0.0312, 0.1),))
+    sensitivity, gain = 2.0, 30.0
     for order, quantity, row in ((1, "velocity", 1), (2, "displacement", 0)):
-        keys = f", accelerometer: {{sensitivity: 2}}, integrator: {{order: {order}, gain: 30}}"
-        chain, rate = chain_of(scene_of(keys))
+        channel_keys = f", accelerometer: {{sensitivity: {sensitivity}}}, integrator: {{order: {order}, gain: {gain}}}"
+        chain, rate = chain_of(scene_of(channel_keys))
         info = chain.channels[0]
-        assert (info.quantity, info.sensitivity) == (quantity, pytest.approx(60.0, rel=1e-14))
+        assert (info.quantity, info.sensitivity) == (quantity, pytest.approx(sensitivity * gain, rel=1e-14))
         motion = motion_of([path], rate, 500)
         truth = path.at(np.arange(500) / rate)[row]
+        # The integrator starts from zero; the velocity does too, but the displacement does not.
         truth = truth - (truth[0] if quantity == "displacement" else 0.0)
-        assert chain.measure(motion)[0] / 60.0 == pytest.approx(truth, abs=1e-13)
+        assert chain.measure(motion)[0] / (sensitivity * gain) == pytest.approx(truth, abs=1e-13)
 
 
-def test_constant_input_settles_at_corner():
-    keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 1, corner: 3 Hz, gain: 10}"
-    chain, rate = chain_of(scene_of(keys))
+def test_gain_at_zero_frequency_follows_from_corner():
+    channel_keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 1, corner: 3 Hz, gain: 10}"
+    chain, rate = chain_of(scene_of(channel_keys))
     volts = chain.measure(at_rest(1, rate, 5120))[0]
+    # The transfer function gain / (s + 2 pi corner) at s = 0.
     assert volts[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
 
 
 def test_low_cutoff_removes_bias():
-    keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
-    chain, rate = chain_of(scene_of(keys))
+    channel_keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
+    chain, rate = chain_of(scene_of(channel_keys))
     volts = chain.measure(at_rest(1, rate, 10240))[0]
     assert np.abs(volts[:2000]).max() > 1e-3
     assert np.abs(volts[-100:]).max() < 1e-12
@@ -37,8 +40,8 @@ def test_low_cutoff_removes_bias():
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_saturated_integrator_has_no_wind_up(order):
-    keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
-    chain, rate = chain_of(scene_of(keys))
+    channel_keys = f", integrator: {{order: {order}, gain: 400, saturation: 2 V}}"
+    chain, rate = chain_of(scene_of(channel_keys))
     # A constant acceleration for a quarter of a second, then the opposite acceleration.
     acceleration = np.where(np.arange(2560) < 1280, 100.0, -100.0)
     acceleration[0] = 0.0
@@ -61,7 +64,7 @@ def test_double_integrated_noise_grows():
         scene = scene_of(
             f", accelerometer: {{noise: {density}}}, integrator: {{order: 2}}",
             converter=f"{{rate: {rate} Hz}}",
-            more=f"seed: {seed}",
+            other_settings=f"seed: {seed}",
         )
         chain, _ = chain_of(scene)
         samples = chain.measure(at_rest(1, rate, round(3600 * rate)))[0]

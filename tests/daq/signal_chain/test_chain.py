@@ -1,4 +1,4 @@
-"""A complete signal chain: sensor, amplifier and converter against closed forms and the stated response.
+"""A complete signal chain: samples of sensor, amplifier and converter against closed forms and stated responses.
 
 An effect is a property by which a real channel deviates from an ideal one, such as noise. The stated response is that
 of the channel's data sheets.
@@ -34,23 +34,25 @@ def random_impacts(count, duration, seed):
     return tuple(zip(np.sort(rng.uniform(0.02, 0.95, count)) * duration, rng.normal(size=count), strict=True))
 
 
-def measured_and_stated_response(keys, rate, frequency, seconds=2.0):
+def measured_and_stated_response(channel_keys, rate, frequency, seconds=2.0):
     """Return the complex ratio of a channel's reading to the true amplitude of a tone, and its stated response."""
-    chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
+    chain, _ = chain_of(scene_of(channel_keys, converter=f"{{rate: {rate} Hz}}"))
     info = chain.channels[0]
     derivative = ("displacement", "velocity", "acceleration").index(info.quantity)
     omega = 2 * np.pi * frequency
-    path = PointMotion(tones=((omega ** (2 - derivative), frequency, 0.4),), start_velocity=0.0)
+    amplitude, phase = omega ** (2 - derivative), 0.4  # of the acceleration; the measured quantity has the amplitude 1
+    path = PointMotion(tones=((amplitude, frequency, phase),))
     readings = chain.measure(motion_of([path], rate, round(seconds * rate)))[0] / info.sensitivity
     t = np.arange(readings.size) / rate
+    # In the second half, transients have decayed; a constant and a drift are fitted too.
     second_half = t > seconds / 2
     basis = np.stack([np.cos(omega * t), -np.sin(omega * t), np.ones(t.size), t], axis=1)[second_half]
     real, imag, *_ = np.linalg.lstsq(basis, readings[second_half], rcond=None)[0]
-    truth = omega ** (2 - derivative) * np.exp(0.4j) * (1j * omega) ** (derivative - 2)
+    truth = amplitude * np.exp(1j * phase) * (1j * omega) ** (derivative - 2)
     return (real + 1j * imag) / truth, complex(info.response(frequency))
 
 
-# Keys of channels.
+# Keys of channels in a scene.
 CHANNELS = {
     "ideal": "",
     "sensor": SENSOR,
@@ -60,31 +62,31 @@ CHANNELS = {
 }
 
 
-@pytest.mark.parametrize("keys", CHANNELS.values(), ids=CHANNELS)
-def test_low_frequencies_have_stated_response(keys):
+@pytest.mark.parametrize("channel_keys", CHANNELS.values(), ids=CHANNELS)
+def test_low_frequencies_have_stated_response(channel_keys):
     for rate, frequencies in ((5120.0, (97.0, 307.0)), (51200.0, (211.0, 1000.0))):
         for frequency in frequencies:
-            measured, stated = measured_and_stated_response(keys, rate, frequency)
+            measured, stated = measured_and_stated_response(channel_keys, rate, frequency)
             assert measured == pytest.approx(stated, rel=1e-6)
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0])
 @pytest.mark.parametrize("order", [1, 2])
 def test_integrator_follows_its_transfer_function(order, rate):
-    keys = f", integrator: {{order: {order}, corner: 1 Hz, gain: 50}}"
+    channel_keys = f", integrator: {{order: {order}, corner: 1 Hz, gain: 50}}"
     for frequency in (1.0, 7.0, 60.0, 450.0, 1000.0):
         seconds = 6.0 if frequency < 10 else 2.0
-        measured, _ = measured_and_stated_response(keys, rate, frequency, seconds)
+        measured, _ = measured_and_stated_response(channel_keys, rate, frequency, seconds)
         s, corner = 2j * np.pi * frequency, 2 * np.pi
         ratio = measured / (s / (s + corner)) ** order
         assert abs(ratio) == pytest.approx(1.0, abs=1e-3)
         assert np.angle(ratio, deg=True) == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize("keys", ["sensor", "velocity", "displacement"])
-def test_high_frequencies_have_stated_response(keys):
+@pytest.mark.parametrize("name", ["sensor", "velocity", "displacement"])
+def test_high_frequencies_have_stated_response(name):
     for frequency, tolerance in ((400.0, 1e-6), (1000.0, 1e-4), (2000.0, 1e-3)):
-        measured, stated = measured_and_stated_response(CHANNELS[keys], 5120.0, frequency)
+        measured, stated = measured_and_stated_response(CHANNELS[name], 5120.0, frequency)
         assert measured == pytest.approx(stated, rel=tolerance)
 
 
@@ -97,8 +99,8 @@ def test_samples_of_impacts_have_closed_form(order, rate):
     impacts[4] = (impacts[3][0] + 1e-16 / rate, 0.7)
     impacts[9] = (impacts[8][0] + 1e-6 / rate, -0.3)
     impacts[15] = (round(impacts[15][0] * rate) / rate, 0.2)
-    keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
-    chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate} Hz}}"))
+    channel_keys = f"{SENSOR}, integrator: {{order: {order}, corner: 1 Hz}}"
+    chain, _ = chain_of(scene_of(channel_keys, converter=f"{{rate: {rate} Hz}}"))
     volts = chain.measure(motion_of([PointMotion(impacts=tuple(sorted(impacts)))], rate, samples))[0]
     circuit = Circuit.series([resonance(30e3, 30.0), high_pass(4.0, "low cut-off"), *[integration(1.0, 1.0)] * order])
     t = np.arange(samples) / rate
@@ -139,9 +141,9 @@ def test_samples_do_not_depend_on_blocks():
     _, rate = chain_of(scene)
     motion = motion_of(paths, rate, 512)
     expected = chain_of(scene)[0].measure(motion)
-    for size in (1, 7, 128):
+    for block_size in (1, 7, 128):
         chain, _ = chain_of(scene)
-        blocks = [chain.measure(cut(motion, k, min(k + size, 512))) for k in range(0, 512, size)]
+        blocks = [chain.measure(cut(motion, k, min(k + block_size, 512))) for k in range(0, 512, block_size)]
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
@@ -151,9 +153,9 @@ def test_oversampled_samples_do_not_depend_on_blocks():
     motion = motion_of([PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.05, seed=1))], rate, 600)
     expected = chain_of(scene, oversampling=3)[0].measure(motion)
     assert expected.shape == (1, 200)
-    for size in (1, 7, 250):
+    for block_size in (1, 7, 250):
         chain, _ = chain_of(scene, oversampling=3)
-        blocks = [chain.measure(cut(motion, k, min(k + size, 600))) for k in range(0, 600, size)]
+        blocks = [chain.measure(cut(motion, k, min(k + block_size, 600))) for k in range(0, 600, block_size)]
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
@@ -174,12 +176,12 @@ def test_effects_list_is_complete():
         "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantisation": 0},
     }
     effects = chain_of(scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS))[0].effects["c1"]
-    # The spectrum of 1/f noise needs a first-order state for every two octaves.
+    # The spectrum of 1/f noise requires a first-order state for every two octaves.
     assert effects["1/f noise"] > 5
     assert {"1/f noise", "offset settling", "overload recovery", "decimation filter", "jitter"} <= set(effects)
 
 
-def test_settled_start_reads_zero():
+def test_constant_displacement_reads_zero():
     chain, rate = chain_of(scene_of(*CHANNELS.values()))
     motion = at_rest(len(CHANNELS), rate, 50)
     motion.displacement[:] = 0.3
@@ -196,14 +198,15 @@ def test_force_drive_adds_a_force_channel():
     text = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
     hammer = rig.loads(text + "test: {kind: impulse, body: 1, peak: 5 N, width: 4 ms}")
     shaker = rig.loads(text + "shaker: {kind: force, body: 1}")
-    for scene, place in ((hammer, "hammer"), (shaker, "shaker")):
-        chain = Chain(scene, 5120.0, ["body 1"], inputs=[place])
+    for scene, input_name in ((hammer, "hammer"), (shaker, "shaker")):
+        chain = Chain(scene, 5120.0, ["body 1"], inputs=[input_name])
         assert [(info.name, info.quantity) for info in chain.channels] == [
             ("body1", "acceleration"),
             ("force", "force"),
         ]
         forces = np.arange(12.0)[None]
         samples = chain.measure(at_rest(1, 5120.0, 12), forces)[1]
+        # Averages of the linearly increasing force over the intervals that end at the samples.
         assert samples == pytest.approx([0.0, *(np.arange(11.0) + 0.5)])
 
 
@@ -214,13 +217,13 @@ def test_unused_hammer_reads_zero():
     assert not Chain(scene, 5120.0, ["body 1"]).measure(at_rest(1, 5120.0, 5)).any()
 
 
-def test_unknown_place_is_named():
+def test_error_names_unknown_location():
     with pytest.raises(SceneError, match=r"has no body 2.*body 1"):
         Chain(scene_of("", ""), 5120.0, ["body 1"])
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.01])
-def test_other_motion_rate_is_rejected(factor):
+def test_motion_rate_must_be_multiple_of_sample_rate(factor):
     with pytest.raises(SceneError, match="rate"):
         Chain(scene_of(), 5120.0 * factor, ["body 1"])
 

@@ -1,4 +1,4 @@
-"""Description of a channel: its frequency response, metadata and size of a count."""
+"""Description of a channel: its frequency response, its metadata, and its reading per count."""
 
 import numpy as np
 import pytest
@@ -21,9 +21,11 @@ def test_response_is_the_product_of_roots():
 
 
 def test_averaging_and_delay_are_in_the_response():
-    info = channel(average=True, delay=2e-3)
-    expected = np.sinc(0.2) * np.exp(-2j * np.pi * 20.0 * (0.5 / 100.0 + 2e-3))
-    assert info.response([20.0, 0.0]) == pytest.approx(np.array([expected, 1.0]), rel=1e-14)
+    frequency, delay = 20.0, 2e-3
+    info = channel(average=True, delay=delay)
+    # An average over a sample interval delays by half the interval.
+    expected = np.sinc(frequency / info.rate) * np.exp(-2j * np.pi * frequency * (0.5 / info.rate + delay))
+    assert info.response([frequency, 0.0]) == pytest.approx(np.array([expected, 1.0]), rel=1e-14)
 
 
 def test_metadata_is_lossless():
@@ -43,5 +45,6 @@ def test_damaged_metadata_names_the_field(damage):
 
 
 def test_unit_per_count_includes_sensitivity():
-    assert channel(volts_per_count=0.5).unit_per_count == 0.25
-    assert channel().unit_per_count == 0.5
+    # The sensitivity is 2 V per unit; without counts, the result is per volt.
+    assert channel(volts_per_count=0.5).unit_per_count == 0.5 / 2.0
+    assert channel().unit_per_count == 1.0 / 2.0

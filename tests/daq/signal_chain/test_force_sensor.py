@@ -28,7 +28,7 @@ RANDOM_TEST = "test: {kind: random, from: 5 Hz, to: 60 Hz, duration: 30 s, force
 
 
 def scene_of(test: str, *channels: str, shaker: str = "{kind: force, body: 1}") -> rig.Scene:
-    """Return two bodies with this test, these channels and this shaker."""
+    """Return a scene of two bodies with this test, these channels and this shaker."""
     text = STRUCTURE.replace("{kind: force, body: 1}", shaker) + test
     return rig.loads(text + f"channels: [{', '.join(channels)}]\n")
 
@@ -46,11 +46,11 @@ def test_responses_are_relative_to_measured_force(tmp_path) -> None:
     np.testing.assert_allclose(curve.value, exact, rtol=2e-3)
 
 
-def test_random_force_gives_right_response(tmp_path) -> None:
+def test_random_test_gives_response_to_measured_force(tmp_path) -> None:
     scene = scene_of(RANDOM_TEST, BODY_CHANNEL, FORCE_CHANNEL)
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         ((curve,),) = frequency_responses(recording)
-        line = np.argmin(abs(curve.frequency - 25.0))
+        line = np.argmin(abs(curve.frequency - 25.0))  # Hz
         exact = receptance(scene, curve.frequency)[1]
     assert curve.value[line] == pytest.approx(exact[line], rel=0.1)
 
@@ -72,7 +72,7 @@ def test_missing_force_channel_causes_early_warning(tmp_path) -> None:
     assert len(messages) == 2
 
 
-def test_chain_study_corrects_force_sensor_preset() -> None:
+def test_chain_study_expands_force_sensor_preset() -> None:
     scene = scene_of(
         STEPPED_TEST, BODY_CHANNEL, "{name: f, at: shaker, hammer: {preset: PCB 086C03, noise: 1 mN/sqrt(Hz)}}"
     )

@@ -1,4 +1,4 @@
-"""The acceleration pulse of a damper's impact of finite duration: closed form and saturation at any sample rate."""
+"""The acceleration pulse of a damper's impact of finite duration: its closed form, and clipping at any sample rate."""
 
 from __future__ import annotations
 
@@ -20,8 +20,15 @@ def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray,
 
     `rate` is in Hz, `input_range` of the converter in V.
 
-    Returns the bench; the samples and overload flags of the accelerometer during the contact; the time in samples from
-    the first of them to the beginning of the contact; and the peak acceleration of the body by the closed form.
+    Returns
+    -------
+    bench
+    samples, overload
+        Of the accelerometer during the contact.
+    offset
+        Time from the first of these samples to the beginning of the contact, in samples.
+    peak
+        Peak acceleration of the body by the closed form, m/s^2.
     """
     scene = rig.loads(
         f"""
@@ -44,11 +51,11 @@ def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray,
         system.wall_stiffness[0, 1], system.wall_damping[0, 1], float(system.reduced_mass[0]), float(touch["speed"])
     )
     first = int(touch["time"] * rate)
-    last = int((touch["time"] + DURATION) * rate) + 2
+    stop = int((touch["time"] + DURATION) * rate) + 2
     return (
         bench,
-        block.samples[0, first:last],
-        block.overload[0, first:last],
+        block.samples[0, first:stop],
+        block.overload[0, first:stop],
         touch["time"] * rate - first,
         force / BODY_MASS,
     )
@@ -59,7 +66,7 @@ def test_impact_pulse_has_closed_form(rate: float) -> None:
     bench, samples, _, offset, peak = simulate_impact(rate, 10.0)
     pulse = np.abs(bench.to_units(samples[None])[0])
     assert pulse.max() == pytest.approx(peak, rel=0.02)
-    # The force begins with a step and decreases linearly to zero; extrapolate its last two samples.
+    # The force begins with a step and finally decreases linearly to zero; extrapolate its last two samples.
     last = np.flatnonzero(pulse > 0.05 * peak)[-1]
     decrease = pulse[last - 1] - pulse[last]
     duration = (last + pulse[last] / decrease - offset) / rate

@@ -1,4 +1,4 @@
-"""Simulation at a multiple of the sample rate, in front of a converter's filter: aliases, skew, blocks and motion."""
+"""Motion at a multiple of the sample rate, in front of a converter's filter: aliases, skew, blocks, and its rate."""
 
 from itertools import pairwise
 
@@ -14,8 +14,8 @@ from rig.simulation.plant import Plant
 SKEWED = "{rate: 1 kHz, filter: delta_sigma, skew: [0 s, 0.7 ms]}"
 
 
-def oscillator(frequency, converter, channels=1):
-    """Return an undamped body that is released at a displacement of 1 µm."""
+def oscillator_scene(frequency, converter, channels=1):
+    """Return a scene with an undamped body that is released at a displacement of 1 µm."""
     channel_lines = "".join(f"\n  - {{name: c{n}, at: body 1}}" for n in range(channels))
     stiffness = (2 * np.pi * frequency) ** 2
     return rig.loads(
@@ -43,7 +43,7 @@ def amplitude_of(samples, frequency, rate):
 @pytest.mark.parametrize("relative_frequency", [0.5466, 0.56, 0.8, 1.0, 1.3, 3.4, 9.7])
 def test_vibration_above_nyquist_is_suppressed(rate, relative_frequency):
     frequency = relative_frequency * rate
-    scene = oscillator(frequency, f"{{rate: {rate} Hz, filter: delta_sigma}}")
+    scene = oscillator_scene(frequency, f"{{rate: {rate} Hz, filter: delta_sigma}}")
     peak = 1e-6 * (2 * np.pi * frequency) ** 2
     assert np.abs(acquire(scene, 1500)[0, 200:]).max() < 1e-5 * peak
 
@@ -52,7 +52,7 @@ def test_vibration_above_nyquist_is_suppressed(rate, relative_frequency):
 @pytest.mark.parametrize("relative_frequency", [0.05, 0.2, 0.4, 0.4535])
 def test_vibration_in_pass_band_is_unchanged(rate, relative_frequency):
     frequency = relative_frequency * rate
-    scene = oscillator(frequency, f"{{rate: {rate} Hz, filter: delta_sigma}}")
+    scene = oscillator_scene(frequency, f"{{rate: {rate} Hz, filter: delta_sigma}}")
     result = amplitude_of(acquire(scene, 3000)[0], frequency, rate)
     peak = 1e-6 * (2 * np.pi * frequency) ** 2
     assert 20 * np.log10(abs(result) / peak) == pytest.approx(0.0, abs=1e-3)
@@ -60,12 +60,12 @@ def test_vibration_in_pass_band_is_unchanged(rate, relative_frequency):
 
 def test_long_skew_with_filter_is_exact():
     frequency, rate = 130.0, 1000.0
-    scene = oscillator(frequency, SKEWED, channels=2)
+    scene = oscillator_scene(frequency, SKEWED, channels=2)
     first, second = acquire(scene, 3000)
     infos = Bench(scene).channels
     phase = np.angle(amplitude_of(second, frequency, rate) / amplitude_of(first, frequency, rate))
     lag = phase / (2 * np.pi * frequency)
-    # The first channel is sampled first, so that its samples are older.
+    # The first channel is sampled 0.7 ms earlier, so that its samples are older.
     assert infos[0].delay - infos[1].delay == pytest.approx(0.7e-3)
     assert lag * rate == pytest.approx((infos[0].delay - infos[1].delay) * rate, abs=1e-3)
 
@@ -84,7 +84,7 @@ def test_block_lengths_do_not_change_samples():
     bench = Bench(scene)
     edges = np.cumsum([0, 0, 1, 7, 128, 1, 0, 500, 563])
     parts = [bench.acquire(drive[:, first:stop]) for first, stop in pairwise(edges)]
-    assert len(whole.motion.break_sample) > 20
+    assert len(whole.motion.break_sample) > 20  # impacts of the dampers
     assert np.array_equal(np.concatenate([part.samples for part in parts], axis=1), whole.samples)
     for name in ("displacement", "gap", "break_offset", "break_sample"):
         joined = np.concatenate([getattr(part.motion, name) for part in parts], axis=-1)
@@ -106,6 +106,7 @@ def test_oversampled_motion_equals_motion_at_samples():
 
 @pytest.mark.parametrize(("rate", "expected"), [(77.0, 52), (400.0, 10), (5120.0, 2)])
 def test_oversampling_resolves_bandwidth_of_table(rate, expected):
+    # The oversampled rate is at least ten times the bandwidth of 400 Hz; at 5120 Hz, ten times 1 kHz.
     scene = rig.loads(f"""
 structure: {{masses: [20 kg], springs: [300 kN/m], damping: {{modal: 2 %}}}}
 shaker: {{kind: table, body: 1, spring: 100 kN/m, bandwidth: 400 Hz}}

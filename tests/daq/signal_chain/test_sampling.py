@@ -1,4 +1,4 @@
-"""Samples without a filter: point samples, or interval averages, which include every impulse."""
+"""Samples without a filter: point samples, and interval averages, which include every impulse."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from tests.daq.dsp.analytic_motion import PointMotion, chain_of, motion_of, scen
 @pytest.mark.parametrize("seed", range(6))
 def test_point_samples_are_instant_voltages(seed):
     rng = np.random.default_rng([16, seed])
-    rate, frequency = np.exp(rng.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
+    rate, resonance_frequency = np.exp(rng.uniform(np.log([1e3, 2e3]), np.log([1e5, 6e4])))
     q, corner = rng.uniform(1.0, 40.0), rng.uniform(0.1, 20.0)
     samples, oversampling = 60, int(rng.integers(1, 4))
     impacts = [(rng.uniform(0.05, 0.9) * samples / rate, rng.normal()) for _ in range(5)]
     scene = scene_of(
-        f", accelerometer: {{resonance: {frequency}, q: {q}, low_cutoff: {corner}}}",
+        f", accelerometer: {{resonance: {resonance_frequency}, q: {q}, low_cutoff: {corner}}}",
         converter=f"{{rate: {rate}, sampling: point}}",
     )
-    chain, fine = chain_of(scene, oversampling)
-    motion = motion_of([PointMotion(impacts=tuple(sorted(impacts)))], fine, samples * oversampling)
-    circuit = Circuit.series([resonance(frequency, q), high_pass(corner, "low cut-off")])
+    chain, motion_rate = chain_of(scene, oversampling)
+    motion = motion_of([PointMotion(impacts=tuple(sorted(impacts)))], motion_rate, samples * oversampling)
+    circuit = Circuit.series([resonance(resonance_frequency, q), high_pass(corner, "low cut-off")])
     time = np.arange(samples) / rate
     expected = np.zeros(samples)
     for instant, jump in impacts:
@@ -39,11 +39,12 @@ def test_point_samples_are_instant_voltages(seed):
 
 
 def test_only_averages_include_impulses():
-    path = PointMotion(impacts=((0.01234, 0.7),))
-    for sampling, velocity in (("point", 0.0), ("average", 0.7)):
+    jump = 0.7  # m/s
+    path = PointMotion(impacts=((0.01234, jump),))
+    for sampling, measured_jump in (("point", 0.0), ("average", jump)):
         chain, rate = chain_of(scene_of(converter=f"{{rate: 1 kHz, sampling: {sampling}}}"))
         samples = chain.measure(motion_of([path], rate, 30))[0]
-        assert samples.sum() / rate == pytest.approx(velocity, abs=1e-12)
+        assert samples.sum() / rate == pytest.approx(measured_jump, abs=1e-12)
 
 
 def test_averages_include_momentum_of_short_impacts():
@@ -64,7 +65,7 @@ def test_averages_include_momentum_of_short_impacts():
     assert velocity == pytest.approx(block.motion.velocity[0], abs=1e-10)
 
 
-@pytest.mark.parametrize("filtered", ["filter: delta_sigma", "preset: NI 9234"])
-def test_point_samples_with_a_filter_are_rejected(filtered):
+@pytest.mark.parametrize("filter_key", ["filter: delta_sigma", "preset: NI 9234"])
+def test_point_samples_with_a_filter_are_rejected(filter_key):
     with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
-        rig.loads(f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filtered}}}")
+        rig.loads(f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filter_key}}}")

@@ -1,6 +1,6 @@
-"""Saturation of a sensor or an amplifier limits the signal before it is sampled, and is marked as overload.
+"""Saturation of a sensor or an amplifier limits the signal before it is sampled, and is flagged as overload.
 
-The reference is a time-stepping simulation with 200 steps a period of the sensor's resonance.
+The reference is a time-stepping simulation with 200 steps per period of the sensor's resonance.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class SaturatedChain:
     order: int  # Number of integrators.
     gain: float
     corner: float  # Hz
-    relative_saturation: float  # Of the sensor, relative to its largest signal.
-    relative_amplifier_saturation: float  # Relative to the largest signal of the integrators.
+    relative_saturation: float  # Limit of the sensor, relative to its largest signal without a limit.
+    relative_amplifier_saturation: float  # Limit of the integrators, relative to their largest signal.
     sampling: str  # point, average or filter
     oversampling: int
 
@@ -90,12 +90,13 @@ class SaturatedChain:
     def scene(self, saturation, amplifier_saturation):
         """Return the scene of the chain with these limits of sensor and amplifier, V."""
         recovery = f", overload_recovery: {self.recovery}" if self.recovery else ""
-        keys = f", accelerometer: {{resonance: {self.resonance}, q: {self.q}, saturation: {saturation}{recovery}}}"
+        sensor_keys = f"resonance: {self.resonance}, q: {self.q}, saturation: {saturation}{recovery}"
+        channel_keys = f", accelerometer: {{{sensor_keys}}}"
         if self.order:
             limit = f", saturation: {amplifier_saturation}" if np.isfinite(amplifier_saturation) else ""
-            keys += f", integrator: {{order: {self.order}, corner: {self.corner}, gain: {self.gain}{limit}}}"
+            channel_keys += f", integrator: {{order: {self.order}, corner: {self.corner}, gain: {self.gain}{limit}}}"
         sampling = "filter: delta_sigma" if self.sampling == "filter" else f"sampling: {self.sampling}"
-        return scene_of(keys, converter=f"{{rate: {self.rate}, {sampling}}}")
+        return scene_of(channel_keys, converter=f"{{rate: {self.rate}, {sampling}}}")
 
 
 def random_chain(seed):
@@ -162,20 +163,21 @@ def test_saturation_does_not_depend_on_rate(seed, filter_key):
     path = PointMotion(impacts=((0.01 + rng.uniform(0.0, 1e-3), jump),))
     for relative_saturation in (0.995, 1.005):
         saturation = relative_saturation * peak
-        keys = f", accelerometer: {{resonance: {frequency}, q: {q}, saturation: {saturation}}}"
+        channel_keys = f", accelerometer: {{resonance: {frequency}, q: {q}, saturation: {saturation}}}"
         for rate in RATES[:3]:
-            chain, _ = chain_of(scene_of(keys, converter=f"{{rate: {rate}{filter_key}}}"))
+            chain, _ = chain_of(scene_of(channel_keys, converter=f"{{rate: {rate}{filter_key}}}"))
             chain.measure(motion_of([path], rate, int(0.02 * rate)))
             assert chain.overload.any() == (relative_saturation < 1.0)
 
 
 def test_impulse_saturates_sensor_without_resonance():
+    instant, jump = 0.0123, 0.4  # s, m/s
     for rate in RATES:
         scene = scene_of(", accelerometer: {saturation: 50}, integrator: {order: 1}", converter=f"{{rate: {rate}}}")
         chain, _ = chain_of(scene)
-        samples = chain.measure(motion_of([PointMotion(impacts=((0.0123, 0.4),))], rate, int(0.02 * rate)))[0]
+        samples = chain.measure(motion_of([PointMotion(impacts=((instant, jump),))], rate, int(0.02 * rate)))[0]
         assert samples == pytest.approx(np.zeros(samples.size), abs=1e-12)
-        assert np.flatnonzero(chain.overload[0]).tolist() == [int(np.ceil(0.0123 * rate))]
+        assert np.flatnonzero(chain.overload[0]).tolist() == [int(np.ceil(instant * rate))]
 
 
 def test_zero_shift_is_part_of_the_overload():
@@ -185,12 +187,13 @@ def test_zero_shift_is_part_of_the_overload():
     flagged = np.flatnonzero(chain.overload[0])
     assert flagged[0] == np.ceil(0.01 * rate)
     assert np.array_equal(flagged, np.arange(flagged[0], flagged[-1] + 1))
-    # The rest of the zero shift is at most a thousandth of the limit, 100.
+    # After the flagged samples, the zero shift is at most a thousandth of the limit, 100.
     assert np.abs(samples[flagged[-1] + 1 :]).max() < 1.1e-3 * 100
+    # Two to eight time constants of the recovery, 5 ms.
     assert 0.01 < (flagged[-1] - flagged[0]) / rate < 0.04
 
 
-def test_saturation_by_damper_impacts_is_marked():
+def test_saturation_by_damper_impacts_is_flagged():
     scene = rig.load("fig8-three-dampers")
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / 5120.0 * np.arange(1500))[None]
     for saturation, is_overloaded in (("5 g", True), ("5000 g", False)):

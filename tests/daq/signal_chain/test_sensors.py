@@ -8,9 +8,9 @@ from rig.scene.measurement_chain import Accelerometer
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 
-def read_constant(keys, acceleration, count):
+def read_constant(channel_keys, acceleration, count):
     """Return `count` readings of a constant acceleration, in the channel's unit."""
-    chain, rate = chain_of(scene_of(keys))
+    chain, rate = chain_of(scene_of(channel_keys))
     motion = at_rest(1, rate, count)
     t = np.arange(count) / rate
     motion.acceleration[:], motion.velocity[:], motion.displacement[:] = (
@@ -21,37 +21,40 @@ def read_constant(keys, acceleration, count):
     return chain.measure(motion)[0] / chain.channels[0].sensitivity
 
 
-def test_sensitivities_spread_evenly_within_tolerance():
+def test_sensitivities_are_uniform_within_tolerance():
     settings = Accelerometer(sensitivity="100 mV/g", sensitivity_tolerance="10 %")
     stages = [accelerometer(settings, seed, "c") for seed in range(400)]
     deviation = np.array([stage.deviation for stage in stages])
     assert np.abs(deviation).max() < 0.1
+    # Standard deviation of a uniform distribution of half-width 0.1.
     assert deviation.std() == pytest.approx(0.1 / np.sqrt(3.0), rel=0.1)
     assert {stage.nominal for stage in stages} == {settings.sensitivity}
     assert accelerometer(settings, 3, "c") == accelerometer(settings, 3, "c")
 
 
 def test_tolerance_changes_readings_not_stated_response():
-    keys = ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 10 %}"
-    readings = read_constant(keys, 3.0, 5)
+    channel_keys = ", accelerometer: {sensitivity: 100 mV/g, sensitivity_tolerance: 10 %}"
+    readings = read_constant(channel_keys, 3.0, 5)
     deviation = accelerometer(Accelerometer(sensitivity_tolerance=0.1), 1, "c1").deviation
     assert deviation != 0.0
     assert readings[1:] == pytest.approx(np.full(4, 3.0 * (1 + deviation)), rel=1e-12)
 
 
 def test_temperature_change_changes_sensitivity():
-    keys = ", accelerometer: {temperature_drift: 0.05 %/K, temperature_change: 20 K}"
-    assert read_constant(keys, 2.0, 3)[-1] == pytest.approx(2.02, rel=1e-12)
+    channel_keys = ", accelerometer: {temperature_drift: 0.05 %/K, temperature_change: 20 K}"
+    # The sensitivity increases by 0.05 %/K times 20 K, which is 1 %.
+    assert read_constant(channel_keys, 2.0, 3)[-1] == pytest.approx(2.0 * 1.01, rel=1e-12)
 
 
-def test_transverse_sensitivity_adds_sideways_motion():
+def test_transverse_sensitivity_adds_lateral_motion():
     deviations = [
         accelerometer(Accelerometer(transverse="5 %", lateral="40 %"), seed, "c").deviation for seed in range(300)
     ]
-    assert np.max(deviations) == pytest.approx(0.02, rel=0.01)
-    assert np.min(deviations) == pytest.approx(-0.02, rel=0.01)
+    # Transverse sensitivity times lateral motion, in any direction; the default lateral motion is 10 %.
+    assert np.max(deviations) == pytest.approx(0.05 * 0.4, rel=0.01)
+    assert np.min(deviations) == pytest.approx(-0.05 * 0.4, rel=0.01)
     default = [accelerometer(Accelerometer(transverse="5 %"), seed, "c").deviation for seed in range(300)]
-    assert np.max(default) == pytest.approx(0.005, rel=0.01)
+    assert np.max(default) == pytest.approx(0.05 * 0.1, rel=0.01)
 
 
 def test_bias_is_constant_or_settles():
@@ -73,14 +76,15 @@ def test_ac_coupled_bias_decays():
 
 def test_constant_acceleration_decays_below_low_cutoff():
     readings = read_constant(", accelerometer: {low_cutoff: 2 Hz}", 1.0, 5120)
-    t = (np.arange(5120) - 0.5) / 5120.0
+    t = (np.arange(5120) - 0.5) / 5120.0  # middle of the interval that a sample averages
     assert readings[1:] == pytest.approx(np.exp(-2 * np.pi * 2.0 * t[1:]), abs=1e-6)
 
 
-def test_saturated_reading_recovers_at_once():
+def test_saturated_reading_recovers_at_once_by_default():
     chain, rate = chain_of(scene_of(", accelerometer: {sensitivity: 2, saturation: 5}"))
     path = PointMotion(tones=((20.0, 50.0, 0.0),))
     readings = chain.measure(motion_of([path], rate, 1000))[0] / 2.0
+    # Averages of the clipped tone over the sample intervals, by 1000 points each.
     instants = (np.arange(1, 1000)[:, None] - 1.0 + (np.arange(1000) + 0.5) / 1000) / rate
     expected = np.clip(20.0 * np.cos(2 * np.pi * 50.0 * instants), -5.0, 5.0).mean(axis=1)
     assert readings[1:] == pytest.approx(expected, abs=2e-4)
@@ -88,8 +92,8 @@ def test_saturated_reading_recovers_at_once():
 
 
 def test_slow_recovery_shifts_zero():
-    keys = ", accelerometer: {saturation: 5, overload_recovery: 20 ms}"
-    chain, rate = chain_of(scene_of(keys))
+    channel_keys = ", accelerometer: {saturation: 5, overload_recovery: 20 ms}"
+    chain, rate = chain_of(scene_of(channel_keys))
     motion = at_rest(1, rate, 1024)
     # 15 m/s^2 for 10 ms, three times the saturation.
     motion.acceleration[0, 1:52] = 15.0
@@ -97,6 +101,7 @@ def test_slow_recovery_shifts_zero():
     motion.displacement[0] = np.cumsum(motion.velocity[0] - 0.5 * motion.acceleration[0] / rate) / rate
     readings = chain.measure(motion)[0]
     assert readings[10:50] == pytest.approx(np.full(40, 5.0), abs=1e-6)
+    # After the overload the zero is shifted, and decays with the time constant of 20 ms.
     recovery = readings[60:]
     assert recovery[0] < -1.0
     decay_per_sample = np.full(recovery.size - 1, np.exp(-1 / (0.02 * rate)))

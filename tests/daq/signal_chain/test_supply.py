@@ -1,4 +1,4 @@
-"""IEPE sensors need a supply current, and their bias needs AC coupling; wrong settings have their real effects."""
+"""IEPE sensors require a supply current, and their bias is removed by AC coupling; otherwise readings are wrong."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def record_volts(channel: str, converter: str) -> np.ndarray:
         ("accelerometer: {preset: PCB 352C33}, coupling: DC", "{preset: USB-4431, noise: 0}", True),
     ],
 )
-def test_iepe_sensor_needs_supply(channel: str, converter: str, has_signal: bool) -> None:
+def test_iepe_sensor_requires_supply(channel: str, converter: str, has_signal: bool) -> None:
+    # A sensor without supply reads exactly zero if the converter has no noise.
     assert record_volts(channel, converter)[200:].any() == has_signal
 
 

@@ -10,8 +10,8 @@ from daq.virtual_bench.bench import Bench
 from rig.errors import RunError
 
 
-def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
-    """Return a frequency-modulated tone at 34.8 Hz (1 input, samples)."""
+def modulated_tone(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
+    """Return the drive of one input, a frequency-modulated tone at 34.8 Hz, shape (1, samples)."""
     time = np.arange(samples) / rate
     return level * np.sin(2 * np.pi * 34.8 * time + 3 * np.sin(2 * np.pi * 2 * time))[None]
 
@@ -19,34 +19,35 @@ def drive_of(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure", "reference-C"])
 def test_block_size_changes_no_sample(name: str) -> None:
     scene = rig.load(name)
-    level = {"V": 3.0, "m": 2e-3, "N": 10.0}[Bench(scene).drive_units[0]]
-    drive = drive_of(600, level)
+    level = {"V": 3.0, "m": 2e-3, "N": 10.0}[Bench(scene).drive_units[0]]  # by unit of the drive
+    drive = modulated_tone(600, level)
     whole = Bench(scene).acquire(drive)
-    for size in (1, 7, 128):
+    for block_size in (1, 7, 128):
         bench = Bench(scene)
-        blocks = [bench.acquire(drive[:, start : start + size]) for start in range(0, 600, size)]
-        assert [block.first for block in blocks] == list(range(0, 600, size))
-        np.testing.assert_array_equal(np.concatenate([b.samples for b in blocks], axis=1), whole.samples)
-        np.testing.assert_array_equal(np.concatenate([b.overload for b in blocks], axis=1), whole.overload)
+        starts = range(0, 600, block_size)
+        blocks = [bench.acquire(drive[:, start : start + block_size]) for start in starts]
+        assert [block.first for block in blocks] == [*starts]
+        np.testing.assert_array_equal(np.concatenate([block.samples for block in blocks], axis=1), whole.samples)
+        np.testing.assert_array_equal(np.concatenate([block.overload for block in blocks], axis=1), whole.overload)
 
 
 def test_counts_read_as_physical_units() -> None:
     bench = Bench(rig.load("fig8-no-damper"))
-    block = bench.acquire(drive_of(2000, 1.0))
+    block = bench.acquire(modulated_tone(2000, 1.0))
     assert block.samples.dtype == np.int32
     readings = bench.to_units(block.samples)
     body = [channel.at for channel in bench.channels].index("body 1")
     truth = block.motion.displacement[0]
     assert bench.channels[body].unit == "m"
-    # The amplifier's 1 Hz corner changes the phase slightly, but not the amplitude.
+    # The corner of the integrator, 1 Hz, hardly changes the amplitude.
     assert np.abs(readings[body]).max() == pytest.approx(np.abs(truth).max(), rel=0.05)
 
 
 def test_summed_acceleration_is_velocity() -> None:
     scene = rig.load("fig8-three-dampers").replace(channels=None, converter={"rate": "5120 Hz"})
     bench = Bench(scene)
-    block = bench.acquire(drive_of(5120, 3.0))
-    assert len(block.motion.events) > 10
+    block = bench.acquire(modulated_tone(5120, 3.0))
+    assert len(block.motion.events) > 10  # impacts of the dampers
     velocity = np.cumsum(bench.to_units(block.samples)[:3], axis=1) / bench.rate
     np.testing.assert_allclose(velocity, block.motion.velocity[:3], rtol=0, atol=1e-9)
 
@@ -54,7 +55,7 @@ def test_summed_acceleration_is_velocity() -> None:
 def test_overload_flags_are_at_full_scale() -> None:
     scene = rig.load("fig8-no-damper")
     scene = scene.replace(converter={"rate": "5120 Hz", "bits": 16, "range": "5 mV"})
-    block = Bench(scene).acquire(drive_of(3000, 5.0))
+    block = Bench(scene).acquire(modulated_tone(3000, 5.0))
     at_full_scale = (block.samples == 2**15 - 1) | (block.samples == -(2**15))
     assert block.overload.any()
     assert np.all(at_full_scale[block.overload])
@@ -66,12 +67,12 @@ def test_wrong_drive_shape_is_reported(shape: tuple[int, ...]) -> None:
         Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
 
 
-def test_infinite_drive_is_rejected() -> None:
+def test_nonfinite_drive_is_rejected() -> None:
     with pytest.raises(RunError, match="not a finite"):
         Bench(rig.load("bare-structure")).acquire(np.full((1, 4), np.nan))
 
 
-def test_clock_error_keeps_the_stated_rate() -> None:
+def test_clock_error_changes_only_the_true_rate() -> None:
     scene = rig.load("bare-structure").replace(converter={"rate": "5 kHz", "clock_error": "1 %"})
     bench = Bench(scene)
     assert bench.rate == 5000.0

@@ -1,4 +1,4 @@
-"""Several sample rates on a bench: each task reads the same samples as if it were the only one.
+"""Several sample rates on a bench: the samples at a rate do not depend on the other rates.
 
 The bench simulates at its tick rate, and derives from it the samples of each rate.
 """
@@ -31,20 +31,22 @@ RATES = [51200.0, 12800.0, 51200.0 / 7, 2048.0]
 
 
 def terminals_of(converter, scene=SCENE):
+    """Return the terminals of the bench of the scene with this converter."""
     return Terminals(rig.loads(scene.replace("CONVERTER", converter)))
 
 
-def drive(source, tick, ticks):
-    """Return the volts at ticks, linear in between, that cause impacts of the damper on floor and ceiling."""
-    return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / source.bench.tick_rate)[None]
+def drive(terminals, tick, ticks):
+    """Return the volts at ticks; they cause impacts of the damper on floor and ceiling."""
+    return 60.0 * np.sin(2 * np.pi * 25.0 * (tick + np.arange(ticks)) / terminals.bench.tick_rate)[None]
 
 
-def acquire(source, blocks, rate):
-    """Return the samples at a rate; a block is a number of ticks and the other rates that are sampled meanwhile."""
-    source.release_outputs()
+def acquire(terminals, blocks, rate):
+    """Return the samples at a rate; a block is a number of ticks and the other rates that are sampled during it."""
+    terminals.release_outputs()
     tick, samples = 0, []
     for ticks, other_rates in blocks:
-        samples.append(source.advance(drive(source, tick, ticks), ticks, {rate, *other_rates})[rate].samples)
+        volts = drive(terminals, tick, ticks)
+        samples.append(terminals.advance(volts, ticks, {rate, *other_rates})[rate].samples)
         tick += ticks
     return np.concatenate(samples, axis=1)
 
@@ -64,13 +66,15 @@ def test_other_rates_do_not_change_samples(converter, rate, blocks):
 @pytest.mark.parametrize("converter", CONVERTERS)
 @pytest.mark.parametrize("rate", [51200.0, 51200.0 / 7])
 def test_samples_equal_those_of_slower_bench(converter, rate):
-    # Noise is drawn for each interval between ticks and samples, of which the slower bench has fewer.
-    source = terminals_of(converter, SCENE.replace("noise: 20 ug/sqrt(Hz), ", "") if "USB" in converter else SCENE)
-    ticks = round(0.2 * source.bench.tick_rate)
-    result = acquire(source, [(ticks, ())], rate)
-    slower_bench = Bench(source.bench.scene.replace(converter=source.bench.scene.converter.replace(rate=rate)))
-    ticks_of_samples = np.arange(result.shape[1]) / rate * source.bench.tick_rate
-    slower_drive = np.interp(ticks_of_samples, np.arange(ticks), drive(source, 0, ticks)[0])
+    # Noise is drawn for each interval, and with the USB-4431 the slower bench has fewer intervals.
+    scene = SCENE.replace("noise: 20 ug/sqrt(Hz), ", "") if "USB" in converter else SCENE
+    terminals = terminals_of(converter, scene)
+    bench = terminals.bench
+    ticks = round(0.2 * bench.tick_rate)
+    result = acquire(terminals, [(ticks, ())], rate)
+    slower_bench = Bench(bench.scene.replace(converter=bench.scene.converter.replace(rate=rate)))
+    ticks_of_samples = np.arange(result.shape[1]) / rate * bench.tick_rate
+    slower_drive = np.interp(ticks_of_samples, np.arange(ticks), drive(terminals, 0, ticks)[0])
     expected = slower_bench.acquire(slower_drive[None]).samples
     scale = np.abs(expected).max(axis=1, keepdims=True).astype(float)
     # Between samples, the drive of the slower bench differs by (pi f / rate)^2 / 2.
@@ -78,21 +82,22 @@ def test_samples_equal_those_of_slower_bench(converter, rate):
 
 
 def test_filters_of_later_rate_are_settled():
-    source = terminals_of("{rate: 5120 Hz}")
-    ticks = round(2.5 * source.bench.tick_rate)
-    source.release_outputs()
+    terminals = terminals_of("{rate: 5120 Hz}")
+    ticks = round(2.5 * terminals.bench.tick_rate)
+    terminals.release_outputs()
     last_block = None
     for first in range(0, ticks + 8192, 8192):
         rates = {51200.0} if first >= ticks - 8192 else set()
-        last_block = source.advance(drive(source, first, 8192), 8192, rates).get(51200.0)
+        last_block = terminals.advance(drive(terminals, first, 8192), 8192, rates).get(51200.0)
     # Each sample is the average of the drive over the interval that ends there.
-    volts = drive(source, last_block.first - 1, last_block.samples.shape[1] + 1)[0]
+    volts = drive(terminals, last_block.first - 1, last_block.samples.shape[1] + 1)[0]
     np.testing.assert_allclose(last_block.samples[2], (volts[1:] + volts[:-1]) / 2, rtol=0, atol=1e-9)
-    # The offset of an integrator that was just switched on would be much larger than its vibration.
+    # At rest, the integrator would start with an offset much larger than the vibration.
     assert abs(last_block.samples[1].mean()) < 0.2 * np.ptp(last_block.samples[1])
 
 
 def input_task(connection, device, rate):
+    """Return a continuous task with two inputs."""
     task = nidaqmx.Task(grpc_options=connection)
     task.ai_channels.add_ai_voltage_chan(f"{device}/ai0:1", min_val=-500.0, max_val=500.0)
     task.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
@@ -115,7 +120,7 @@ def test_parallel_tasks_keep_their_rates():
 
 @pytest.mark.parametrize("at", ["shaker", "drive"])
 @pytest.mark.parametrize("ratio", [1.0, 10.0, 9.5])
-def test_force_at_slower_rate_has_stated_response(at, ratio):
+def test_drive_at_slower_rate_has_stated_response(at, ratio):
     scene = rig.loads(
         "{structure: {masses: [1 kg], springs: [40 kN/m], damping: {modal: 1 %}}, shaker: {kind: force, body: 1}, "
         f"channels: [{{name: drive, at: {at}}}], converter: {{rate: 10240 Hz}}}}"
@@ -129,5 +134,5 @@ def test_force_at_slower_rate_has_stated_response(at, ratio):
     real, imaginary, _ = np.linalg.lstsq(basis, block.samples[0, 200:], rcond=None)[0]
     slower_bench = Bench(scene.replace(converter=scene.converter.replace(rate=rate)))
     stated = 3.0 * slower_bench.channels[0].response(frequency)
-    # Linear interpolation between ticks attenuates the tone by (pi f / tick rate)^2 / 3.
+    # Linear interpolation between ticks attenuates the tone by (pi f / tick rate)^2 / 3 = 1.3e-3.
     assert complex(real, imaginary) == pytest.approx(complex(stated), rel=3e-3)

@@ -102,8 +102,8 @@ def test_clock_advances_while_script_waits_for_enter(script, capfd):
 @pytest.mark.parametrize(
     "last_statement, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)]
 )
-def test_exit_code_of_script_is_kept(script, capfd, last_statement, code):
-    assert run_script(script(last_statement), scene="bare-structure", clock="fast") == code
+def test_exit_code_of_script_is_kept(script, capfd, ending, code):
+    assert run_script(script(ending), scene="bare-structure", clock="fast") == code
     stderr = capfd.readouterr().err
     assert "script.py" in stderr or code == 3 or "why" in stderr
     assert "daq/server" not in stderr

@@ -61,7 +61,7 @@ def start_run(tmp_path):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    # Statement of the script before its task; signal, sent to the command or its process group; exit code of the command.
+    # Statement of the script before its task; signal to the command or its process group; exit code of the command.
     ("before", "signal_number", "send", "code"),
     [
         ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),

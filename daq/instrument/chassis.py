@@ -89,13 +89,13 @@ class Chassis:
         self.conditioning_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._has_output_task = False  # tasks drive the outputs instead of the test of the scene
+        self._tasks_drive_outputs = False  # tasks drive the outputs, no longer the test of the scene
         self._has_acquired = False  # an acquisition has been started
         # Bench time in s, and the action that is due then.
         self._scheduled: list[tuple[float, Callable[[], None]]] = []
         # Resources of each task, and their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
-        # Tasks that have been started and are still open: bench time runs for them.
+        # Tasks that have been started and not closed; bench time runs while there are any.
         self._open_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
         # Number of consecutive events of each task whose callback did not finish in time.
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
@@ -185,8 +185,8 @@ class Chassis:
                         "put all channels into one task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            if any(isinstance(resource, int) for resource in resources) and not self._has_output_task:
-                self._has_output_task = True
+            if any(isinstance(resource, int) for resource in resources) and not self._tasks_drive_outputs:
+                self._tasks_drive_outputs = True
                 self.terminals.release_outputs()
             self._reserved[task] = resources
 
@@ -205,7 +205,7 @@ class Chassis:
                         f"{', '.join(sorted(names))} is in use by task {task.name!r}. Stop or close that task.",
                         Code.PAL_RESOURCE_RESERVED,
                     )
-            self._has_output_task = False
+            self._tasks_drive_outputs = False
 
     def halt(self, task: Runner) -> None:
         """Stop the run of a task; its resources stay reserved."""
@@ -224,7 +224,7 @@ class Chassis:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether any task that has been started is still open."""
+        """Whether a task that has been started is still open, so that bench time runs."""
         return len(self._open_tasks) > 0
 
     def set_conditioning(self, task: Runner, channels: Sequence[Channel]) -> None:
@@ -250,16 +250,16 @@ class Chassis:
     @property
     def was_read_without_drive(self) -> bool:
         """Whether inputs were read, but neither a task nor the test has driven the bench."""
-        return self._has_acquired and not self._has_output_task and self.terminals.is_idle
+        return self._has_acquired and not self._tasks_drive_outputs and self.terminals.is_idle
 
-    def wait(self, ready: Callable[[], bool], missing: Callable[[], int], timeout: float) -> bool:
+    def wait(self, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
         """Wait until a condition is met, and return whether it was; see `Clock.wait`."""
-        return self.clock.wait(self, ready, missing, timeout)
+        return self.clock.wait(self, ready, ticks_needed, timeout)
 
     # Time
 
     def advance(self, ticks: int) -> None:
-        """Advance the bench: outputs drive the plant, inputs store the samples, events are sent."""
+        """Advance the bench by a number of ticks: generate outputs, acquire inputs, and send events."""
         with self.changed:
             target = self.position + ticks
             while self.position < target:
@@ -272,7 +272,7 @@ class Chassis:
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
         volts = None
-        if self._has_output_task:
+        if self._tasks_drive_outputs:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
             for generation in self.outputs.values():
                 rows = list(generation.plan.rows)
@@ -312,15 +312,15 @@ class Chassis:
             return
         stop = block.first + block.samples.shape[1]
         lost_ranges = self.bench.lost_at(acquisition.plan.rate)
-        lost = [first for first, last in lost_ranges if block.first <= last and first < stop]
-        valid = slice(0, max(0, min(lost) - block.first)) if lost else slice(None)
+        lost_from = [first for first, last in lost_ranges if block.first <= last and first < stop]
+        valid = slice(0, max(0, min(lost_from) - block.first)) if lost_from else slice(None)
         samples, overload = block.samples[:, valid], block.overload[:, valid]
         if samples.shape[1]:
             acquisition.add_block(block.first, samples, overload, self.event_tick)
-        if lost and not acquisition.done:
+        if lost_from and not acquisition.done:
             acquisition.stop(
                 DaqError(
-                    f"the samples from number {min(lost)} were lost after the converter, as the scene requires "
+                    f"the samples from number {min(lost_from)} on were lost after the converter, as the scene requires "
                     "(converter.dropped_blocks). Stop and start the task to acquire again.",
                     Code.INPUT_FIFO_OVERFLOW_2,
                 )

@@ -136,7 +136,7 @@ class Events:
         self._n_signaled = n_samples
         if run is None:
             return was_sent
-        has_triggered = getattr(run, "trigger", None) is not None
+        has_triggered = getattr(run, "trigger_sample", None) is not None
         occurred = {Signal.START_TRIGGER: run.has_started, Signal.REFERENCE_TRIGGER: has_triggered}
         for signal, has_occurred in occurred.items():
             if has_occurred and signal in self._signals and signal not in self._triggered:

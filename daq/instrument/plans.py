@@ -50,7 +50,7 @@ def check_timing(task: TaskSettings) -> None:
     ):
         if (
             task.direction == direction
-            and not task.clocked
+            and not task.has_sample_clock
             and not all(getattr(channel.module, attribute) for channel in task.channels)
         ):
             raise DaqError(
@@ -60,7 +60,7 @@ def check_timing(task: TaskSettings) -> None:
     if task.direction == "ai":
         for channel in task.channels:
             channel.check_complete()
-    if task.clocked:
+    if task.has_sample_clock:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(
                 f"sample clock source {timing['samp_clk_src']!r}: the bench has only one sample clock. Leave the "
@@ -75,7 +75,7 @@ def check_timing(task: TaskSettings) -> None:
                 f"the task's modules coerce {timing['samp_clk_rate']:g} S/s to different rates, "
                 f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate that all have."
             )
-        _ = task.samples  # Raises an error for fewer than 2.
+        _ = task.samples_per_channel  # Raises an error for fewer than 2.
         if task.direction == "ai" and task.input_buffer_size < 1:
             raise invalid_value("in_stream.input_buf_size is 0. Give 1 or more samples.")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
@@ -95,7 +95,7 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
     """
     settings = task.groups["trig"]
     types = [settings[f"{name}_trig_type"] for name in ("start", "ref")]
-    if any(trigger_type != TriggerType.NONE for trigger_type in types) and not task.clocked:
+    if any(trigger_type != TriggerType.NONE for trigger_type in types) and not task.has_sample_clock:
         raise DaqError(
             "a trigger requires a sample clock. Call timing.cfg_samp_clk_timing.", Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING
         )
@@ -105,8 +105,8 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
     start, reference = _trigger_source(task, "start", chassis), _trigger_source(task, "ref", chassis)
     if reference is None:
         return start, reference
-    pretrigger, samples = settings["ref_trig_pretrig_samples"], task.samples
-    if not task.finite or task.direction == "ao":
+    pretrigger, samples = settings["ref_trig_pretrig_samples"], task.samples_per_channel
+    if not task.is_finite or task.direction == "ao":
         raise DaqError(
             "a reference trigger requires a finite acquisition. Use AcquisitionType.FINITE; samps_per_chan is the "
             "total number of samples before and after the trigger.",
@@ -114,7 +114,7 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
         )
     if not 0 <= pretrigger < samples:
         raise DaqError(
-            f"{pretrigger} pretrigger samples exceed a record of {samples} samples. Give 0 to {samples - 1}.",
+            f"{pretrigger} pretrigger samples are impossible in a record of {samples}. Give 0 to {samples - 1}.",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference
@@ -182,7 +182,7 @@ def input_plan(
     """
     samples, buffer_size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
-        samples = task.samples if task.finite else None
+        samples = task.samples_per_channel if task.is_finite else None
         buffer_size, rate = task.input_buffer_size, task.rate
     volts_per_count = [bench.channels[channel.row].volts_per_count or 1.0 for channel in task.channels]
     return InputPlan(
@@ -216,7 +216,7 @@ def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> t
         rows=tuple(channel.row for channel in task.channels),
         tick_rate=tick_rate,
         per_tick=samples_per_tick(task.rate, tick_rate),
-        samples=task.samples if task.finite else None,
+        samples=task.samples_per_channel if task.is_finite else None,
         regenerates=task.regenerates,
         start=start,
     )

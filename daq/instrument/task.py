@@ -53,7 +53,7 @@ class Task:
     @property
     def sample_rate(self) -> float | None:
         """See `daq.instrument.chassis.Runner`."""
-        if self.settings.direction != "ai" or not self.settings.channels or not self.settings.clocked:
+        if self.settings.direction != "ai" or not self.settings.channels or not self.settings.has_sample_clock:
             return None
         try:
             return self.settings.rate
@@ -101,7 +101,7 @@ class Task:
         self.verify()
         self.input.run = self.output.run = None
         self.events.begin()
-        if self.settings.clocked:
+        if self.settings.has_sample_clock:
             self._used_part.start(*trigger_sources(self.settings, self.chassis))
 
     def stop(self) -> int:
@@ -182,7 +182,7 @@ class Task:
     @property
     def runs_until_stopped(self) -> bool:
         """Whether the task has no end: it is continuous, retriggerable or on demand."""
-        return not self.settings.clocked or not self.settings.finite or self._used_part.is_retriggerable
+        return not self.settings.has_sample_clock or not self.settings.is_finite or self._used_part.is_retriggerable
 
     @property
     def memory(self) -> int:
@@ -223,7 +223,7 @@ class Task:
         with self.chassis.changed:
             self.note_query("is_task_done")
             self.raise_failure()
-            return not self.running or self.finished or not self.settings.clocked
+            return not self.running or self.finished or not self.settings.has_sample_clock
 
     def wait_until_done(self, timeout: float) -> None:
         """Wait until a finite task is done; `DaqError` -200560 after the timeout."""
@@ -231,13 +231,13 @@ class Task:
         with self.chassis.changed:
             is_done = (
                 not self.running
-                or not self.settings.clocked
+                or not self.settings.has_sample_clock
                 or self.chassis.wait(lambda: self.finished or not self.running, self._used_part.ticks_to_end, timeout)
             )
             self.raise_failure()
         if not is_done:
             remedy = "Wait longer, or check its trigger."
-            if not self.settings.finite:
+            if not self.settings.is_finite:
                 remedy = "A continuous task does not end by itself. Stop it."
             raise DaqError(
                 f"the task is not done after {timeout:g} s. {remedy}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
@@ -301,7 +301,7 @@ class Task:
             check(samples)
             indices = self.settings.indices_to_read()
             out = allocate(len(indices), samples, np.int32 if raw else np.float64)
-            if not self.settings.clocked:
+            if not self.settings.has_sample_clock:
                 with self._on_demand():
                     return self.input.read_on_demand(indices, out, timeout, raw)
             self._start_for_read()
@@ -326,7 +326,7 @@ class Task:
         self.settings.require("ao")
         check_volts(self.settings.channels, volts)
         with self.chassis.changed:
-            if not self.settings.clocked:
+            if not self.settings.has_sample_clock:
                 if not (auto_start or self.running):
                     raise DaqError(
                         "the task is not running, and auto_start is False. Call start() before writing.",
@@ -359,14 +359,15 @@ class Task:
         """Return the samples per channel of a read without a number: all of a finite task, else those available."""
         settings = self.settings
         settings.require("ai")
-        if not settings.clocked:
+        if not settings.has_sample_clock:
             return 1
         run = self.input.run if self.running else None
-        if settings.finite and not settings.groups["read"]["read_all_avail_samp"]:
+        if settings.is_finite and not settings.groups["read"]["read_all_avail_samp"]:
+            record_length = settings.samples_per_channel
             if run is None or run.plan.is_retriggerable:
-                return settings.samples
-            end = settings.samples if run.trigger is None else run.first_readable + settings.samples
-            return max(end - run.position, 0) or settings.samples
+                return record_length
+            end = run.first_readable + record_length
+            return max(end - run.position, 0) or record_length
         if run is None:
             self._start_for_read()
             run = self.input.run
@@ -382,7 +383,7 @@ class Task:
 
     def _start_for_read(self) -> None:
         """Start the task for a read; `DaqError` -200473 if the script has disabled the automatic start."""
-        if self.running or not self.settings.clocked:
+        if self.running or not self.settings.has_sample_clock:
             return
         if not self.settings.groups["read"]["auto_start"]:
             raise DaqError(

@@ -201,9 +201,9 @@ class TaskInput:
                 "reference trigger, or choose another relative_to.",
                 Code.NO_REF_TRIG_CONFIGURED,
             )
-        elif run.trigger is not None:
+        elif run.trigger_sample is not None:
             is_at_trigger = origin == RelativeTo.REFERENCE_TRIGGER
-            position = (run.trigger if is_at_trigger else run.first_readable) + offset
+            position = (run.trigger_sample if is_at_trigger else run.first_readable) + offset
         if position < 0:
             raise DaqError(
                 f"the read would begin {-position} samples before the first sample: in_stream.relative_to is "
@@ -296,6 +296,6 @@ def _missing_trigger(run: Acquisition) -> str:
     """Return a note for an error message on the trigger that has not occurred; empty if none is missing."""
     if not run.has_started:
         return " (the start trigger has not occurred)"
-    if run.plan.reference is not None and run.trigger is None:
+    if run.plan.reference is not None and run.trigger_sample is None:
         return " (the reference trigger has not occurred)"
     return ""

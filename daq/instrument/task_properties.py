@@ -30,7 +30,7 @@ def get_channel_property(task: Task, names: str, name: str) -> Any:
         )
     if name in ("ai_filter_delay", "ai_remove_filter_delay"):
         return task.chassis.terminals.filter_properties(
-            channels[0].row, task.settings.rate if task.settings.clocked else None
+            channels[0].row, task.settings.rate if task.settings.has_sample_clock else None
         )[name]
     values = [channel.get(name) for channel in channels]
     if any(value != values[0] for value in values):
@@ -191,7 +191,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
         task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.direction}/SampleClockTimebase"
     ),
     ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.direction}/SampleClock"),
-    ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples,
+    ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples_per_channel,
     ("timing", "samp_clk_timebase_div"): lambda task: round(_module(task).timebase / task.settings.rate),
     ("timing", "samp_clk_timebase_rate"): lambda task: _module(task).timebase,
     ("timing", "first_samp_timestamp_val"): partial(_seconds_of, event=TimestampEvent.FIRST_SAMPLE),

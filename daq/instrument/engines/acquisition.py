@@ -31,7 +31,7 @@ class InputPlan:
     factors: NDArray[np.float64]  # reading per count (or per volt, if samples are volts), shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
-    samples: int | None  # samples per channel of a record; None for a continuous acquisition
+    samples: int | None  # per channel in a record; None for a continuous acquisition
     buffer_size: int  # samples per channel
     stops_when_full: bool = False  # stop instead of overwriting unread samples
     start: Source | None = None  # start trigger
@@ -66,17 +66,16 @@ class Acquisition:
         self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer_size, bool)  # flag of each sample
         self.position = 0  # read position: number of the sample that is read next
         self.first_instant: int | None = None  # of the present record; None before the start trigger
-        self.trigger: int | None = None  # number of the sample at the reference trigger; None before it
+        self.trigger_sample: int | None = None  # number of the sample at the reference trigger; None before it
         self.done = False  # complete, or stopped by `error`
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.rows), bool)  # flag of each channel since it was last queried
         self._has_overflowed = False
-        # Number of the first sample not yet reported as lost.
-        self._first_unreported = 0
+        self._first_unreported = 0  # number of the first sample that has not been reported as lost
         self._record_start = 0  # number of the first sample of the present record
-        # Number and instant of the first sample of each record, in order of time.
+        # Number and instant of the first sample of each record, in temporal order.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
-        self._end: int | None = None  # number of the sample after the present record; None while it is unknown
+        self._record_end: int | None = None  # number of the sample after the present record; None while it is unknown
         instant = first_sample(self._per_tick, tick)
         self._arm(instant)
         if plan.start is None:
@@ -84,7 +83,7 @@ class Acquisition:
 
     def _arm(self, instant: int) -> None:
         """Arm the start trigger from an instant on."""
-        self.armed_instant, self.first_instant, self._end = instant, None, None
+        self.armed_instant, self.first_instant, self._record_end = instant, None, None
         start = self.plan.start
         self._start_finders = start.finders() if isinstance(start, AnalogSource) else []
 
@@ -95,7 +94,7 @@ class Acquisition:
         reference = self.plan.reference
         self._reference_finders = reference.finders() if isinstance(reference, AnalogSource) else []
         if self.plan.samples is not None and reference is None:
-            self._end = self._record_start + self.plan.samples
+            self._record_end = self._record_start + self.plan.samples
 
     @property
     def has_started(self) -> bool:
@@ -132,7 +131,7 @@ class Acquisition:
     @property
     def first_readable(self) -> int:
         """Number of the first sample that a script can read."""
-        return 0 if self.trigger is None else self.trigger - self.plan.pretrigger
+        return 0 if self.trigger_sample is None else self.trigger_sample - self.plan.pretrigger
 
     def instant_of(self, sample: int) -> int:
         """Return the instant of a sample of this or an earlier record."""
@@ -159,7 +158,7 @@ class Acquisition:
         if self.first_instant is None:
             return polling_samples
         if self.plan.reference is not None:
-            return self._end - self.ring.written if self._end is not None else polling_samples
+            return self._record_end - self.ring.written if self._record_end is not None else polling_samples
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
@@ -169,7 +168,7 @@ class Acquisition:
         """
         instant = self.first_instant
         if reference:
-            instant = None if self.trigger is None else self.instant_of(self.trigger)
+            instant = None if self.trigger_sample is None else self.instant_of(self.trigger_sample)
         elif instant is None and isinstance(self.plan.start, SyncPulse | AtTime):
             earliest = max(first_sample(self._per_tick, tick), self.armed_instant)
             instant = self.plan.start.next_instant(earliest, self.plan.rate)
@@ -202,26 +201,32 @@ class Acquisition:
         """
         source = self.plan.start
         if isinstance(source, AnalogSource):
-            crossing = self._crossing(self._start_finders, samples[:, offset:])
+            crossing = self._find_crossing(self._start_finders, samples[:, offset:])
             return None if crossing is None else offset + crossing
         instant = self._event_instant(source, max(self.armed_instant, first + offset), event_tick)
         if instant is None or instant < self.armed_instant or instant - first >= samples.shape[1]:
             return None
         return max(instant - first, offset)
 
-    def _crossing(self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0) -> int | None:
+    def _find_crossing(
+        self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0
+    ) -> int | None:
         """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
 
         Every finder processes all samples, so that its state stays correct.
         """
-        crossings = [finder.find(self.plan.to_units(row, samples[row]), skip) for row, finder in finders]
-        return min((index for index in crossings if index is not None), default=None)
+        indices = [finder.find(self.plan.to_units(channel, samples[channel]), skip) for channel, finder in finders]
+        return min((index for index in indices if index is not None), default=None)
 
     def _store(self, first: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
         """Store samples, the first at instant `first`, up to the end of the record; return the number processed."""
-        if self.plan.reference is not None and self.trigger is None:
+        if self.plan.reference is not None and self.trigger_sample is None:
             self._find_reference_trigger(first, samples, event_tick)
-        count = samples.shape[1] if self._end is None else min(samples.shape[1], self._end - self.ring.written)
+        count = (
+            samples.shape[1]
+            if self._record_end is None
+            else min(samples.shape[1], self._record_end - self.ring.written)
+        )
         free = self.plan.buffer_size - (self.ring.written - self.position)
         if self.plan.stops_when_full and count > free:
             count = free
@@ -235,7 +240,7 @@ class Acquisition:
         self.ring.write(samples[:, :count])
         self.overloads.write(overload[:, :count])
         self.overloaded |= overload[:, :count].any(axis=1)
-        if self.ring.written == self._end:
+        if self.ring.written == self._record_end:
             self._complete(first + count)
         return max(count, 1)
 
@@ -247,14 +252,14 @@ class Acquisition:
         skip = min(max(0, earliest - first), count)
         crossing = None
         if isinstance(source, AnalogSource):
-            crossing = self._crossing(self._reference_finders, samples, skip)
+            crossing = self._find_crossing(self._reference_finders, samples, skip)
         else:
             instant = self._event_instant(source, max(earliest, first), event_tick)
             if instant is not None and max(earliest, first) <= instant < first + count:
                 crossing = instant - first
         if crossing is not None:
-            self.trigger = self.ring.written + crossing
-            self._end = self.trigger + self.plan.samples - self.plan.pretrigger
+            self.trigger_sample = self.ring.written + crossing
+            self._record_end = self.trigger_sample + self.plan.samples - self.plan.pretrigger
             self.position = self.first_readable
 
     def _event_instant(self, source: Source | None, earliest: int, event_tick: EventTick) -> int | None:

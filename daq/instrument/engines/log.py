@@ -193,8 +193,8 @@ class TaskLog:
             return
         if self._next is None:
             self._next = acquisition.first_readable
-            if acquisition.trigger is not None:
-                self._file.trigger(acquisition.trigger - self._next)
+            if acquisition.trigger_sample is not None:
+                self._file.trigger(acquisition.trigger_sample - self._next)
         oldest = acquisition.oldest
         if self._next < oldest:
             self._file.gap(oldest - self._next)

@@ -46,12 +46,12 @@ class TaskSettings:
         return next(iter(self.device_names), "")
 
     @property
-    def clocked(self) -> bool:
+    def has_sample_clock(self) -> bool:
         """Whether the task uses the sample clock."""
         return bool(self.groups["timing"]["samp_timing_type"] == TimingType.SAMPLE_CLOCK)
 
     @property
-    def finite(self) -> bool:
+    def is_finite(self) -> bool:
         """Whether the task ends by itself."""
         return bool(self.groups["timing"]["samp_quant_samp_mode"] == SampleMode.FINITE)
 
@@ -172,21 +172,21 @@ class TaskSettings:
         buffer = self.groups["buffer"]
         if buffer.was_set("input_buf_size"):
             return int(buffer["input_buf_size"])
-        if not self.clocked:
+        if not self.has_sample_clock:
             return 0
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
-        if self.finite:
+        if self.is_finite:
             return samples
         return max(next(size for max_rate, size in _BUFFER_SIZES if self.rate <= max_rate), samples)
 
     @property
-    def samples(self) -> int:
+    def samples_per_channel(self) -> int:
         """Samples per channel of a finite task, or minimum size of the buffer of a continuous task.
 
         Raises `DaqError` -200077 for fewer than 2 with a sample clock.
         """
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
-        if samples < 2 and self.clocked:
+        if samples < 2 and self.has_sample_clock:
             raise invalid_value(f"samps_per_chan is {samples}. Give 2 or more samples per channel.")
         return samples
 

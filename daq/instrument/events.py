@@ -25,7 +25,7 @@ _SIGNALS_OF_EACH_SAMPLE = (Signal.SAMPLE_COMPLETE, Signal.SAMPLE_CLOCK)
 
 
 def _already_registered(event: str, code: Code) -> DaqError:
-    return DaqError(f"{event} is registered already. Unregister it first by passing None.", code)
+    return DaqError(f"{event} is already registered. Unregister it first: register None.", code)
 
 
 class Events:
@@ -45,7 +45,7 @@ class Events:
         """Register a listener that is called after every `n_samples` samples acquired or generated; None removes it.
 
         `has_outputs`: whether the task has outputs. Raises `DaqError` -200966 or -200967 if a listener is registered,
-        -200980 or -200981 for the other direction than that of the task, -200880 for zero samples.
+        -200980 or -200981 for acquired samples of an output task or the reverse, -200880 for fewer than one sample.
         """
         event = enum_member(EverySamples, event_type, "every_n_samples_event_type")
         if listener is None:
@@ -104,10 +104,10 @@ class Events:
             listener(None)
 
     def begin(self) -> None:
-        """Reset the counts at the start of a run."""
+        """Reset the numbers of sent events at the start of a run."""
         self._n_sent = 0  # every-N-samples events
         self._n_signaled = 0  # samples whose signals have been sent
-        self._done_sent = False
+        self._was_done_sent = False
         self._triggered: set[Signal] = set()  # triggers whose signals have been sent
 
     def next_due(self, n_samples: int) -> int | None:
@@ -142,7 +142,7 @@ class Events:
             if has_occurred and signal in self._signals and signal not in self._triggered:
                 self._triggered.add(signal)
                 self._signals[signal](int(signal))
-        if self._done is not None and not self._done_sent and run.done:
-            self._done_sent = True
+        if self._done is not None and not self._was_done_sent and run.done:
+            self._was_done_sent = True
             self._done(0 if run.error is None else run.error.code)
         return was_sent

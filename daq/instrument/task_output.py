@@ -71,7 +71,7 @@ class TaskOutput:
         return 0 if self.run is None else self.run.generated
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the generation is complete."""
+        """Return a lower bound of the ticks until the generation is complete; the ticks in 10 ms if it is unknown."""
         return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.ticks_to_end()
 
     def ticks_until(self, samples: int) -> int:

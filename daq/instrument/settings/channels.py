@@ -127,19 +127,19 @@ class Channel:
             return self.module.output_range
         if "rng" in self.settings:
             return float(self.settings["rng"])
-        if self.scaled:
+        if self.has_custom_scale:
             return self.module.ranges[-1] if self.module.ranges else math.inf
         return self.module.range_for(self._largest_volts())
 
     @property
-    def scaled(self) -> bool:
-        """Whether a custom scale converts its readings."""
+    def has_custom_scale(self) -> bool:
+        """Whether a custom scale converts the readings."""
         units = self.settings["ao_voltage_units" if self.measurement is None else self.measurement.units]
         return bool(units == FROM_CUSTOM_SCALE)
 
     @property
     def scale_name(self) -> str:
-        """Name of its custom scale; empty without a custom scale."""
+        """Name of the custom scale; empty without a custom scale."""
         return str(self.settings[f"{self.direction}_custom_scale_name"])
 
     def _largest_volts(self) -> float:
@@ -173,11 +173,11 @@ class Channel:
             )
         if not low < high:
             raise DaqError(
-                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Exchange them.",
+                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Lower it.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
         full_scale = self.module.output_range if self.measurement is None else (self.module.ranges or (math.inf,))[-1]
-        if self._largest_volts() > full_scale * (1 + 1e-9) and not self.scaled:
+        if self._largest_volts() > full_scale * (1 + 1e-9) and not self.has_custom_scale:
             limit = full_scale / self.volts_per_unit
             raise invalid_value(
                 f"channel {self.name}: limits {low:g} to {high:g} {self.unit} exceed the range of "
@@ -251,7 +251,7 @@ class Channel:
 
 def _limit(channel: Channel, sign: float) -> float:
     """Return the upper (sign 1) or lower (sign -1) limit of an input, in the unit of its readings."""
-    if channel.scaled or channel.range == math.inf:
+    if channel.has_custom_scale or channel.range == math.inf:
         return float(channel.settings["ai_max" if sign > 0 else "ai_min"])
     return sign * channel.range / channel.volts_per_unit
 

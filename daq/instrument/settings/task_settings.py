@@ -70,7 +70,7 @@ class TaskSettings:
 
     def scale_of(self, channel: Channel) -> Scale | None:
         """Return the custom scale of a channel; None without a scale."""
-        if not channel.scaled:
+        if not channel.has_custom_scale:
             return None
         if channel.scale_name not in self._scales:
             remedy = f"Choose {', '.join(self._scales)}." if self._scales else "Create the scale first."

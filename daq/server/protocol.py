@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from google.protobuf import message_factory
+from google.protobuf import descriptor_pb2, message_factory
 from google.protobuf.timestamp_pb2 import Timestamp
 from nidaqmx._stubs import nidaqmx_pb2
 
@@ -34,6 +34,7 @@ _MAX_CHARACTERS = 1 << 16
 _SAMPLES = ("write_array", "waveforms")
 # Full names of the message types of a session and a time.
 _SESSION, _TIMESTAMP = "nidevice_grpc.Session", "google.protobuf.Timestamp"
+_LABEL_REPEATED = descriptor_pb2.FieldDescriptorProto.LABEL_REPEATED
 # Suffix of the name of a oneof that has either an enum value or its raw number.
 _ENUM = "_enum"
 
@@ -108,8 +109,8 @@ def _check_string(name: str, value: str) -> None:
 def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
     """Return name, oneof, type, and whether it is repeated, of each field of a request.
 
-    The oneof is '' if the field has none; its fields are one entry. The type is "double", "message", the full name of
-    a session or timestamp message, or '' for any other type.
+    The fields of a oneof are a single entry; for other fields, the oneof is ''. The type is "double", "message", the
+    full name of a session or timestamp message, or '' for any other type.
     """
     fields, names = [], set()
     for field in descriptor.fields:
@@ -129,7 +130,7 @@ def _fields(descriptor: Any) -> list[tuple[str, str, str, bool]]:
 
 def is_repeated(field: Any) -> bool:
     """Return whether a field is repeated (a list); the attribute depends on the release of protobuf."""
-    return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == field.LABEL_REPEATED)
+    return bool(getattr(field, "is_repeated", None) or getattr(field, "label", 0) == _LABEL_REPEATED)
 
 
 def encode(response: Any, values: Mapping[str, Any]) -> bytes:

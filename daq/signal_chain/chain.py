@@ -61,7 +61,7 @@ class Chain:
         self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
         self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
-        # Number of the first samples that are not returned because the delay of the filter is removed.
+        # Number of initial samples that are omitted, because the delay of the filter is removed.
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
         parts = [self._build_channel(row, channel) for row, channel in enumerate(channels)]
         self.channel_settings: tuple[Channel, ...] = tuple(channels)

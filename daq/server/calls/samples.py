@@ -165,7 +165,7 @@ def _write(count_type: _CountType | None = None) -> Handler:
             is_outside = (numbers < limits.min) | (numbers > limits.max)
             if is_outside.any():
                 raise DaqError(
-                    f"{numbers[is_outside][0]} exceeds {limits.bits} bits. Write {limits.min} to {limits.max}.",
+                    f"{numbers[is_outside][0]} is not a {limits.bits}-bit number. Write {limits.min} to {limits.max}.",
                     Code.INVALID_AO_DATA_WRITE,
                     samples_done=0,
                 )

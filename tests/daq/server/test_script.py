@@ -99,9 +99,7 @@ def test_clock_advances_while_script_waits_for_enter(script, capfd):
     assert capfd.readouterr().out.startswith("Press Enter to stop. ")
 
 
-@pytest.mark.parametrize(
-    "ending, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)]
-)
+@pytest.mark.parametrize("ending, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)])
 def test_exit_code_of_script_is_kept(script, capfd, ending, code):
     assert run_script(script(ending), scene="bare-structure", clock="fast") == code
     stderr = capfd.readouterr().err

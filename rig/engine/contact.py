@@ -31,8 +31,8 @@ from rig.numerics.complementarity import ROUNDING, ContactWorkspace, contact_mat
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import affine_product
 
-#: Multiplicity of the gap's zero when a damper separates: gap and rate of the gap are zero.
-_RELEASE_MULTIPLICITY = 2
+#: Multiplicity of the gap's zero when a damper separates under tension: gap and its rate are zero.
+_TENSILE_MULTIPLICITY = 2
 
 
 @inlined_kernel
@@ -51,7 +51,7 @@ def _set_flying(flow: Flow, model: Model, state: State, j: int, velocity: float,
 
 @inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
-    """Separate damper j from its wall, at the velocity of the wall, and log the event."""
+    """Separate damper j from its wall with the velocity of the wall, and log the event."""
     _set_flying(flow, model, state, j, state.z[model.velocity_index[j]], multiplicity)
     log_event(log, j, SEPARATION, 0.0)
 
@@ -80,7 +80,7 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
     `rebound_speed`: relative to the wall, m/s; `force`: on every coordinate, N.
 
     With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper limit of its
-    acceleration is used. A damper that is wrongly set to rest has a tensile contact force and is released immediately.
+    acceleration is used. A damper that is wrongly set to rest has a tensile contact force and separates immediately.
     """
     row = model.position_index[j]
     if model.coupled:
@@ -176,7 +176,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
 def _coupled_impact(
     flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace
 ) -> None:
-    """Apply the impact of damper j together with all dampers in contact or touching, through a full mass matrix."""
+    """Apply the impact of damper j, with its effect through a full mass matrix on dampers that touch a wall."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0:
@@ -213,8 +213,8 @@ def _coupled_impact(
         if work.flying[a]:
             damper_velocity = state.velocity[i] + work.sign[a] * work.reaction[a] / model.mass[i]
             rebound_speed = work.sign[a] * (damper_velocity - body_velocity)
-            has_no_rebound = work.rhs[a] == work.opening_speed[a]
-            if work.active[a] and has_no_rebound:
+            is_plastic = work.rhs[a] == work.opening_speed[a]  # the required rebound speed is zero
+            if work.active[a] and is_plastic:
                 rebound_speed = 0.0
             # The gap of damper j is zero and decreasing. A new opening speed up to the opening speed before the impact
             # is a rounding error.
@@ -232,8 +232,8 @@ def _coupled_impact(
 
 
 @inlined_kernel
-def _release_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Release each damper whose contact force is tensile, if contacts do not affect each other."""
+def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Separate each damper whose contact force is tensile, if contacts do not affect each other."""
     force = work.force
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
@@ -247,12 +247,12 @@ def _release_independent(flow: Flow, model: Model, state: State, log: Log, work:
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
         if abs(relative_acceleration) > ROUNDING * magnitude:
-            separate(flow, model, state, log, i, _RELEASE_MULTIPLICITY)
+            separate(flow, model, state, log, i, _TENSILE_MULTIPLICITY)
 
 
 @kernel
-def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Solve for the forces of all contacts at rest together, and release those that would be tensile."""
+def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Solve for the forces of all contacts at rest together, and separate the dampers without a compressive force."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:
@@ -277,22 +277,22 @@ def _release_coupled(flow: Flow, model: Model, state: State, log: Log, work: Con
             for b in range(count):
                 opening_acceleration += work.matrix[a, b] * work.reaction[b]
             if opening_acceleration > ROUNDING * work.magnitude[a]:
-                separate(flow, model, state, log, work.damper[a], _RELEASE_MULTIPLICITY)
+                separate(flow, model, state, log, work.damper[a], _TENSILE_MULTIPLICITY)
 
 
 @inlined_kernel
-def release_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Release every damper at rest whose contact force would be tensile by more than rounding."""
+def separate_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Separate every damper at rest whose contact force would be tensile by more than rounding."""
     _sum_forces(model, state, work.force)
     if model.coupled:
-        _release_coupled(flow, model, state, log, work)
+        _separate_coupled(flow, model, state, log, work)
     else:
-        _release_independent(flow, model, state, log, work)
+        _separate_independent(flow, model, state, log, work)
 
 
 @inlined_kernel
 def impact(flow: Flow, model: Model, state: State, log: Log, j: int, wall: int, work: ContactWorkspace) -> None:
-    """Apply the impact of damper j with a wall: velocities jump. `release_tensile` must follow."""
+    """Apply the impact of damper j with a wall: velocities jump. `separate_tensile` must follow."""
     if model.coupled or model.restitution[j] > 0.0:
         _sum_forces(model, state, work.force)
     if model.coupled:

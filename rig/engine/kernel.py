@@ -20,7 +20,7 @@ All numbers are float64, and no memory is allocated. The tables are described in
 
 from __future__ import annotations
 
-from rig.engine.contact import impact, release_tensile, separate
+from rig.engine.contact import impact, separate, separate_tensile
 from rig.engine.finite_contact import FREE, change_contact
 from rig.engine.flow import Flow, Model
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
@@ -59,8 +59,9 @@ MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: Pending after a contact change: nothing; completion of the break in the log; before it, release of tensile contacts.
-_NOTHING, _CLOSE_BREAK, _RELEASE = 0, 1, 2
+#: Pending after a contact change: nothing; completion of the break in the log; before it, separation of dampers with a
+#: tensile contact force.
+_NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
 #: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
 _SEPARATION_MULTIPLICITY = 3
 
@@ -99,11 +100,11 @@ def advance(
     has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]
     pending = _NOTHING
     if status == CONTACTS_UNCHECKED:
-        pending = _RELEASE
+        pending = _SEPARATE_TENSILE
     while True:
         if pending != _NOTHING:
-            if pending == _RELEASE:
-                release_tensile(flow, model, state, log, workspace.contact)
+            if pending == _SEPARATE_TENSILE:
+                separate_tensile(flow, model, state, log, workspace.contact)
             if status != CONTACTS_UNCHECKED:
                 close_break(model, state, log)
             pending = _NOTHING
@@ -200,9 +201,9 @@ def advance(
                     model.first_velocity + model.gap_coordinate[j]
                 ] = 0.0
                 if model.coupled:
-                    pending = _RELEASE
+                    pending = _SEPARATE_TENSILE
         elif guard == CONTACT_FORCE:
             separate(flow, model, state, log, j, _SEPARATION_MULTIPLICITY)
         else:
             impact(flow, model, state, log, j, guard, workspace.contact)
-            pending = _RELEASE
+            pending = _SEPARATE_TENSILE

@@ -23,7 +23,7 @@ Vector = NDArray[np.float64]
 # x (n + 1,) -> residual (n,), jacobian (n, n + 1)
 Equations = Callable[[Vector], tuple[Vector, Vector]]
 # x (n + 1,), unit tangent (n + 1,) -> quantity whose zero is to be located
-Monitor = Callable[[Vector, Vector], float]
+TestFunction = Callable[[Vector, Vector], float]
 # x (n + 1,) -> margin to each border (negative outside), and the borders' names
 Margins = Callable[[Vector], tuple[Vector, Sequence[str]]]
 # A point (n + 1,) and the curve's unit tangent there (n + 1,)
@@ -229,6 +229,7 @@ def _trace_one_way(
                 continue
             path.append(border_point)
             return path, border_names[index]
+        # The curve is closed if the next step would pass the start in the same direction.
         to_start = (start - new) / scale
         if arclength > 4 * step and np.linalg.norm(to_start) < 0.6 * step and x_tangent @ direction > 0.5:
             return path, "closed"
@@ -237,6 +238,7 @@ def _trace_one_way(
             return path, end
         margin = new_margin
         arclength += step
+        # Few corrections and a small angle permit a longer step; many corrections require a shorter one.
         if iterations <= 3 and angle < 0.5 * steps.max_angle_rad:
             step = min(2.0 * step, steps.max_step)
         elif iterations >= 6:
@@ -304,14 +306,14 @@ def _locate_border(
 
 
 def locate(
-    equations: Equations, curve: Curve, index: int, monitor: Monitor, steps: Steps | None = None
+    equations: Equations, curve: Curve, index: int, test_function: TestFunction, steps: Steps | None = None
 ) -> tuple[Vector, Vector]:
-    """Locate the zero of a monitor between two neighboring points of a curve.
+    """Locate the zero of a test function between two neighboring points of a curve.
 
     Points of the chord between them are corrected to the curve, and the zero is found by Brent's method.
 
     Returns `x, tangent`, shape (n + 1,), the point and its unit tangent. Raises `NoConvergence` if a point of the chord
-    cannot be corrected to the curve, or the monitor has the same sign at both points.
+    cannot be corrected to the curve, or the test function has the same sign at both points.
     """
     steps = steps or Steps()
     first, scale = curve.points[index], curve.scale
@@ -322,13 +324,13 @@ def locate(
     def correct(distance: float) -> PointWithTangent:
         return newton(equations, first + distance * normal * scale, scale, steps, normal)[:2]
 
-    values = [monitor(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]
+    values = [test_function(curve.points[i], curve.tangents[i]) for i in (index, index + 1)]
     if not values[0] * values[1] < 0:
-        raise NoConvergence("the monitor does not change sign between the two points")
+        raise NoConvergence("the test function does not change sign between the two points")
     try:
-        distance = brentq(lambda d: monitor(*correct(d)), 0.0, length, xtol=1e-11 * length, rtol=1e-11)
+        distance = brentq(lambda d: test_function(*correct(d)), 0.0, length, xtol=1e-11 * length, rtol=1e-11)
     except ValueError:
-        raise NoConvergence("the monitor vanishes at one of the points, or jumps") from None
+        raise NoConvergence("the test function is zero at one of the points, or discontinuous") from None
     return correct(distance)
 
 

@@ -94,7 +94,7 @@ def code_folder(source: Path) -> Path | None:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
         _warn_once(
-            "the folder for machine code cannot be written, so kernels are compiled at every start (up to a minute). "
+            "the folder for machine code cannot be written, so it is compiled at every start (up to a minute). "
             "Set NUMBA_CACHE_DIR to a folder that can be written."
         )
         return None
@@ -139,7 +139,7 @@ class _Compiling(Listener):
     def on_start(self, event: Event) -> None:
         """Report the start."""
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
-            _warn_once(f"{_COMPILING}: about 20 s, up to a minute for several parts")
+            _warn_once(f"{_COMPILING}: about 20 s, or up to a minute if several parts of the program are needed")
         console.begin_delay(_COMPILING)
 
     def on_end(self, event: Event) -> None:

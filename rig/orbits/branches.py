@@ -279,13 +279,13 @@ def _locate_bifurcations(
 
 
 def _locate(
-    family: OrbitFamily, curve: continuation.Curve, segments: NDArray[np.int64], monitor: continuation.Monitor
+    family: OrbitFamily, curve: continuation.Curve, segments: NDArray[np.int64], test: continuation.TestFunction
 ) -> Array:
-    """Return parameter values at which a monitor changes sign; the middle of the step if it cannot be bracketed."""
+    """Return parameter values at which a test function changes sign; the middle of the step if it cannot be located."""
     values = []
     for i in segments:
         try:
-            values.append(continuation.locate(family, curve, int(i), monitor)[0][-1])
+            values.append(continuation.locate(family, curve, int(i), test)[0][-1])
         except continuation.NoConvergence:
             values.append(curve.points[i : i + 2, -1].mean())
     return np.array(values)

@@ -130,7 +130,7 @@ def _nearby_orbit(
     distance = _distance(propagator, orbit)
     if distance > MAX_ORBIT_DISTANCE:
         return None
-    # An irregular motion may pass close to an orbit without settling, so check that the distance decreases.
+    # An irregular motion may pass close to an orbit without settling to it, so check that the distance decreases.
     trajectory = _simulate(propagator, steps, CONFIRMATION_PERIODS * repetition)
     n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, CONTACT_EVENTS)) // repetition
     n_orbit_impacts = np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))

@@ -40,10 +40,10 @@ class MotionState(NamedTuple):
 
     x: Array  # State; cos wt, sin wt; 1; shape (states + 3,)
     height: Array
-    speed: Array  # height [m], speed [m/s]: of the dampers; shape (dampers,)
+    velocity: Array  # height [m], velocity [m/s]: of the dampers; shape (dampers,)
     dx: Array  # shape (states, unknowns + 1)
     dheight: Array
-    dspeed: Array  # dheight, dspeed: shape (dampers, unknowns + 1)
+    dvelocity: Array  # dheight, dvelocity: shape (dampers, unknowns + 1)
 
 
 @cached_njit
@@ -61,9 +61,9 @@ def _initial_motion(sequence: Sequence, unknowns: Array, states: int) -> tuple[M
     index = states
     for j in range(dampers):
         if sequence.wall[0, j] == kinds.FLYING:
-            motion.height[j], motion.speed[j] = unknowns[index], unknowns[index + 1]
+            motion.height[j], motion.velocity[j] = unknowns[index], unknowns[index + 1]
             motion.dheight[j, index] = 1.0
-            motion.dspeed[j, index + 1] = 1.0
+            motion.dvelocity[j, index + 1] = 1.0
             index += 2
     return motion, index
 
@@ -100,15 +100,15 @@ def _propagate(
             drive_rate = equations.omega * (flow[i, n + 1] * initial[n] - flow[i, n] * initial[n + 1])
             dx[i, start_column] += drive_rate - rate
     for j in range(motion.height.shape[0]):
-        motion.height[j] += (motion.speed[j] - 0.5 * equations.gravity * duration) * duration
-        motion.speed[j] -= equations.gravity * duration
+        motion.height[j] += (motion.velocity[j] - 0.5 * equations.gravity * duration) * duration
+        motion.velocity[j] -= equations.gravity * duration
         for c in range(n_unknowns + 1):
-            motion.dheight[j, c] += duration * motion.dspeed[j, c]
-        motion.dheight[j, end_column] += end_derivative * motion.speed[j]
-        motion.dspeed[j, end_column] -= end_derivative * equations.gravity
+            motion.dheight[j, c] += duration * motion.dvelocity[j, c]
+        motion.dheight[j, end_column] += end_derivative * motion.velocity[j]
+        motion.dvelocity[j, end_column] -= end_derivative * equations.gravity
         if start_column >= 0:
-            motion.dheight[j, start_column] -= motion.speed[j]
-            motion.dspeed[j, start_column] += equations.gravity
+            motion.dheight[j, start_column] -= motion.velocity[j]
+            motion.dvelocity[j, start_column] += equations.gravity
 
 
 @cached_njit
@@ -136,8 +136,8 @@ def _contact_force_condition(
 def _separate(equations: Equations, derivatives: EquationDerivatives, wall: int, j: int, motion: MotionState) -> None:
     """Set height and velocity of damper j at separation to those of its wall."""
     body, nq = equations.body_coordinate[j], equations.inverse_mass.shape[1]
-    motion.height[j], motion.speed[j] = motion.x[body], motion.x[nq + body]
-    motion.dheight[j], motion.dspeed[j] = motion.dx[body], motion.dx[nq + body]
+    motion.height[j], motion.velocity[j] = motion.x[body], motion.x[nq + body]
+    motion.dheight[j], motion.dvelocity[j] = motion.dx[body], motion.dx[nq + body]
     if wall == kinds.RIDES_CEILING:
         motion.height[j] += equations.clearance[j]
         motion.dheight[j, motion.dx.shape[1] - 1] += derivatives.clearance[j]
@@ -150,11 +150,11 @@ def _apply_impact(
 ) -> tuple[float, float]:  # fmt: skip
     """Apply the impact of damper j on a wall; return the gap [m], which must be zero, and the closing speed [m/s].
 
-    The impulse is (1 + e) v_rel / (1 / m_d + (M^-1)_bb), with the damper's mass m_d and its body's diagonal element of
-    the inverse mass matrix. The restitution e is zero unless the event is a bounce.
+    The impulse is (1 + e) v_rel / (1 / m_d + (M^-1)_bb), with the relative velocity v_rel, the damper's mass m_d and
+    its body's diagonal element of the inverse mass matrix. The restitution e is zero unless the event is a bounce.
     """
     body, nq, n_unknowns = equations.body_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
-    x, dx, dheight, dspeed = motion.x, motion.dx, motion.dheight, motion.dspeed
+    x, dx, dheight, dvelocity = motion.x, motion.dx, motion.dheight, motion.dvelocity
     offset, offset_derivative = 0.0, 0.0
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE):
         offset, offset_derivative = equations.clearance[j], derivatives.clearance[j]
@@ -171,27 +171,27 @@ def _apply_impact(
         / one_plus_restitution
         * (inverse_mass_decrease - inverse_change[body, body])
     )
-    relative_speed = motion.speed[j] - x[nq + body]
+    relative_velocity = motion.velocity[j] - x[nq + body]
     for c in range(n_unknowns + 1):
         jacobian[row, c] = dheight[j, c] - dx[body, c]
-        relative_speed_derivative = dspeed[j, c] - dx[nq + body, c]
-        impulse = impulse_per_speed * relative_speed_derivative
+        relative_velocity_derivative = dvelocity[j, c] - dx[nq + body, c]
+        impulse = impulse_per_speed * relative_velocity_derivative
         if c == n_unknowns:
             jacobian[row, c] -= offset_derivative
-            impulse += impulse_per_speed_derivative * relative_speed
+            impulse += impulse_per_speed_derivative * relative_velocity
             for i in range(nq):
-                dx[nq + i, c] += inverse_change[i, body] * impulse_per_speed * relative_speed
-            dspeed[j, c] += impulse_per_speed * relative_speed * inverse_mass_decrease
+                dx[nq + i, c] += inverse_change[i, body] * impulse_per_speed * relative_velocity
+            dvelocity[j, c] += impulse_per_speed * relative_velocity * inverse_mass_decrease
         for i in range(nq):
             dx[nq + i, c] += inverse[i, body] * impulse
-        dspeed[j, c] -= impulse / equations.mass[j]
+        dvelocity[j, c] -= impulse / equations.mass[j]
         dheight[j, c] = dx[body, c]
     motion.height[j] = x[body] + offset
     dheight[j, n_unknowns] += offset_derivative
     for i in range(nq):
-        x[nq + i] += inverse[i, body] * impulse_per_speed * relative_speed
-    motion.speed[j] -= impulse_per_speed / equations.mass[j] * relative_speed
-    return gap, relative_speed if offset > 0.0 else -relative_speed
+        x[nq + i] += inverse[i, body] * impulse_per_speed * relative_velocity
+    motion.velocity[j] -= impulse_per_speed / equations.mass[j] * relative_velocity
+    return gap, relative_velocity if offset > 0.0 else -relative_velocity
 
 
 @cached_njit
@@ -205,22 +205,22 @@ def _finite_contact_condition(
     g - g_w = 0. The wall's force is zero at g - g_w + (c / k) g' = 0, with the wall's stiffness k and damping c.
     """
     n_unknowns, gap_index = motion.dx.shape[1] - 1, equations.gap_coordinate[j]
-    speed_index = equations.inverse_mass.shape[1] + gap_index
+    rate_index = equations.inverse_mass.shape[1] + gap_index
     ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
-    speed, relaxation_time = motion.x[speed_index], 0.0
+    gap_rate, relaxation_time = motion.x[rate_index], 0.0
     residual = motion.x[gap_index]
     if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         relaxation_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = derivatives.damping[j, wall_index] - relaxation_time * derivatives.stiffness[j, wall_index]
-        jacobian[row, n_unknowns] += speed * damping_derivative / equations.stiffness[j, wall_index]
+        jacobian[row, n_unknowns] += gap_rate * damping_derivative / equations.stiffness[j, wall_index]
     if ceiling:
         residual -= equations.clearance[j]
         jacobian[row, n_unknowns] -= derivatives.clearance[j]
     for c in range(n_unknowns + 1):
-        jacobian[row, c] += motion.dx[gap_index, c] + relaxation_time * motion.dx[speed_index, c]
-    closing_speed = speed if ceiling else -speed
-    return residual + relaxation_time * speed, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
+        jacobian[row, c] += motion.dx[gap_index, c] + relaxation_time * motion.dx[rate_index, c]
+    closing_speed = gap_rate if ceiling else -gap_rate
+    return residual + relaxation_time * gap_rate, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
 
 
 @cached_njit
@@ -236,8 +236,8 @@ def _write_periodicity(
     for j in range(motion.height.shape[0]):
         if sequence.wall[0, j] == kinds.FLYING:
             residual[index] = motion.height[j] - unknowns[index]
-            residual[index + 1] = motion.speed[j] - unknowns[index + 1]
-            jacobian[index], jacobian[index + 1] = motion.dheight[j], motion.dspeed[j]
+            residual[index + 1] = motion.velocity[j] - unknowns[index + 1]
+            jacobian[index], jacobian[index + 1] = motion.dheight[j], motion.dvelocity[j]
             jacobian[index, index] -= 1.0
             jacobian[index + 1, index + 1] -= 1.0
             index += 2
@@ -261,7 +261,7 @@ def shoot(
     for k in range(events + 1):
         states[k, :n] = motion.x[:n]
         states[k, n : n + nd] = motion.height
-        states[k, n + nd :] = motion.speed
+        states[k, n + nd :] = motion.velocity
         configuration, row = sequence.configuration[k], first_row + k
         previous_row = row - 1 if k > 0 else -1
         if k == events:

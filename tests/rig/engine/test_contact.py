@@ -1,4 +1,4 @@
-"""Contact laws at an impact or a release, compared with explicit mechanics: momentum, separations and velocities.
+"""Contact laws at impacts and separations, compared with explicit mechanics: momentum, separations and velocities.
 
 `state.z` has the displacements and velocities of the bodies; `state.height` and `state.velocity` are those of dampers
 in flight. `state.contact` is FLIGHT, FLOOR or CEILING for each damper. `TABLE_INDEX` -1 means that the matrices of the
@@ -19,12 +19,12 @@ import rig
 from rig.engine.contact import (
     _close_slow_openings,
     _rebound_is_negligible,
-    _release_coupled,
-    _release_independent,
+    _separate_coupled,
+    _separate_independent,
     _sum_forces,
     _touched_wall,
     impact,
-    release_tensile,
+    separate_tensile,
 )
 from rig.engine.propagator import Propagator
 from rig.engine.state import CEILING, FLIGHT, FLOOR, N_EVENTS, PRESENT_SEGMENT, SEPARATION, TABLE_INDEX, State
@@ -66,12 +66,12 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
     return Propagator(assemble(scene), pure_tone(np.ones(1), 60.0), 2e-3)
 
 
-def impact_and_release(engine: Propagator, damper: int, wall: int) -> None:
-    """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then release tensile contacts."""
+def impact_and_separate(engine: Propagator, damper: int, wall: int) -> None:
+    """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then separate tensile contacts."""
     flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     impact(flow, model, engine.state, engine.log, damper, wall, work)
-    release_tensile(flow, model, engine.state, engine.log, work)
+    separate_tensile(flow, model, engine.state, engine.log, work)
 
 
 def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
@@ -125,7 +125,7 @@ def test_impact_obeys_the_contact_laws(
     sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
     damper_velocity[impacting] = state.velocity[impacting] = body_velocity[impacting] - sign * closing_speed
-    impact_and_release(engine, impacting, wall)
+    impact_and_separate(engine, impacting, wall)
     body_velocity_after = state.z[model.velocity_index]
     damper_velocity_after = np.where(state.contact == FLIGHT, state.velocity, body_velocity_after)
 
@@ -165,13 +165,13 @@ def test_impact_obeys_the_contact_laws(
 
 @given(coupled=st.booleans(), contacts=CONTACTS, seed=st.integers(0, 10_000))
 @settings(deadline=None)
-def test_released_dampers_solve_the_complementarity_problem(coupled: bool, contacts: list[int], seed: int) -> None:
+def test_separated_dampers_solve_the_complementarity_problem(coupled: bool, contacts: list[int], seed: int) -> None:
     engine = propagator(0.15 if coupled else 0.0)
     state, model, system = randomize(engine, contacts, seed), engine.tables.model, engine.system
     work = engine.workspace.contact
     _sum_forces(model, state, work.force)
     # Complementarity: acceleration away from the wall (matrix @ reaction + bias) and contact force (reaction) are not
-    # negative, and one of them is zero for each damper. A damper with a positive acceleration is released.
+    # negative, and one of them is zero for each damper. A damper with a positive acceleration separates.
     in_contact = np.flatnonzero(np.array(contacts) != FLIGHT)
     sign = np.array([SIGN[contacts[j]] for j in in_contact])
     inverse = np.linalg.inv(system.mass)
@@ -179,11 +179,11 @@ def test_released_dampers_solve_the_complementarity_problem(coupled: bool, conta
     bias = sign * (-model.gravity - free_acceleration[in_contact])
     matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(1.0 / model.mass[in_contact])
     reaction = solve_by_enumeration(matrix, bias)
-    release_tensile(engine.tables.flow, model, state, engine.log, work)
-    released = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
-    assert set(np.flatnonzero(state.contact == FLIGHT)) & set(in_contact) == set(released)
-    assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == released.tolist()
-    for j in released:
+    separate_tensile(engine.tables.flow, model, state, engine.log, work)
+    separated = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
+    assert set(np.flatnonzero(state.contact == FLIGHT)) & set(in_contact) == set(separated)
+    assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
+    for j in separated:
         on_floor = contacts[j] == FLOOR
         assert state.velocity[j] == state.z[model.velocity_index[j]]
         assert state.height[j] == state.z[model.position_index[j]] + (0.0 if on_floor else CLEARANCE)
@@ -218,8 +218,8 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
 @pytest.mark.parametrize("coupled", [False, True])
-@pytest.mark.parametrize(("ratio", "releases"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
-def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, ratio: float, releases: bool) -> None:
+@pytest.mark.parametrize(("ratio", "separates"), [(-2.0, False), (0.0, False), (0.99, False), (1.01, True)])
+def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, ratio: float, separates: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0)
     state, model, system = randomize(engine, [FLIGHT, wall, FLIGHT], 3), engine.tables.model, engine.system
     # The state is far from rest, so that large terms nearly cancel.
@@ -232,11 +232,11 @@ def test_tension_within_rounding_does_not_release(wall: int, coupled: bool, rati
     acceleration = -SIGN[wall] * ratio * ROUNDING * acceleration_scale
     work = engine.workspace.contact
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
-    release = _release_coupled if coupled else _release_independent
+    separate_tensile_dampers = _separate_coupled if coupled else _separate_independent
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    release(engine.tables.flow, model, state, engine.log, work)
-    assert (state.contact[1] == FLIGHT) == releases and engine.log.counts[N_EVENTS] == releases
-    if releases:
+    separate_tensile_dampers(engine.tables.flow, model, state, engine.log, work)
+    assert (state.contact[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
+    if separates:
         log = engine.log
         assert (log.event_segment[0], log.event_offset[0], log.event_damper[0]) == (7, 0.25, 1)
 
@@ -255,7 +255,7 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
     state.height[0] = state.z[model.position_index[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.velocity[0] = 0.25 - SIGN[wall] * closing_speed
     momentum = engine.system.mass @ state.z[model.velocity_index] + model.mass * state.velocity
-    impact_and_release(engine, 0, wall)
+    impact_and_separate(engine, 0, wall)
     assert state.contact.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body_velocity = state.z[model.velocity_index]
@@ -272,7 +272,7 @@ def test_uncoupled_damper_stays_at_rest() -> None:
     state.contact[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.velocity[0] = state.z[model.position_index[0]], -0.5
-    impact_and_release(engine, 0, FLOOR)
+    impact_and_separate(engine, 0, FLOOR)
     assert state.z[model.velocity_index[2]] == 0.0 and state.contact.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 

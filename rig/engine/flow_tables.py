@@ -252,10 +252,10 @@ class FlowTables:
         if self.has_step_matrix:
             self._fill_step_tables(table_index, configuration, matrix, offset)
         for i, toggle in enumerate(self._toggles):
-            other = self.indices.get(configuration ^ toggle)
-            if other is not None:
-                flow.after_toggle[table_index, i] = other
-                flow.after_toggle[other, i] = table_index
+            neighbor = self.indices.get(configuration ^ toggle)
+            if neighbor is not None:
+                flow.after_toggle[table_index, i] = neighbor
+                flow.after_toggle[neighbor, i] = table_index
 
     def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""
@@ -384,13 +384,13 @@ def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(mass, right)
     matrix = mass.copy()
     result = right.copy()
-    count = matrix.shape[0]
-    for i in range(count):
-        for row in range(i + 1, count):
+    size = matrix.shape[0]
+    for i in range(size):
+        for row in range(i + 1, size):
             factor = matrix[row, i] / matrix[i, i]
             if factor != 0:
                 matrix[row, i:] -= factor * matrix[i, i:]
                 result[row] -= factor * result[i]
-    for i in range(count - 1, -1, -1):
+    for i in range(size - 1, -1, -1):
         result[i] = (result[i] - matrix[i, i + 1 :] @ result[i + 1 :]) / matrix[i, i]
     return result

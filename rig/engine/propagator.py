@@ -88,11 +88,11 @@ def _propagate(
     `advance`; after the caller has removed the cause, continue from `segment` and `remaining`.
     """
     steps, sets_drive, drive, row = segments
-    inputs, count = drive.shape[0], drive.shape[1] - 1
+    inputs, n_segments = drive.shape[0], drive.shape[1] - 1
     first_drive_state = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
     reset_envelope(flow, workspace)
-    for k in range(first, count):
+    for k in range(first, n_segments):
         segment_steps, stored = steps[stride * k], row[k] >= 0
         if remaining < 0.0:
             remaining = segment_steps
@@ -111,9 +111,9 @@ def _propagate(
             if states.table_index.shape[0] > 0:
                 store_state(state, row[k], states)
             if motion.rows.shape[1] > 0:
-                store_motion(flow, model, state, motion, row[k], k == count - 1)
+                store_motion(flow, model, state, motion, row[k], k == n_segments - 1)
         remaining = -1.0
-    return DONE, count, -1.0
+    return DONE, n_segments, -1.0
 
 
 @kernel

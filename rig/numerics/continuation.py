@@ -192,9 +192,9 @@ def _trace_one_way(
         if margin.min() < 0:
             return path, border_names[int(margin.argmin())]
         try:
-            new, new_tangent, iterations = newton(equations, _predict(path, step, scale), scale, steps, x_tangent)
+            new_x, new_tangent, iterations = newton(equations, _predict(path, step, scale), scale, steps, x_tangent)
             # If the point is more than half a step from the tangent's end, it may be on another curve.
-            is_far = float(np.linalg.norm((new - x) / scale - step * x_tangent)) > 0.5 * step
+            is_far = float(np.linalg.norm((new_x - x) / scale - step * x_tangent)) > 0.5 * step
             if is_far and step > steps.min_step:
                 raise NoConvergence("the correction leads away from the curve")
         except NoConvergence as failure:
@@ -209,19 +209,19 @@ def _trace_one_way(
             step = max(step * max(0.2, 0.7 * steps.max_angle_rad / angle), steps.min_step)
             continue
         end = ""
-        if not bounds[0] <= new[-1] <= bounds[1]:
-            bound = bounds[0] if new[-1] < bounds[0] else bounds[1]
+        if not bounds[0] <= new_x[-1] <= bounds[1]:
+            bound = bounds[0] if new_x[-1] < bounds[0] else bounds[1]
             try:
-                new, new_tangent = solve_with_tangent(
-                    equations, _interpolate(path[-1], (new, new_tangent), bound), bound, scale, steps
+                new_x, new_tangent = solve_with_tangent(
+                    equations, _interpolate(path[-1], (new_x, new_tangent), bound), bound, scale, steps
                 )
             except NoConvergence as failure:
                 return path, f"no convergence: {failure} at parameter {bound:.9g}, the end of its range"
             new_tangent, end = new_tangent if new_tangent @ x_tangent > 0 else -new_tangent, "range"
-        new_margin, _ = margins(new)
+        new_margin, _ = margins(new_x)
         if new_margin.min() < 0:
             try:
-                border_point, index = _locate_border(equations, (x, margin), (new, new_margin), scale, steps, margins)
+                border_point, index = _locate_border(equations, (x, margin), (new_x, new_margin), scale, steps, margins)
             except NoConvergence as failure:
                 if step <= steps.min_step:
                     return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"
@@ -230,10 +230,10 @@ def _trace_one_way(
             path.append(border_point)
             return path, border_names[index]
         # The curve is closed if the next step would pass the start in the same direction.
-        to_start = (start - new) / scale
+        to_start = (start - new_x) / scale
         if arclength > 4 * step and np.linalg.norm(to_start) < 0.6 * step and x_tangent @ direction > 0.5:
             return path, "closed"
-        path.append((new, new_tangent))
+        path.append((new_x, new_tangent))
         if end:
             return path, end
         margin = new_margin

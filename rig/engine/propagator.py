@@ -70,7 +70,7 @@ class Segments(NamedTuple):
     row: NDArray[np.int64]
 
     def ends(self, step: float) -> Array:
-        """Return the end of each segment, s after the start."""
+        """Return the end of each segment, s after the start of the first."""
         ends: Array = np.cumsum(np.broadcast_to(self.steps, self.row.shape)) * step
         return ends
 

@@ -72,9 +72,9 @@ def _recovery_may_end(
     slope = -wall_force_rate(model, z, j, wall) * duration
     slope_end = -wall_force_rate(model, z_end, j, wall) * duration
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]
-    of_force = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * fourth_derivative
+    force_fourth_derivative = (stiffness + damping * FIFTH_DERIVATIVE_FACTOR / model.step) * fourth_derivative
     force, force_end = wall_force(model, z, j, wall), wall_force(model, z_end, j, wall)
-    if _lower_bound(-force, slope, -force_end, slope_end, of_force, 0) <= 0.0:
+    if _lower_bound(-force, slope, -force_end, slope_end, force_fourth_derivative, 0) <= 0.0:
         return True
     signed_duration = -duration if wall == FLOOR else duration
     slope, slope_end = signed_duration * gap_rate(model, z, j), signed_duration * gap_rate(model, z_end, j)

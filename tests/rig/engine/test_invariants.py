@@ -1,7 +1,7 @@
 """Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks.
 
 A break is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists the values
-before and after each break. Contacts: 0 in flight, 1 on the floor, 2 at the ceiling.
+before and after each break. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
+from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -77,7 +78,7 @@ def test_dampers_stay_in_cavities_and_energy_balances(scene: rig.Scene) -> None:
     assert (run.gap >= 0.0).all() and (run.gap <= clearance + 1e-12).all()
     # A missed impact would leave a damper in flight at zero gap without an event.
     for damper in range(len(scene.dampers)):
-        zero_gap_times = run.time[(run.contact[damper] == 0) & (run.gap[damper] == 0.0)]
+        zero_gap_times = run.time[(run.contact[damper] == FLIGHT) & (run.gap[damper] == 0.0)]
         event_times = run.events["time"][run.events["damper"] == damper + 1]
         assert all(np.abs(event_times - time).min() < 1e-6 for time in zero_gap_times)
     energy = run.energy
@@ -93,7 +94,7 @@ def test_dampers_stay_in_cavities_and_energy_balances(scene: rig.Scene) -> None:
 def test_contact_force_at_rest_is_compressive(scene: rig.Scene) -> None:
     frequency = scene.test.frequency
     run = rig.simulate(scene, 20 / frequency, rate=40 * frequency)
-    sign = np.select([run.contact == 1, run.contact == 2], [1.0, -1.0], 0.0)
+    sign = np.select([run.contact == FLOOR, run.contact == CEILING], [1.0, -1.0], 0.0)
     body = [damper.body - 1 for damper in scene.dampers]
     force_per_mass = sign * (run.acceleration[body] + scene.gravity)
     assert force_per_mass.min() > -1e-9 * max(scene.gravity, np.abs(run.acceleration).max())
@@ -147,8 +148,8 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     motion = rig.Plant(scene, rate).advance(drive)
     system = assemble(scene)
     time = (motion.break_sample - 1) / rate + motion.break_offset
-    contacts = np.ones(system.dampers, dtype=int)
-    contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = 0
+    contacts = np.full(system.dampers, FLOOR)
+    contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = FLIGHT
     events = motion.events[motion.events["time"] > 0.0]
     # Several breaks may coincide within rounding. The list of events does not show to which break each belongs.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
@@ -200,7 +201,7 @@ def contacts_after_break(
             separated.add(j)
         else:
             closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
-            contacts[j] = 1 if event["kind"] == "floor" else 2
+            contacts[j] = FLOOR if event["kind"] == "floor" else CEILING
     # Sum of the momentum changes of bodies and dampers, which is zero. A damper that keeps contact at a small jump may
     # or may not have separated during the impact: both possibilities are tried.
     balance = impulse.copy()
@@ -211,11 +212,11 @@ def contacts_after_break(
         if j in closing_speeds:
             # Before the impact the damper moved slower than the floor by the closing speed.
             balance[body] += system.damper_mass[j] * (change + closing_speeds[j])
-        elif contacts[j] and not (j in separated and separates(contacts[j], change)):
+        elif contacts[j] != FLIGHT and not (j in separated and separates(contacts[j], change)):
             balance[body] += system.damper_mass[j] * change
-        elif contacts[j] and abs(change) < MIN_SEPARATION_SPEED:
+        elif contacts[j] != FLIGHT and abs(change) < MIN_SEPARATION_SPEED:
             undecided.append((body, system.damper_mass[j] * change))
-    contacts[list(separated)] = 0
+    contacts[list(separated)] = FLIGHT
     for choice in product((0.0, 1.0), repeat=len(undecided)):
         undecided_impulse = np.bincount(
             [body for body, _ in undecided],
@@ -229,7 +230,7 @@ def contacts_after_break(
 
 def separates(contact: int, change: float) -> bool:
     """Return whether a damper in contact separates if the velocity of its body jumps by `change`, m/s."""
-    return change < 0.0 if contact == 1 else change > 0.0
+    return change < 0.0 if contact == FLOOR else change > 0.0
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])
@@ -256,7 +257,7 @@ def test_dampers_settle_at_static_deflection() -> None:
     # Each damper has 10 % of the mass of its body; the springs deflect under the weights above them.
     weight = 9.80665 * 0.1 * np.array([0.74, 0.71])
     deflection = -np.array([weight.sum() / 24.3e3, weight.sum() / 24.3e3 + weight[1] / 21.8e3])
-    assert (run.contact[:, -1] == 1).all()
+    assert (run.contact[:, -1] == FLOOR).all()
     np.testing.assert_allclose(run.displacement[:, -1], deflection, rtol=1e-12)
     assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}
 

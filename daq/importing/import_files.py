@@ -342,7 +342,7 @@ class _RecordingWriter:
             for first, stop in clipped:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
-                yield f"{where} is clipped in {len(clipped)} segments; marked as overload"
+                yield f"{where} is clipped; number of segments marked as overload: {len(clipped)}"
         if self._power is not None and (warning := self._power.warning()):
             yield warning
 
@@ -391,10 +391,10 @@ def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Ove
     """Yield warnings about readings that suggest a dead sensor, or a wrong unit, sensitivity or range."""
     peak, unit = overloads.peak / abs(assignment.info.sensitivity), assignment.info.unit
     if not np.isfinite(peak):
-        yield f"{where} contains no numbers"
+        yield f"{where} contains no numbers. Check the file."
         return
     if overloads.value_range == 0.0:
-        yield f"{where} reads {peak:.6g} {unit} throughout: its sensor is dead or not connected"
+        yield f"{where} reads {peak:.6g} {unit} throughout. Check that its sensor works and is connected."
     if peak > _MAX_PLAUSIBLE[assignment.info.quantity]:
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
     if overloads.limit_is_wrong:

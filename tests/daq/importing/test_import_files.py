@@ -317,7 +317,7 @@ def test_unnamed_evenly_rising_column_is_time(form, tmp_path):
     assert any("rises evenly" in text and "is used as times" in text for text in messages)
 
 
-def test_line_numbers_are_not_times(tmp_path):
+def test_column_of_line_numbers_is_not_time(tmp_path):
     np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), random_samples(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
     with pytest.raises(SceneError, match="sample rate is not stated"):

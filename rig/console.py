@@ -26,12 +26,12 @@ class Unwritable(OSError):
 
 
 class _EscapingStream(io.TextIOBase):
-    """A stream that escapes control characters of text; a progress bar writes to `terminal` directly."""
+    """A stream that escapes control characters of text; a progress bar writes to `unescaped` directly."""
 
     last_output_s = time.monotonic()
 
-    def __init__(self, terminal: IO[str]) -> None:
-        self.terminal = terminal
+    def __init__(self, unescaped: IO[str]) -> None:
+        self.unescaped = unescaped
 
     def write(self, text: str) -> int:
         """Write text with control characters escaped."""
@@ -40,18 +40,18 @@ class _EscapingStream(io.TextIOBase):
             raise TypeError(f"this stream accepts text, not {type(text).__name__}")
         _EscapingStream.last_output_s = time.monotonic()
         encoding = self.encoding
-        self._forward(self.terminal.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
+        self._forward(self.unescaped.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
 
     def flush(self) -> None:
-        """Flush the terminal."""
-        self._forward(self.terminal.flush)
+        """Flush the unescaped stream."""
+        self._forward(self.unescaped.flush)
 
     def close(self) -> None:
-        """Do nothing: Python owns the terminal and may close it first, which is an error in Python 3.13."""
+        """Do nothing: Python owns the unescaped stream and may close it first, which is an error in Python 3.13."""
 
     def _forward(self, operation: Callable[..., object], *arguments: str) -> None:
-        """Write to the terminal; a full disk raises `Unwritable`."""
+        """Call an operation of the unescaped stream; a full disk raises `Unwritable`."""
         try:
             operation(*arguments)
         except BrokenPipeError:
@@ -61,16 +61,16 @@ class _EscapingStream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """Encoding of the terminal."""
-        return getattr(self.terminal, "encoding", None) or "utf-8"
+        """Encoding of the unescaped stream."""
+        return getattr(self.unescaped, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
         """Return whether the stream is a terminal."""
-        return self.terminal.isatty()
+        return self.unescaped.isatty()
 
     def fileno(self) -> int:
-        """Return the file descriptor of the terminal."""
-        return self.terminal.fileno()
+        """Return the file descriptor of the unescaped stream."""
+        return self.unescaped.fileno()
 
 
 def replace_streams(cleanup: ExitStack) -> None:
@@ -158,7 +158,7 @@ def pause_reports() -> Iterator[None]:
 def user_terminal() -> Iterator[None]:
     """Release the terminal to a program of the user, whose output is not escaped."""
     escaping_streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (getattr(stream, "terminal", stream) for stream in escaping_streams)
+    sys.stdout, sys.stderr = (getattr(stream, "unescaped", stream) for stream in escaping_streams)
     try:
         with pause_reports():
             yield
@@ -192,7 +192,7 @@ def progress(title: str) -> Iterator[FractionProgress]:
         TimeRemainingColumn(elapsed_when_finished=True),
         TextColumn("{task.fields[message]}"),
     )
-    terminal = getattr(sys.stderr, "terminal", sys.stderr)
+    terminal = getattr(sys.stderr, "unescaped", sys.stderr)
     with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
         task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
 

@@ -144,7 +144,7 @@ def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; both 0 if every mode decays."""
-    # Without negative eigenvalues of the symmetric part, the damping removes energy in every motion.
+    # Without negative eigenvalues of the symmetric part, the damping adds energy in no motion.
     damping_eigenvalues = np.linalg.eigvalsh((damping + damping.T) / 2.0)
     rounding = 10 * len(damping) * np.finfo(float).eps * np.abs(damping_eigenvalues).max()
     if damping_eigenvalues[0] >= -rounding:

@@ -97,7 +97,7 @@ class Accelerometer(Settings):
     }
 
     def relations(self) -> Iterable[Mistake]:
-        """Check that every key on which a given key depends is given too, here or by the preset."""
+        """Check that every key on which a given key depends is given too, unless a preset may supply it."""
         yield from check_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:

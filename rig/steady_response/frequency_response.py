@@ -59,8 +59,8 @@ class SteadyResponse(Result):
     force : ndarray, shape (frequencies,)
         Amplitude of the force's first harmonic, N.
     motion_type : ndarray of str, shape (frequencies,)
-        "linear", "riding", "I", "II", "III", "k per n" (impacts per periods), "irregular"; several dampers of
-        different types are joined by "/".
+        "linear" (no damper moves in its cavity), "riding" (at rest on the floor), "I", "II", "III" (see
+        `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
     damper_motion : ndarray of str, shape (dampers, frequencies)
         Motion type of each moving damper.
     impacts : ndarray, shape (dampers, frequencies)
@@ -71,7 +71,7 @@ class SteadyResponse(Result):
     repetition : ndarray of int, shape (frequencies,)
         Periods of the drive after which the motion repeats; 0 if no repetition was detected.
     residual : ndarray, shape (frequencies,)
-        Estimated distance from the steady state, relative to the motion; if not converged, the smallest change over
+        Estimated distance from the steady state, relative to the motion; without repetition, the smallest change over
         1 to 8 periods.
     bodies : tuple of str
         Names of the bodies; empty if they have numbers only.

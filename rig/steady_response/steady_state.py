@@ -46,8 +46,8 @@ class SteadyState:
     repetition: int
     """Periods of the drive after which the motion repeats; 0 if it does not."""
     residual: float
-    """Estimated distance from the steady state, relative to the motion; if not converged, the smallest change over 1 to
-    `MAX_REPETITION` periods."""
+    """Estimated distance from the steady state, relative to the motion; without repetition, the smallest change over 1
+    to `MAX_REPETITION` periods."""
     periods: int
     """Number of periods integrated."""
 

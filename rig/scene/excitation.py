@@ -317,9 +317,9 @@ class Free(Settings):
         """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
             given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
-            yield Mistake((given_key,), f"given without {missing_key}; expected both or neither")
+            yield Mistake((given_key,), f"given without {missing_key}. Add {missing_key}, or remove {given_key}.")
         if self.mode is not None and (self.displacement is not None or self.velocity is not None):
-            yield Mistake(("mode",), "given together with displacement or velocity; expected one of the two")
+            yield Mistake(("mode",), "given together with displacement or velocity. Remove one of the two.")
         if self.mode is None and self.displacement is None and self.velocity is None:
             yield Mistake((), "no initial state; expected displacement, velocity, or mode and amplitude")
 

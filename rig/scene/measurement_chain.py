@@ -287,9 +287,9 @@ class Converter(Settings):
         if self.bits is not None and self.range is None and self.preset is None:
             yield Mistake(("bits",), "given without range. Add range, the voltage at full scale, such as 5 V.")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
-            yield Mistake(("ac_corner",), "given without coupling: AC. Add it, or remove ac_corner.")
+            yield Mistake(("ac_corner",), "given without coupling: AC. Add coupling: AC, or remove ac_corner.")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
-            yield Mistake(("clock_error",), f"got {self.clock_error}; expected a small ratio such as 20 ppm")
+            yield Mistake(("clock_error",), f"got {self.clock_error}; expected less than 10 %, such as 20 ppm")
 
     def _check_sampling(self) -> Iterable[Mistake]:
         preset_values = {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
@@ -297,8 +297,8 @@ class Converter(Settings):
         if self.sampling is not None and filter_name is not None:
             yield Mistake(
                 ("sampling",),
-                f"{self.sampling} with the filter {filter_name}{'' if self.filter else f' of {self.preset}'}; expected "
-                "one of the two, because the filter determines the sample",
+                f"{self.sampling} with the filter {filter_name}{'' if self.filter else f' of {self.preset}'}, which "
+                f"determines the sample. Remove sampling{' or filter' if self.filter else ''}.",
             )
 
     def _check_rate(self) -> Iterable[Mistake]:

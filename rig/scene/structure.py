@@ -89,7 +89,7 @@ class Structure(Settings):
         if not isinstance(masses, Mapping):
             return content, []
         has_names = content.get("names") is not None
-        mistakes = [Mistake(("names",), "given next to masses that have names; expected one of the two")] * has_names
+        mistakes = [Mistake(("names",), "given next to masses that have names. Remove names.")] * has_names
         return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
 
     @classmethod
@@ -149,7 +149,7 @@ class Structure(Settings):
                     ("springs",), "given together with matrices, which contain the stiffness. Remove springs."
                 )
             if self.damping is not None and self.matrices.damping is not None:
-                yield Mistake(("damping",), "given together with the damping matrix; expected one of the two")
+                yield Mistake(("damping",), "given together with the damping matrix. Remove one of the two.")
             if isinstance(self.damping, Dashpots):
                 yield Mistake(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
         damping_values = {

@@ -149,7 +149,7 @@ MISTAKES = [
      ":2: converter.rate: got 60000 Hz; expected 1651.61 to 51200 Hz, the sample rates of NI 9234"),
     (STRUCTURE + "converter: {bits: 16}", ":2: converter.bits: given without range. Add range"),
     (STRUCTURE + "converter: {ac_corner: 1 Hz}", ":2: converter.ac_corner: given without coupling: AC"),
-    (STRUCTURE + "converter: {clock_error: 50 %}", ":2: converter.clock_error: got 0.5; expected a small"),
+    (STRUCTURE + "converter: {clock_error: 50 %}", ":2: converter.clock_error: got 0.5; expected less than 10 %"),
     # references to bodies, shakers and channels
     (STRUCTURE + "dampers:\n- {body: 7, mass: 10 g, clearance: 1 mm}",
      ":3: dampers[1].body: body 7 does not exist; expected a body of the structure, 1 to 2"),

@@ -293,7 +293,8 @@ class Impulse(Settings):
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
                 yield Mistake(
-                    ("double_hit", "hits", k), f"hit {hit} does not exist; expected 1 to {self.repeats}, the repeats"
+                    ("double_hit", "hits", k),
+                    f"hit {hit} does not exist; expected at most {self.repeats}, the number of repeats",
                 )
 
 

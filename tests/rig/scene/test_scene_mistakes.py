@@ -128,7 +128,7 @@ MISTAKES = [
      ":2: test.double_hit.after: does not lie between the end of the first pulse and the next hit. "
      "Give at least 0.009 s and less than 5.991 s"),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {hits: [2]}}",
-     ":2: test.double_hit.hits[1]: hit 2 does not exist; expected 1 to 1, the repeats"),
+     ":2: test.double_hit.hits[1]: hit 2 does not exist; expected at most 1, the number of repeats"),
     (STRUCTURE + "test: {kind: free}", ":2: test: no initial state; expected displacement, velocity, or mode"),
     (STRUCTURE + "test: {kind: free, mode: 1}", ":2: test.mode: given without amplitude"),
     (STRUCTURE + "test: {kind: free, mode: 1, amplitude: 1 mm, velocity: [1, 1]}",

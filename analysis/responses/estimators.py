@@ -85,7 +85,7 @@ class AveragedSpectra:
         x, f = (np.einsum("in,nir->nr", row, factor) for row in (response_weights, reference_weights))
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
-        reject_zero_reference(reference, sff)
+        reject_zero_reference(rec, reference, sff)
         value = estimate(self.estimator, sxx, sff, sxf)
         # Ratio of incoherent to coherent power of the response.
         with np.errstate(divide="ignore", invalid="ignore"):

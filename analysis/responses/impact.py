@@ -51,8 +51,8 @@ def averaged_spectra(
     starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
     if block_samples < 16 or not starts:
         raise SceneError(
-            f"blocks of {block_samples / rec.rate:.3g} s: expected at least 16 samples, and no more than the "
-            f"{(rec.samples - begins[0]) / rec.rate:.4g} s that follow a hit"
+            f"{rec.path}: blocks of {block_samples / rec.rate:.3g} s; expected at least 16 samples, and at most "
+            f"{(rec.samples - begins[0]) / rec.rate:.4g} s, which follow the first hit"
         )
     weights = sampled_window(window, block_samples)
     averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
@@ -65,7 +65,7 @@ def averaged_spectra(
     if averaged.used < len(begins):
         notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
     if averaged.used == 1:
-        notes.append("One block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits.")
+        notes.append("Only one block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits.")
     has_leakage = averaged.end_ratio > _MAX_END_RATIO
     if has_leakage:
         notes.append(

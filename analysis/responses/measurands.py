@@ -170,13 +170,13 @@ def required_channels(rec: Recording, responses: Sequence[str], reference: str) 
     return list(dict.fromkeys(name for measurand in measurands for name in measurand.channels))
 
 
-def reject_zero_reference(reference: str, amplitude: NDArray[np.generic]) -> None:
+def reject_zero_reference(rec: Recording, reference: str, amplitude: NDArray[np.generic]) -> None:
     """Reject a reference that is zero at all lines, because the response is then undefined."""
     if not np.any(np.abs(amplitude) > 0):
         quantity = "force on the structure" if reference == "force" else "displacement of the table"
         raise RecordingError(
-            f"the {quantity} is zero throughout the measurement: the shaker did not run, or the channels were off. "
-            "Check the channels with `daq info` and record again."
+            f"{rec.path}: the {quantity} is zero throughout the measurement. Check the excitation and its channels "
+            "(`daq info`), and record again."
         )
 
 

@@ -36,7 +36,7 @@ NONLINEAR = (
 )
 ONE_REALISATION = (
     "One realisation: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
-    "Measure several (test: realisations)."
+    "Measure several realisations (test: realisations)."
 )
 LIFTED = (
     "Dampers may leave the floor at this level, although the realisations scatter no more than noise: the error bars "
@@ -143,7 +143,7 @@ def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str
         tones = "of a higher level"
     return (
         "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
-        f"{tones} lift one. Use stepped sine for the response to such tones."
+        f"{tones} lift a damper. Use stepped sine for the response to such tones."
     )
 
 

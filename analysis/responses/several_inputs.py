@@ -60,7 +60,7 @@ _MIN_FORCE_POWER_RATIO = 1e-4
 # Smallest share of the lines at which reciprocal responses agree within their uncertainties.
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
-    "The inputs are coherent at {lines} of {all} lines: their responses cannot be separated there and "
+    "The inputs are coherent at {lines} of {all} lines: the responses to them cannot be separated there and "
     "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
     "phases."
 )
@@ -312,6 +312,7 @@ def _from_local_fits(
     coherence, noise = np.empty(shape[:2]), np.empty(shape[:2])
     half_width = min(spectra.half_width, (spectra.frequency.size - 1) // 2)
     residuals, all_bin_weights = [], []
+    # A fit for each output and input, in which the other inputs have their own numerators.
     for a, name in enumerate(names):
         reading_to_motion = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
         channel_to_motion = reading_to_motion * rec.channels[name].response(frequency)

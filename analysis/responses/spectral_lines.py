@@ -82,7 +82,7 @@ class Lines:
         denominator = reference_of(rec, reference)
         reference_weights = denominator.row(rec, names, self.frequency)
         x, f = np.sum(response_weights * self.mean, axis=0), np.sum(reference_weights * self.mean, axis=0)
-        reject_zero_reference(reference, f)
+        reject_zero_reference(rec, reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         weights = (response_weights - value * reference_weights) / f

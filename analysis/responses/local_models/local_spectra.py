@@ -88,7 +88,7 @@ class LocalSpectra:
             return selected.frf(rec, numerator, denominator, reference, motion, label, warnings, reference_noise)
         frequency = self.frequency[self.lines]
         force = self.spectrum(rec, denominator)
-        reject_zero_reference(reference, force)
+        reject_zero_reference(rec, reference, force)
         response_weights = numerator.row(rec, names, frequency)
         reference_weights = denominator.row(rec, names, frequency)
         # Reading of each channel per unit of the reference.

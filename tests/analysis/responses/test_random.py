@@ -174,7 +174,7 @@ def test_tone_that_lifts_a_damper_is_recommended(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [curves] = analysis.frequency_responses(rec)
     [warning] = curves[0].warnings
-    force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift one", warning).groups()
+    force, frequency = re.search(r"of more than (\S+) N at (\S+) Hz lift a damper", warning).groups()
     tone = {"kind": "stepped_sine", "frequencies": [float(frequency)]}
     below_limit, above_limit = (scene.replace(test=tone | {"force": ratio * float(force)}) for ratio in (0.9, 1.1))
     assert rig.frequency_response(below_limit, [float(frequency)]).motion_type[0] == "riding"

@@ -159,7 +159,8 @@ def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: R
 def square_root(matrices: ComplexArray) -> ComplexArray:
     """Factorize positive semidefinite matrices into ``F F^H``, to the rounding error of each diagonal element.
 
-    Eigenvalues that are negative by rounding are set to zero: the nearest semidefinite matrix (Higham 1988).
+    Eigenvalues that are negative by rounding are set to zero: the nearest semidefinite matrix (N. J. Higham,
+    Linear Algebra and its Applications 103 (1988) 103-118).
 
     >>> factor = square_root(np.array([[[1.0, 2e9j], [-2e9j, 4e18]]]))
     >>> np.allclose(factor @ factor.conj().swapaxes(1, 2), [[[1.0, 2e9j], [-2e9j, 4e18]]])
@@ -172,7 +173,9 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
 
 
 def independent_blocks(window: Array, step: int, blocks: int) -> float:
-    """Compute the equivalent number of independent averages of overlapping windowed blocks (Welch 1967, eq. 11).
+    """Compute the equivalent number of independent averages of overlapping windowed blocks.
+
+    Source: P. D. Welch, IEEE Transactions on Audio and Electroacoustics 15 (1967) 70-73, eq. 11.
 
     >>> from scipy.signal import windows
     >>> round(independent_blocks(windows.hann(1000, sym=False), 500, 99), 1)
@@ -248,7 +251,7 @@ def sampled_window(name: str, size: int) -> Array:
 
 
 def noise_bandwidth_bins(window: Array) -> float:
-    """Compute the equivalent noise bandwidth of a window in bins (Harris 1978, eq. 11).
+    """Compute the equivalent noise bandwidth of a window, in bins (F. J. Harris, Proc. IEEE 66 (1978) 51-83, eq. 11).
 
     >>> round(noise_bandwidth_bins(sampled_window("hann", 1000)), 6), noise_bandwidth_bins(sampled_window("none", 10))
     (1.5, 1.0)

@@ -2,8 +2,8 @@
 
 A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a transient in it that decays
 slowly and is close to the frequency of the tone. The transient is therefore predicted from the response. Around each
-point, a ratio of two polynomials in frequency is fitted to the response (Levy 1959); its poles are those of the
-neighboring resonances.
+point, a ratio of two polynomials in frequency is fitted to the response (E. C. Levy, IRE Transactions on Automatic
+Control 4 (1959) 37-43); its poles are those of the neighboring resonances.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 # Smallest number of degrees of freedom at which the error of a line is used without those of neighboring lines.
 _MIN_DEGREES = 10.0
-# Ratio of the limit of the clock error to its standard uncertainty.
+# Ratio of the limit of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
 _LIMIT_FACTOR = 1.8
 
 
@@ -93,7 +93,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
     max_modes = MAX_MODES if count is None else count
     weighted, model, model_error = _best_model(measured, sigma, stable, candidates, max_modes)
-    weighted, model, rejected = _remove_spurious_poles(weighted, model, curves)
+    model, rejected = _remove_spurious_poles(weighted, model, curves)
     refinement = None if model_error else _refine(weighted, model, curves)
     if refinement is not None:
         model = refinement.model
@@ -260,7 +260,7 @@ def _best_model(
 
 def _remove_spurious_poles(
     curves: Curves, model: ModalModel, frfs: Sequence[Response]
-) -> tuple[Curves, ModalModel, list[float]]:
+) -> tuple[ModalModel, list[float]]:
     """Remove poles that are not modes; also return their frequencies, Hz.
 
     A pole is not a mode if its damping is undetermined. It is not a mode either if its peak is small relative to the
@@ -284,7 +284,7 @@ def _remove_spurious_poles(
             break
         rejected.append(abs(model.poles[worst]) / (2 * np.pi))
         model = fit(curves, np.delete(model.poles, worst))
-    return curves, model, rejected
+    return model, rejected
 
 
 def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Refinement | None:

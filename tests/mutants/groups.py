@@ -103,6 +103,6 @@ EQUIVALENT = {
     "if not TYPE_CHECKING:": "the only effect is an import",
     'if len(scene.shakers) != 1 and any(shaker.kind != "force" for shaker in scene.shakers):': "no shaker, no match",
     "excitation = np.where(input_rms > _ZERO_POWER, input_rms, np.nan)[:, 0, -1]": "the array has one column",
-    "is_improved = _power(stepped_residual) <= _power(residual)": "equal residuals are equally good",
+    "is_improved = _sum_of_squares(stepped_residual) <= _sum_of_squares(residual)": "equal residuals are equally good",
     "records = unpacker.decompress(packed, max_length=size + 2)": "the caller checks the length as well",
 }

@@ -1,7 +1,7 @@
 """Swept sine: frequency responses by the local rational method.
 
-For each frequency of the result, the method is applied to the *segment* of the sweep whose frequencies are near it. A
-*bin* is a frequency of the discrete Fourier transform of the segment.
+For each *line*, a frequency of the result, the method is applied to the *segment* of the sweep whose frequencies are
+near it. A *bin* is a frequency of the discrete Fourier transform of the segment.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
 # Largest acceleration of a body at which its dampers are assumed to stay on their floors, g. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
 # Largest relative error by the sweep rate at which a sweep is slow enough for dampers in flight.
-_MAX_LAG_RATIO = 0.3
-# Largest share of frequencies at which a sweep may be too fast without a warning.
-_MAX_FAST_LINES = 0.05
+_MAX_SWEEP_ERROR_RATIO = 0.3
+# Largest share of the lines with dampers in flight at which a sweep may be too fast without a warning.
+_MAX_FAST_SHARE = 0.05
 # Factor by which a warning recommends to lengthen the sweep.
 _RECOMMENDED_SLOWDOWN = 10
 # Smallest number of periods over which the amplitude of a reading is evaluated.
@@ -54,15 +54,15 @@ _MIN_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class SweptTone:
-    """Spectra of a sweep: for each frequency, those of the segment whose frequencies are near it."""
+    """Spectra of a sweep: for each line, those of the segment whose frequencies are near it."""
 
     spectra: LocalSpectra
-    sweep_rate: Array  # sweep rate at each frequency, Hz/s; shape (lines,)
+    sweep_rate: Array  # Hz/s; shape (lines,)
     label: str
     warnings: tuple[str, ...]
-    # frequencies at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
+    # lines at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
-    shared: float = 1.0  # number of neighboring frequencies with a common error
+    shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
@@ -75,10 +75,10 @@ class SweptTone:
         frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors))
         if not warn_of_dampers(rec):
             return frf
-        lag = np.where(self.on_floor, 0.0, self._lag(frf))
-        frf = frf.with_limits({UNSETTLED: lag})
-        too_fast = lag / abs(frf.value) > _MAX_LAG_RATIO
-        if not np.sum(too_fast) > _MAX_FAST_LINES * np.sum(lag > 0.0):
+        error = np.where(self.on_floor, 0.0, self._sweep_error(frf))
+        frf = frf.with_limits({UNSETTLED: error})
+        too_fast = error / abs(frf.value) > _MAX_SWEEP_ERROR_RATIO
+        if not np.sum(too_fast) > _MAX_FAST_SHARE * np.sum(error > 0.0):
             return frf
         band = frf.frequency[np.flatnonzero(too_fast)[[0, -1]]]
         return frf.warn(
@@ -87,7 +87,7 @@ class SweptTone:
             "stepped sine."
         )
 
-    def _lag(self, frf: Response) -> Array:
+    def _sweep_error(self, frf: Response) -> Array:
         """Estimate the error of a nonlinear response by the sweep rate.
 
         The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
@@ -122,11 +122,11 @@ def sweep_spectra(
     ]
     notes = []
     if not all(is_clean):
-        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies left out: {describe_flaws(rec, all_flaws)}.")
+        reasons = describe_flaws(rec, all_flaws) or "the sweep is too short"
+        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies left out: {reasons}.")
     if not any(is_clean):
         raise RecordingError(
-            f"{rec.path}: no part of the sweep can be used ({describe_flaws(rec, all_flaws) or 'it is too short'}). "
-            f"{remedy(rec, all_flaws)}, or sweep for longer."
+            f"{rec.path}: no part of the sweep can be used ({reasons}). {remedy(rec, all_flaws)}, or sweep for longer."
         )
     if marker.fields.get("settled") is False:
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")

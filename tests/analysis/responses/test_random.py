@@ -154,6 +154,14 @@ def test_uncertainty_of_multisine_contains_truth(tmp_path):
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
+def test_note_on_missing_periods_states_the_reason(tmp_path):
+    with daq.open(multisine(tmp_path / "a.mcap", realisations=1)) as rec:
+        [marker] = [marker for marker in rec.markers if marker.kind == "measure"]
+        marker.fields["periods"] += 1
+        [curves] = analysis.frequency_responses(rec)
+    assert "1 of 5 periods of realisation 1 left out: the recording ends." in curves[0].warnings
+
+
 def test_linear_structure_shows_no_distortion(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
         measured = [marker for marker in rec.markers if marker.kind == "measure"]

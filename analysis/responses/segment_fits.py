@@ -187,7 +187,7 @@ class SegmentFits:
         jitter = np.zeros((0, len(names)))
         if self.hits is None:
             pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
-            samples = [spectra for spectra, _ in pairs]
+            channel_spectra = [spectra for spectra, _ in pairs]
             power = np.average([square for _, square in pairs], axis=0, weights=lengths)
             gain_error = np.repeat(noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
@@ -200,23 +200,23 @@ class SegmentFits:
                 blocks.append(self.hits.isolate(rec, names, block, start, is_at_rest))
             lengths = [block.shape[1] for block in blocks]
             padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
-            samples = [fft.rfft(block, axis=1) for block in padded]
+            channel_spectra = [fft.rfft(block, axis=1) for block in padded]
             # The force includes the whole tail of its high-pass filters, which the recording may truncate.
             info = rec.channels[self.hits.channel]
             high_pass = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
-            for spectra in samples:
+            for spectra in channel_spectra:
                 spectra[names.index(self.hits.channel)] *= high_pass
             inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
             jitter = jitter_factor(rec, names, inside, size, half_width)
-            gain_error = self.hits.rounding_gain_error(rec, names, segments, blocks, samples, lines, half_width)
-        begins = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
-        end_phases = np.where(np.array(at_rest)[:, None], 0.0, begins)
+            gain_error = self.hits.rounding_gain_error(rec, names, segments, blocks, channel_spectra, lines, half_width)
+        start_phases = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
+        end_phases = np.where(np.array(at_rest)[:, None], 0.0, start_phases)
         frequency = bins * (rec.rate / size)
         # The displacement at zero frequency is undefined; no line is there.
         frequency[0] = frequency[1]
         return LocalSpectra(
             tuple(names),
-            np.stack(samples)[:, :, fitted_bins],
+            np.stack(channel_spectra)[:, :, fitted_bins],
             end_phases[:, fitted_bins],
             frequency[fitted_bins],
             lines - first,

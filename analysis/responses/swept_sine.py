@@ -132,7 +132,7 @@ def sweep_spectra(
         notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
     bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
-    samples = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)
+    channel_spectra = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)
     bin_frequency = np.empty((_POINTS, bin_offsets.size))
     variances = np.empty((len(names), _POINTS))
     direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
@@ -156,7 +156,7 @@ def sweep_spectra(
         )
         bins = np.concatenate([center + bin_offsets, noise_bins])
         spectrum = spectrum_at_bins(block - block.mean(axis=1, keepdims=True), bins, shift)
-        samples[index] = spectrum[:, : bin_offsets.size]
+        channel_spectra[index] = spectrum[:, : bin_offsets.size]
         bin_frequency[index] = frequency[index] + bin_offsets * rec.rate / segment_samples
         begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / segment_samples
         # The passage of a logarithmic sweep is defined only for positive frequencies.
@@ -179,7 +179,7 @@ def sweep_spectra(
     )
     spectra = LocalSpectra(
         names,
-        np.moveaxis(samples[clean_points], 0, 1).reshape(1, len(names), -1),
+        np.moveaxis(channel_spectra[clean_points], 0, 1).reshape(1, len(names), -1),
         np.ones((1, clean_points.size * bin_offsets.size), dtype=complex),
         bin_frequency[clean_points].ravel(),
         np.arange(clean_points.size) * bin_offsets.size + FIT_HALF_WIDTH,

@@ -43,7 +43,7 @@ class LocalSpectra:
     """Spectra of segments, without windows."""
 
     channels: tuple[str, ...]
-    samples: ComplexArray  # spectra of the channels as recorded, shape (segments, channels, bins)
+    channel_spectra: ComplexArray  # spectra of the channels as recorded, shape (segments, channels, bins)
     end_phases: ComplexArray  # as in `local_fit`; complex, shape (segments, bins)
     frequency: Array  # Hz; shape (bins,)
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
@@ -54,9 +54,9 @@ class LocalSpectra:
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
     jitter: Array  # factor of the covariance of errors by jitter, from `jitter_factor`; shape (rows, channels)
     # stored fits of a channel to a reference, because responses share the channels of their reference
-    fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
+    stored_fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     # stored spectra of references; complex, shape (segments, bins)
-    spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
+    stored_spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
 
     def frf(
         self,
@@ -80,7 +80,7 @@ class LocalSpectra:
             selected = replace(
                 self,
                 channels=tuple(names),
-                samples=self.samples[:, rows],
+                channel_spectra=self.channel_spectra[:, rows],
                 rounding_gain_error=self.rounding_gain_error[rows],
                 noise=self.noise[rows],
                 jitter=self.jitter[:, rows],
@@ -167,17 +167,17 @@ class LocalSpectra:
 
     def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
         """Compute the spectra of a measurand, shape (segments, bins)."""
-        if measurand not in self.spectra:
+        if measurand not in self.stored_spectra:
             row = measurand.row(rec, self.channels, self.frequency)
-            self.spectra[measurand] = np.einsum("cn,scn->sn", row, self.samples)
-        return self.spectra[measurand]
+            self.stored_spectra[measurand] = np.einsum("cn,scn->sn", row, self.channel_spectra)
+        return self.stored_spectra[measurand]
 
     def reading(self, rec: Recording, name: str) -> Reading:
         """Return the spectra of a channel, its response, and the transients of its high-pass filters."""
         info = rec.channels[name]
         transients = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
         return Reading(
-            self.samples[:, self.channels.index(name)],
+            self.channel_spectra[:, self.channels.index(name)],
             info.response(self.frequency),
             np.array(transients).reshape(-1, self.frequency.size),
         )
@@ -189,14 +189,14 @@ class LocalSpectra:
 
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
         """Fit the response of the quantity that a channel measures to the measurand `to`; the fit is stored."""
-        if (name, to) not in self.fits:
+        if (name, to) not in self.stored_fits:
             reading = self.reading(rec, name)
             half_width = min(self.half_width, (self.frequency.size - 1) // 2)
             spectrum = self.spectrum(rec, to)
-            self.fits[name, to] = local_fit(
+            self.stored_fits[name, to] = local_fit(
                 reading, spectrum, self.end_phases, self.lines, half_width, self.measured_share
             )
-        return self.fits[name, to]
+        return self.stored_fits[name, to]
 
     def _reference_noise(self, rec: Recording, denominator: Measurand) -> Array:
         """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""

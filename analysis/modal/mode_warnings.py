@@ -29,7 +29,11 @@ def mode_warnings(
     unused_responses: Sequence[str],  # responses that were not used
 ) -> Iterator[str]:
     """Yield warnings about modes; `count` modes were requested."""
-    yield from (f"{name} was left out: its uncertainty is unbounded." for name in unused_responses)
+    for name in unused_responses:
+        yield (
+            f"{name} was left out: its uncertainty is unbounded. Record again with a sensor and a converter range that "
+            "suit its level."
+        )
     if modes.model_error:
         has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
         expected = "error bars" if has_error_bars else "scatter"

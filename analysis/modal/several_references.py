@@ -48,7 +48,7 @@ def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], pl
     largest = np.argmax(abs(shapes), axis=0)
     error[largest, np.arange(len(vectors))] = 0.0
     repeated = [f"{modes.frequency[k]:.5g} Hz" for k in dict.fromkeys(pole_of_mode) if pole_of_mode.count(k) > 1]
-    notes = (f"Repeated modes, with one pole each: {', '.join(repeated)}.",) if repeated else ()
+    notes = (f"Repeated modes, with several shapes each: {', '.join(repeated)}.",) if repeated else ()
     return replace(
         modes,
         **{

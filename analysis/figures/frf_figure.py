@@ -85,7 +85,7 @@ def frf_figure(
         coherence_axes.set_yticks([0, 0.5, 1])
         if not any(_has_scatter(frf) for frf in frfs):
             coherence_axes.annotate(
-                "no coherence and no confidence band: one average, or none stated", (0.5, 0.5),
+                "no coherence and no confidence band: a single average, or not in the file", (0.5, 0.5),
                 xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555",
             )  # fmt: skip
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])

@@ -39,24 +39,23 @@ def low_spectra(
     The spectra, shape (channels, bins), equal the first bins of `numpy.fft.rfft` of the segment with zeros in front, up
     to `size` samples. The mean squares have the shape (channels,).
     """
-    max_step = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
-    step = max(divisor for divisor in range(1, max_step + 1) if size % divisor == 0)
-    taps = (
-        np.ones((1, 1))
-        if step == 1
-        else scipy.signal.firwin(_FILTER_LENGTH * step, 1.0 / step, window=("kaiser", _KAISER_BETA))
-    )
-    filters = taps.reshape(-1, step).T
-    n_rows = max(1, _MAX_MULTIPLICATIONS // filters.size)
+    max_decimation = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
+    decimation = max(divisor for divisor in range(1, max_decimation + 1) if size % divisor == 0)
+    taps = np.ones((1, 1))
+    if decimation > 1:
+        taps = scipy.signal.firwin(_FILTER_LENGTH * decimation, 1.0 / decimation, window=("kaiser", _KAISER_BETA))
+    polyphase_filters = taps.reshape(-1, decimation).T
+    n_rows = max(1, _MAX_MULTIPLICATIONS // polyphase_filters.size)
     # The filter extends beyond the ends of the segment; its output there is added at the other end, because the
     # transform is periodic.
-    overlap, padding, piece_samples = filters.shape[1], size - (stop - start), max(1, PIECE_SAMPLES // step) * step
-    filtered = np.zeros((len(names), overlap + size // step))
+    n_taps, padding = polyphase_filters.shape[1], size - (stop - start)
+    piece_samples = max(1, PIECE_SAMPLES // decimation) * decimation
+    filtered = np.zeros((len(names), n_taps + size // decimation))
     total, squares = np.zeros((2, len(names)))
     # Squares are computed relative to the first sample, because rounding errors of a large offset would hide the
     # variation.
     offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
-    for first in range(padding // step * step, size, piece_samples):
+    for first in range(padding // decimation * decimation, size, piece_samples):
         block = np.zeros((len(names), min(piece_samples, size - first)))
         begin, end = max(first, padding), first + block.shape[1]
         for row, name in enumerate(names):
@@ -64,16 +63,17 @@ def low_spectra(
         total += block.sum(axis=1)
         deviation = block[:, begin - first :] - offset[:, None]
         squares += np.einsum("cn,cn->c", deviation, deviation)
-        rows = np.arange(0, block.shape[1] // step, n_rows)
-        frames = np.split(block.reshape(len(names), -1, step), rows[1:], axis=1)
-        parts = np.concatenate([frame @ filters for frame in frames], axis=1)
-        for k in range(overlap):
-            column = overlap + first // step - k
-            filtered[:, column : column + parts.shape[1]] += parts[:, :, k]
-    filtered[:, -overlap:] += filtered[:, :overlap]
+        rows = np.arange(0, block.shape[1] // decimation, n_rows)
+        frames = np.split(block.reshape(len(names), -1, decimation), rows[1:], axis=1)
+        outputs = np.concatenate([frame @ polyphase_filters for frame in frames], axis=1)
+        for k in range(n_taps):
+            column = n_taps + first // decimation - k
+            filtered[:, column : column + outputs.shape[1]] += outputs[:, :, k]
+    filtered[:, -n_taps:] += filtered[:, :n_taps]
     exponent = -2j * np.pi / size * np.arange(bins)
-    filter_response = np.conj(scipy.signal.zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / step
-    spectra = fft.rfft(filtered[:, overlap:], axis=1)[:, :bins] / filter_response
+    filter_response = np.conj(scipy.signal.zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / decimation
+    spectra = fft.rfft(filtered[:, n_taps:], axis=1)[:, :bins] / filter_response
+    # The mean is subtracted from the segment, but not from the zeros in front of it.
     mean = total / (stop - start)
     spectra[:, 0] = 0.0
     spectra[:, 1:] += mean[:, None] * (np.expm1(padding * exponent[1:]) / np.expm1(exponent[1:]))

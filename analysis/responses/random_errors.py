@@ -2,11 +2,9 @@
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model that is
-fitted to many lines. The errors of the readings are propagated to first order [1]_.
-
-An *element* is the response of one output to one input. A *bin* is a frequency of the discrete Fourier transform; a
-*line* is a frequency at which the response is estimated. `shared` is the number of neighboring lines with a common
-error.
+fitted to many lines. The errors of the readings are propagated to first order [1]_. An *element* is the response of one
+output to one input. A *bin* is a frequency of the discrete Fourier transform; a *line* is a frequency at which the
+response is estimated. `shared` is the number of neighboring lines with a common error.
 
 References
 ----------
@@ -35,9 +33,9 @@ _ITERATIONS = 4
 _MIN_NOISE_RATIO = 1e-6
 # Value that replaces zero power; its square does not underflow to zero.
 _ZERO_POWER = 1e-40
-# Variance that is uncorrelated between responses, relative to the computed variance. It allows for errors of second
-# order and for covariances of few averages. Tuned on spring-mass chains with 3 % of noise in the reference: with 0.001,
-# the scatter was twice the stated uncertainty.
+# Variance that is uncorrelated between responses, due to errors of second order and covariances of few averages,
+# relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
+# twice the stated uncertainty.
 _UNCORRELATED = 0.05
 # Largest number of array elements of the noise covariances that are in memory at a time.
 _MAX_ELEMENTS = 1 << 22
@@ -132,11 +130,8 @@ class LocalErrors:
 
     def scaled(self, factor: ComplexArray) -> LocalErrors:
         """Multiply by a factor at each line."""
-        return replace(
-            self,
-            bin_weights=self.bin_weights * factor[:, None, None, None],
-            common_error=self.common_error * factor[:, None],
-        )
+        bin_weights, common_error = self.bin_weights * factor[:, None, None, None], self.common_error * factor[:, None]
+        return replace(self, bin_weights=bin_weights, common_error=common_error)
 
     def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
         """Join the errors of these and other elements."""
@@ -167,10 +162,8 @@ class LocalErrors:
         nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
         reference_ratio: Array | None = None
         if self.has_single_reference:
-            reference, variances, reference_ratio = _separate_noise(
-                power, self.fitted_response, self.reference_power, center
-            )
-            reference_ratio = self.measured_share * reference_ratio
+            reference, variances, ratio = _separate_noise(power, self.fitted_response, self.reference_power, center)
+            reference_ratio = self.measured_share * ratio
             within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
             response = self.fitted_response[nearest, :, within]
             bin_covariance = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
@@ -193,9 +186,8 @@ class LocalErrors:
         if reference_ratio is None:
             # The fit reproduces part of the noise, so that the residuals may underestimate it.
             stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
-            scale = np.sqrt(
-                np.maximum(1.0, np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
-            )
+            stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
+            scale = np.sqrt(np.maximum(1.0, stated_ratio))
             covariance = covariance * scale[:, :, None] * scale[:, None]
         return LocalCovariance(_add_uncorrelated(covariance), shared, self, bin_covariance, reference_ratio)
 

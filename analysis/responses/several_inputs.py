@@ -311,6 +311,7 @@ def _from_local_fits(
     error, degrees_of_freedom, model_error, rounding = (np.empty(shape) for _ in range(4))
     coherence, noise = np.empty(shape[:2]), np.empty(shape[:2])
     half_width = min(spectra.half_width, (spectra.frequency.size - 1) // 2)
+    fit_settings = spectra.end_phases, spectra.lines, half_width, spectra.measured_share
     residuals, all_bin_weights = [], []
     # A fit for each output and input, in which the other inputs have their own numerators.
     for a, name in enumerate(names):
@@ -319,9 +320,7 @@ def _from_local_fits(
         reading = spectra.reading(rec, name)
         for k in range(len(inputs)):
             others = np.delete(forces, k, axis=0)
-            fit = local_fit(
-                reading, forces[k], spectra.end_phases, spectra.lines, half_width, spectra.measured_share, others
-            )
+            fit = local_fit(reading, forces[k], *fit_settings, others)
             value[:, a, k] = fit.value * channel_to_motion
             error[:, a, k] = np.sqrt(fit.variance) * abs(channel_to_motion)
             model_error[:, a, k] = fit.model_error * abs(channel_to_motion)

@@ -37,8 +37,8 @@ ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 _LATERAL_RATIO = 0.1
 # Smallest number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
-# Slope that is assumed for fewer lines, as a multiple of value / frequency. Peaks with a half-power bandwidth of at least
-# a fifth of their frequency are not steeper.
+# Slope that is assumed for fewer lines, as a multiple of value / frequency. Peaks with a half-power bandwidth of a
+# fifth of their frequency or more are not steeper.
 _ASSUMED_SLOPE_RATIO = 10.0
 # Largest slope of a peak between lines, relative to the slope of its chords.
 _MAX_CHORD_RATIO = 10.0

@@ -101,7 +101,7 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
             warnings.simplefilter("always", daq.RunWarning)
             columns = {"force": Column("force", sign=sign)}
             path = daq.import_files(table, scene, tmp_path / f"{n_warnings}.mcap", table=columns)
-        assert sum("reversed channel" in str(warning.message) for warning in caught) == n_warnings
+        assert sum("channel is reversed" in str(warning.message) for warning in caught) == n_warnings
         for present in (present_frf, present_modes):
             assert sum("reversed" in warning for warning in present([path], tmp_path).warnings) == n_warnings
 

@@ -156,7 +156,7 @@ def test_file_without_responses_is_rejected(name, tmp_path):
 
 
 # In pure noise, the driving-point response may appear reversed.
-@pytest.mark.filterwarnings("ignore:.*reversed channel")
+@pytest.mark.filterwarnings("ignore:.*channel is reversed")
 def test_block_average_agrees_with_scipy(tmp_path):
     random = np.random.default_rng(5)
     force = random.standard_normal(40960)
@@ -179,7 +179,7 @@ def test_block_average_agrees_with_scipy(tmp_path):
 
 
 # In pure noise, the driving-point response may appear reversed.
-@pytest.mark.filterwarnings("ignore:.*reversed channel")
+@pytest.mark.filterwarnings("ignore:.*channel is reversed")
 def test_averaged_hits_are_ratio_of_averaged_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)

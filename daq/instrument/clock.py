@@ -73,10 +73,10 @@ class Sleepers:
                 condition.notify()
 
 
-def seconds(timeout: float) -> float:
+def normalize_timeout(timeout: float) -> float:
     """Return a timeout in s; negative if the timeout is infinite. Raises `DaqError` -200077 for NaN.
 
-    >>> seconds(2), seconds(-1.0), seconds(float("inf"))
+    >>> normalize_timeout(2), normalize_timeout(-1.0), normalize_timeout(float("inf"))
     (2.0, -1.0, -1.0)
     """
     if math.isnan(timeout):
@@ -266,12 +266,12 @@ def longest_step(elapsed: float) -> float:
 
 
 def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeline]) -> None:
-    """Keep a bench at wall-clock time while it is live."""
+    """Keep a bench at wall-clock time while it is in use."""
     raise_priority()
     pause, delay_report = threading.Event(), _DelayReport()
-    # Wall-clock time (ns), position and tick rate at a common instant, from which the due position is computed.
+    # Wall-clock time (ns), position and tick rate at one instant, from which the due position is computed.
     origin: tuple[int, int, float] | None = None
-    compilations, last = 0, time.monotonic_ns()  # number of compilations; wall-clock time of the last step, ns
+    n_compilations, last_ns = 0, time.monotonic_ns()  # wall-clock time of the last step
     while True:
         bench = reference()
         if bench is None:
@@ -281,12 +281,12 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
                 running.discard(bench)
                 bench.sleepers.wake()
                 return
-            now = time.monotonic_ns()
+            now_ns = time.monotonic_ns()
             if origin is None or origin[2] != bench.rate or bench.position < origin[1]:
-                origin = (now, bench.position, bench.rate)
+                origin = (now_ns, bench.position, bench.rate)
                 bench.anchor()
-            due_ticks = origin[1] + (now - origin[0]) * bench.rate // 10**9 - bench.position
-            elapsed, last = (now - last) * 1e-9, now
+            due_ticks = origin[1] + (now_ns - origin[0]) * bench.rate // 10**9 - bench.position
+            elapsed, last_ns = (now_ns - last_ns) * 1e-9, now_ns
             if due_ticks > 0:
                 try:
                     bench.advance(int(min(due_ticks, math.ceil(longest_step(elapsed) * bench.rate))))
@@ -295,11 +295,13 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
                     bench.fail(error)
                     return
                 # The compilation of a kernel at its first use is not a delay of the scene.
-                has_compiled = compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now > _COMPILATION_S * 1e9
-                compilations += has_compiled
+                has_compiled = (
+                    n_compilations < _MAX_COMPILATIONS and time.monotonic_ns() - now_ns > _COMPILATION_S * 1e9
+                )
+                n_compilations += has_compiled
                 if has_compiled or bench.report_delay(due_ticks / bench.rate):
                     origin, due_ticks = None, 0
-            delay_report.add(due_ticks / bench.rate, now * 1e-9)
+            delay_report.add(due_ticks / bench.rate, now_ns * 1e-9)
         is_late = due_ticks > RealClock.MAX_STEP_S * bench.rate
         del bench
         # Even if the bench is late, a pause lets other threads take the lock.

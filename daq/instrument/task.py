@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.instrument.chassis import Chassis
-from daq.instrument.clock import seconds
+from daq.instrument.clock import normalize_timeout
 from daq.instrument.engines.acquisition import Acquisition
 from daq.instrument.engines.generation import Generation
 from daq.instrument.engines.ring_buffer import allocate
@@ -44,7 +44,7 @@ class Task:
         self._was_started_by_read = False
         self._is_committed = False  # modules stay reserved after a stop
         self._was_failure_raised = False  # the error that ended the run has been raised
-        self._query_positions: dict[str, int] = {}  # tick of the last query of each kind
+        self._query_positions: dict[str, int] = {}  # tick of the last query of each quantity
         self.name = ""
         self.name = chassis.register(self, name)
 
@@ -102,7 +102,7 @@ class Task:
         self.input.run = self.output.run = None
         self.events.begin()
         if self.settings.has_sample_clock:
-            self._used_part.start(*trigger_sources(self.settings, self.chassis))
+            self._active_part.start(*trigger_sources(self.settings, self.chassis))
 
     def stop(self) -> int:
         """Stop the task; return NI's warning 200010 if a finite task is not done yet, otherwise 0.
@@ -129,7 +129,7 @@ class Task:
             self.chassis.halt(self)
         else:
             self.chassis.release(self)
-        self._used_part.stop()
+        self._active_part.stop()
 
     def close(self) -> None:
         """Stop the task and release its resources; it cannot be used again."""
@@ -165,14 +165,14 @@ class Task:
         return 0
 
     @property
-    def _used_part(self) -> TaskInput | TaskOutput:
+    def _active_part(self) -> TaskInput | TaskOutput:
         """The output of a task with output channels, otherwise the input."""
         return self.output if self.settings.direction == "ao" else self.input
 
     @property
     def run(self) -> Acquisition | Generation | None:
         """The present run, or the last run; None before the first."""
-        return self._used_part.run
+        return self._active_part.run
 
     @property
     def finished(self) -> bool:
@@ -182,7 +182,7 @@ class Task:
     @property
     def runs_until_stopped(self) -> bool:
         """Whether the task has no end: it is continuous, retriggerable or on demand."""
-        return not self.settings.has_sample_clock or not self.settings.is_finite or self._used_part.is_retriggerable
+        return not self.settings.has_sample_clock or not self.settings.is_finite or self._active_part.is_retriggerable
 
     @property
     def memory(self) -> int:
@@ -227,12 +227,12 @@ class Task:
 
     def wait_until_done(self, timeout: float) -> None:
         """Wait until a finite task is done; `DaqError` -200560 after the timeout."""
-        timeout = seconds(timeout)
+        timeout = normalize_timeout(timeout)
         with self.chassis.changed:
             is_done = (
                 not self.running
                 or not self.settings.has_sample_clock
-                or self.chassis.wait(lambda: self.finished or not self.running, self._used_part.ticks_to_end, timeout)
+                or self.chassis.wait(lambda: self.finished or not self.running, self._active_part.ticks_to_end, timeout)
             )
             self.raise_failure()
         if not is_done:
@@ -252,20 +252,20 @@ class Task:
 
     def max_ticks(self) -> int:
         """See `daq.instrument.chassis.Runner`."""
-        part = self._used_part
+        part = self._active_part
         log_ticks = part.ticks_until_log()
         due = None if self.chassis.clock.is_free_running else self.events.next_due(part.samples_passed)
         return log_ticks if due is None else min(log_ticks, part.ticks_until(due))
 
     def notify_samples(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        self._used_part.write_log()
-        return self.running and self.events.notify(self._used_part.samples_passed, self.run)
+        self._active_part.write_log()
+        return self.running and self.events.notify(self._active_part.samples_passed, self.run)
 
     @property
     def callback_finished(self) -> bool:
         """See `daq.instrument.chassis.Runner`."""
-        return not self.running or self._used_part.all_read
+        return not self.running or self._active_part.all_read
 
     # Samples
 
@@ -292,7 +292,7 @@ class Task:
             (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or the
             error that ended the acquisition.
         """
-        timeout = seconds(timeout)
+        timeout = normalize_timeout(timeout)
         with self.chassis.changed:
             self.settings.require("ai")
             self.input.check_readable()
@@ -322,7 +322,7 @@ class Task:
         Raises `DaqError` -200292 after the timeout, -200561 for samples beyond the limits of a channel, -200524 for
         a wrong number of channels, or the error that ended the generation.
         """
-        timeout = seconds(timeout)
+        timeout = normalize_timeout(timeout)
         self.settings.require("ao")
         check_volts(self.settings.channels, volts)
         with self.chassis.changed:

@@ -1,7 +1,7 @@
 """The input of a task: its acquisition, its log, and the reads that wait for samples.
 
 The acquisition stores samples in a buffer, the log in a file. The read position is the number of the sample that the
-next read returns first.
+next read returns first. A tick is a time step of the bench.
 """
 
 from __future__ import annotations

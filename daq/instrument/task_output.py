@@ -1,6 +1,6 @@
 """The output of a task: its buffer, its generation, and writes that wait until the buffer has space.
 
-The generation converts the samples of the buffer into the output voltages of the bench.
+The generation converts the samples of the buffer into the output voltages at each tick, a time step of the bench.
 """
 
 from __future__ import annotations

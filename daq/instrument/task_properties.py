@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from daq.instrument.clock import seconds
+from daq.instrument.clock import normalize_timeout
 from daq.instrument.devices.modules import Module
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.settings.properties import WHILE_RUNNING, coerce
@@ -121,7 +121,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 
     with task.chassis.changed:
         polling_ticks = max(1, int(task.chassis.rate / 100))
-        if not task.chassis.wait(lambda: tick() is not None, lambda: polling_ticks, seconds(timeout)):
+        if not task.chassis.wait(lambda: tick() is not None, lambda: polling_ticks, normalize_timeout(timeout)):
             raise DaqError(
                 f"the task was not started or triggered within {timeout:g} s. Start it, or check its trigger.",
                 Code.SAMPLES_NOT_YET_AVAILABLE,

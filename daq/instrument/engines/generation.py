@@ -46,7 +46,7 @@ class OutputBuffer:
         return self.size - (self.written - generated)
 
     def write(self, samples: Array, is_running: bool) -> None:
-        """Append samples, shape (channels, n), for which there is room."""
+        """Append samples, shape (channels, n); the buffer must have space for them."""
         if not is_running and self._grows:
             self.data = np.concatenate([self.data[:, : self.written], samples], axis=1)
         else:
@@ -129,6 +129,7 @@ class Generation:
         # At a tick between two samples, the output is interpolated linearly.
         index, remainder = np.divmod((ticks_before + np.arange(count - offset)) * ratio.numerator, ratio.denominator)
         next_sample = self._ticks * ratio.numerator // ratio.denominator
+        # Numbers of samples after which the output ends.
         ends = [] if self.plan.samples is None else [self.plan.samples]
         if not self.plan.regenerates:
             ends.append(self.buffer.written)

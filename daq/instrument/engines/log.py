@@ -257,7 +257,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
                 group = settings["logging_tdms_group_name"] or name
                 units = [channel.unit for channel in task.channels]
                 return _Tdms(path, group, names, units, plan, start_ns, append)
-            return MarkedRecording(path, bench.scene, _named(infos, names), plan.rate, start_ns, exists)
+            return MarkedRecording(path, bench.scene, _with_names(infos, names), plan.rate, start_ns, exists)
         except DaqError:
             raise
         except (ShotrigError, OSError) as error:
@@ -266,7 +266,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
     return TaskLog(open_file, settings)
 
 
-def _named(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
+def _with_names(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
     """Set the names of channels in a recording: the name in the script, otherwise the name on the bench.
 
     A channel that the script did not name has the name of its terminal, which contains a slash. If two modules read one

@@ -61,9 +61,9 @@ class CrossingFinder:
         self._armed = False
 
     def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
-        """Return the index of the first sample that fires the trigger, None without it; calls get successive blocks.
+        """Return the index of the first sample of a block that fires the trigger; None if no sample does.
 
-        The first `skip` samples can arm the trigger but not fire it.
+        Blocks are contiguous. The first `skip` samples can arm the trigger but not fire it.
         """
         fires, arms = self._condition(samples)
         if skip:
@@ -93,7 +93,7 @@ class AnalogSource:
 
     def finders(self) -> list[tuple[int, CrossingFinder]]:
         """Return a new finder for each channel, with the index of the channel."""
-        return [(row, CrossingFinder(condition)) for row, condition in self.conditions]
+        return [(channel, CrossingFinder(condition)) for channel, condition in self.conditions]
 
 
 @dataclass(frozen=True)

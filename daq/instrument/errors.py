@@ -102,9 +102,8 @@ def invalid_value(message: str) -> DaqError:
     return DaqError(message, Code.INVALID_ATTRIBUTE_VALUE)
 
 
-def unsupported(feature: str, instead: str = "") -> DaqError:
+def unsupported(feature: str, remedy: str = "Remove it from the script.") -> DaqError:
     """Return the error for a function that this instrument does not support (-200452)."""
-    hint = f" {instead}" if instead else ""
     return DaqError(
-        f"{feature} is not supported by the rig's instrument.{hint}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
+        f"{feature} is not supported by the rig's instrument. {remedy}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
     )

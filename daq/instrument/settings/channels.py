@@ -173,7 +173,7 @@ class Channel:
             )
         if not low < high:
             raise DaqError(
-                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Lower it.",
+                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Change a limit.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
         full_scale = self.module.output_range if self.measurement is None else (self.module.ranges or (math.inf,))[-1]

@@ -135,9 +135,7 @@ class Block:
 
     first: int  # number of the first sample, from power-on
     samples: Array | NDArray[np.int32]  # volts or counts, shape (channels, samples)
-    overload: NDArray[
-        np.bool_
-    ]  # whether each sample exceeds the range of its channel, or depends on a saturated device
+    overload: NDArray[np.bool_]  # whether each sample is clipped, or depends on a saturated device
     motion: Motion
 
 

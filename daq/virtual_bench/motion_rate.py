@@ -15,12 +15,12 @@ from rig.simulation.motion import Motion
 
 
 class MotionAtRate:
-    """Resamples a motion and its drive: instant n is n / rate ticks after power-on.
+    """Resamples a motion and its drive from ticks to instants: instant n is n / rate ticks after power-on.
 
     A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s, `first`
-    the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of velocity or
-    acceleration), the acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and displacement.
-    The drive is interpolated linearly.
+    the number of the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of
+    velocity or acceleration), the acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and
+    displacement. The drive is interpolated linearly.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:

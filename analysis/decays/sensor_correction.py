@@ -31,12 +31,12 @@ class CorrectedMotion:
         self._fade_in = np.hanning(2 * fade_length + 1)[:fade_length]
         size = fft.next_fast_len(3 * samples.size - 2, real=True)
         frequency = fft.rfftfreq(size, 1.0 / info.rate)
-        window = _band(frequency, low, high)
-        nonzero = np.flatnonzero(window)
+        weights = _band_weights(frequency, low, high)
+        nonzero = np.flatnonzero(weights)
         # The pass band is one contiguous interval of frequencies.
         self._pass_band = slice(int(nonzero[0]), int(nonzero[-1]) + 1) if nonzero.size else slice(0, 0)
         self._size, self._j_omega = size, 2j * np.pi * frequency[self._pass_band]
-        self._factor = window[self._pass_band] / info.response(frequency[self._pass_band])
+        self._factor = weights[self._pass_band] / info.response(frequency[self._pass_band])
         self._spectra: dict[bool, ComplexArray] = {}
 
     def __call__(self, motion: str) -> Array:
@@ -71,15 +71,15 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
     return CorrectedMotion(info, samples, low, high)(motion)
 
 
-def _band(frequency: Array, low: float, high: float) -> Array:
-    """Return a window: 1 from `low` to `high`, cosine tapers of half an octave, 0 at zero frequency if `low` > 0."""
-    window = np.ones(frequency.size)
+def _band_weights(frequency: Array, low: float, high: float) -> Array:
+    """Return weights: 1 from `low` to `high`, cosine tapers of half an octave, and 0 at zero frequency if `low` > 0."""
+    weights = np.ones(frequency.size)
     if low > 0:
         below = slice(1, int(np.searchsorted(frequency, low)))
         taper = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
-        window[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
-        window[0] = 0.0
+        weights[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
+        weights[0] = 0.0
     above = slice(int(np.searchsorted(frequency, high)), None)
     taper = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
-    window[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
-    return window
+    weights[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
+    return weights

@@ -73,7 +73,7 @@ class LiveFrf:
         self._rows = [row for row in on_body if channels[row].quantity != "force"]
         self.names = [channels[row].name for row in self._rows]
         self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
-        self._window = np.hanning(self._block_samples)
+        self._hann_window = np.hanning(self._block_samples)
         self._pending = np.zeros((len(channels), 0))
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
@@ -83,7 +83,7 @@ class LiveFrf:
         self._pending = np.concatenate([self._pending, readings], axis=1)
         while self._pending.shape[1] >= self._block_samples:
             block = self._pending[:, : self._block_samples]
-            spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._window)
+            spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._hann_window)
             self._block_sums.add(*self._force_and_motion(spectra))
             self._pending = self._pending[:, self._block_samples // 2 :]
 

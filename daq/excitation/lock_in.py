@@ -40,8 +40,8 @@ def min_samples(frequency: float, rate: float) -> int:
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     """Return the length in samples of the window that is closest to whole periods.
 
-    The window is at least `shortest_s` s long, and at most a third longer. In a window with a fraction of a period,
-    harmonics and offsets would leak into the fundamental.
+    The window is at least `shortest_s` s long, and at most a third or one period longer. In a window with a fraction of
+    a period, harmonics and offsets would leak into the fundamental.
 
     >>> whole_periods(10.0, 1000.0, 0.15)
     200

@@ -76,6 +76,7 @@ class NearestMode:
             self._observations.popleft()
         self._count += 1
         if self._count < _MIN_OBSERVATIONS or len(self._observations) < _MIN_OBSERVATIONS:
+            # Until a mode can be estimated, the residual term alone describes the motion.
             self.pole, self.gain, self.residual_term = (-0.02 + 1.3j) * angular_frequency, 0j, motion / force
             return
         local_poles = self._poles_around()

@@ -45,7 +45,7 @@ class Observation:
 
     end: float  # time of the end, s
     frequency: float  # of the tone in the middle, Hz
-    rate: float  # sweep rate, Hz/s
+    sweep_rate: float  # Hz/s
     length: float  # duration, s
     motion: complex  # amplitude of the driven body's displacement, m
     force: complex  # amplitude of the spring force, N
@@ -57,7 +57,7 @@ class Observation:
 
     def angular_frequency(self, time: float) -> float:
         """Return the angular frequency of the tone at a time, rad/s."""
-        return 2 * pi * (self.frequency + self.rate * (time - self.middle))
+        return 2 * pi * (self.frequency + self.sweep_rate * (time - self.middle))
 
 
 class SweepControl:
@@ -92,7 +92,7 @@ class SweepControl:
         if self._target_force is None:
             # The phase of the force is arbitrary; the present phase requires the smallest change.
             self._target_force = self._level * observation.force / abs(observation.force)
-        memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.rate), 1e-9) ** 0.5
+        memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.sweep_rate), 1e-9) ** 0.5
         memory = min(max(memory_periods, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
         self._mode.add(
             observation.middle,

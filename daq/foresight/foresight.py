@@ -35,7 +35,7 @@ class Expectation:
 
     @property
     def driven_share(self) -> float:
-        """Ratio to the limit of the maximum after the power-on transient, which does not depend on the level."""
+        """Ratio of the maximum after the power-on transient to the limit; the transient is independent of the level."""
         return self.share if self.driven is None else self.driven / self.limit
 
     @property

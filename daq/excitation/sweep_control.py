@@ -124,10 +124,8 @@ class SweepControl:
             drive = complex(np.interp(time, times, drives))
             frequency_offset = 1j * observation.angular_frequency(time - step / 2) - center
             relative_pole = mode.pole - center - frequency_offset
-            decay_factor, forced_gain = (
-                exp(relative_pole * step),
-                mode.gain * step * mean_exponential(relative_pole * step),
-            )
+            decay_factor = exp(relative_pole * step)
+            forced_gain = mode.gain * step * mean_exponential(relative_pole * step)
             free_envelope = decay_factor * envelope + forced_gain * force
             # X = c F + x, by backward Euler for the force, which may change fast within a step.
             motion_coefficient = per_motion + frequency_offset * motion_slope

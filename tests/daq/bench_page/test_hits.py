@@ -47,7 +47,7 @@ def test_faults_of_a_hit_are_named(pulses, faults):
     assert hit.peak == pytest.approx(pulses[0][1], rel=0.05)
 
 
-def test_overload_in_the_window_is_clipping():
+def test_hit_with_overloaded_sample_is_clipped():
     overload = np.zeros((1, 1000), bool)
     # A sample in the window of the hit at sample 200.
     overload[0, 205] = True
@@ -66,7 +66,7 @@ def test_hits_do_not_depend_on_blocks(block):
 def test_hit_with_missing_samples_is_ignored():
     detector, readings = HitDetector(0, RATE, MIN_PEAK, WINDOW_S), force_of((0.2, 50.0))
     no_overload = np.zeros((1, 300), bool)
-    # Samples 300 to 499 are missing; the window of the hit extends from sample 191 to 590.
+    # Samples 300 to 499 are missing. The trigger is at sample 201; the window extends from 10 samples before it to 590.
     detector.add(0, readings[:, :300], no_overload)
     detector.add(500, readings[:, 500:800], no_overload)
     assert detector.hits == []

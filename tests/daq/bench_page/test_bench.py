@@ -109,7 +109,7 @@ def test_sine_follows_frequency_and_level(bench):
     bench.controller.start()
     pass_time(bench, 5.0)
     (peak, frequency), *_ = bench.monitor.drive_levels()
-    assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))  # 1 N per volt
+    assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))  # N, Hz
     set_controls(bench, frequency=50.0, level=2.0)
     bench.controller.apply_settings()
     pass_time(bench, 5.0)

@@ -35,7 +35,7 @@ class StepDetector:
         self._test, self._rate = scene.test, rate
         # The reference is a force, the drive, the motion of the table, or else the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
-        candidate_rows = [
+        reference_rows = [
             *(row for row, info in enumerate(channels) if info.quantity == "force"),
             *(
                 row
@@ -44,7 +44,7 @@ class StepDetector:
                 if info.at.startswith(position)
             ),
         ]
-        self.reference_row = candidate_rows[0] if candidate_rows else 0
+        self.reference_row = reference_rows[0] if reference_rows else 0
         self._reference = channels[self.reference_row]
         test_hz = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
         self._tracker = ToneTracker(rate, min(test_hz) / _BAND_RATIO, max(test_hz) * _BAND_RATIO, self.reference_row)
@@ -63,9 +63,10 @@ class StepDetector:
                 "no tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
                 "test (test: kind: swept_sine, random)."
             ]
-        for number, (direction, steps) in enumerate(_passes([tone.frequency for tone in tones])):
-            level = self._level([tones[index] for index in steps], number)
-            for tone in (tones[index] for index in steps):
+        for pass_number, (direction, indices) in enumerate(_passes([tone.frequency for tone in tones])):
+            tones_of_pass = [tones[index] for index in indices]
+            level = self._level(tones_of_pass, pass_number)
+            for tone in tones_of_pass:
                 recorder.mark(
                     "measure",
                     tone.first,
@@ -77,7 +78,7 @@ class StepDetector:
                 )
         return []
 
-    def _level(self, tones: Sequence[HeldTone], number: int) -> float:
+    def _level(self, tones: Sequence[HeldTone], pass_number: int) -> float:
         """Return the level of a pass: the nearest to the measured force or, without a force channel, the next one."""
         test = self._test
         if isinstance(test, Sine):
@@ -88,7 +89,7 @@ class StepDetector:
             force = float(np.median([tone.amplitude for tone in tones] / gain))
             return min(test.levels, key=lambda level: abs(np.log(level / force)))
         passes_per_level = 2 if test.direction == "both" else 1
-        return test.levels[min(number // passes_per_level, len(test.levels) - 1)]
+        return test.levels[min(pass_number // passes_per_level, len(test.levels) - 1)]
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:

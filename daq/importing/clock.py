@@ -61,7 +61,7 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     rig.errors.RecordingError: the sample interval 0.0001 s ± 1e+305 s determines no rate. Export more digits.
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
-        raise RecordingError(f"the sample interval is {interval!r} s; expected a time above 0. Correct it.")
+        raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct it.")
     if max_error >= interval:
         raise RecordingError(
             f"the sample interval {interval!r} s ± {max_error!r} s determines no rate. Export more digits."
@@ -112,7 +112,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         warn(
             f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. The "
-            "samples are imported as evenly spaced: only the written times are assumed to jitter."
+            "samples are imported as evenly spaced, because usually only the written times jitter."
         )
     else:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
@@ -123,8 +123,8 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
 def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
     """Return (row, number of rows missing before it) for each gap in times.
 
-    `times` are blocks of times in s, rounded to `resolution` (s). Unevenly spaced times give an empty list, because the
-    size of a gap is then unknown.
+    `times` are blocks of times in s, rounded to `resolution` (s). The list is empty if the other times are unevenly
+    spaced, so that the size of a gap is unknown, or if more rows are missing than present.
 
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
     [(3, 2)]

@@ -10,6 +10,7 @@ from mcap.writer import CompressionType, Writer
 
 from daq.mcap_file.writer import ZSTD_LEVEL, ChunkedFile, Message, Messages
 
+# Messages of three chunks: channel, log time, publish time (ns, up to 64 bits), data, sequence number.
 CHUNKS = [
     [Message(1, 5, 3, b"first", 0), Message(2, 4, 4, b"", 7), Message(1, 9, 9, b"x" * 300, 1)],
     [],
@@ -74,6 +75,7 @@ def test_batched_messages_equal_single_ones(channels_first):
         Message(int(channels[row]), int(times[column]), int(times[column]), data[row, column].tobytes(), column)
         for row, column in order
     ]
+    # The batch is between a single message and a batch of one.
     before, after = Message(1, 2**63 + 5, 1, b"before", 0), Messages(3, 5, 5, data[0, :1], 4)
     written = []
     for chunk in ([before, batch, after], [before, *single_messages, Message(3, 5, 5, data[0, 0].tobytes(), 4)]):

@@ -22,6 +22,7 @@ from rig.errors import RecordingError
 @pytest.mark.parametrize("rate", [1.0, 256.0, 5120.0, 51200.0 / 7, 51200.0, 1e6])
 def test_blocks_have_about_a_tenth_of_a_second(rate):
     block, flush = block_length(rate), flush_length(rate)
+    # The nearest power of two differs by a factor of up to 2^0.5.
     assert block == 256 or 0.07 < block / rate < 0.15
     assert flush % block == 0
     assert flush == block or 0.4 < flush / rate < 0.6
@@ -33,6 +34,7 @@ def test_sample_number_follows_from_its_time(sample, rate):
     time = clock.time_ns(sample)
     if time < 2**64:
         assert clock.times_ns([sample, 0]).tolist() == [time, clock.start_ns]
+    # Half a nanosecond of rounding, and the rounding of the products in double precision.
     assert abs((time - clock.start_ns) * rate - sample * 1e9) <= 0.51 * rate + sample * 1e9 * 1e-15
     if time < 2**64 and sample < 2**42:
         assert clock.samples_at(np.array([time], np.uint64))[0] == sample
@@ -44,6 +46,7 @@ def test_impossible_rate_is_rejected(rate):
         Timebase(rate)
 
 
+# Around the sizes from which the encoded size has another byte: 2^7, 2^14 and 2^21.
 @given(count=st.one_of(st.integers(0, 300), st.integers(2**14 - 9, 2**14 + 9), st.integers(2**21 - 9, 2**21 + 9)))
 def test_size_prefix_follows_from_message_length(count):
     size = varint(count)
@@ -105,9 +108,10 @@ def test_wrong_tag_decodes_as_protobuf_does(tag):
 
 def test_block_cut_within_a_sample_is_rejected():
     data = encode(Timebase(5120.0), 0, np.arange(4.0)[None, None]).tobytes()
-    cut = data[:25] + bytes([7]) + data[26:34]
-    with pytest.raises(RecordingError, match=r"not a whole number of samples|cannot be read"):
-        decode(memoryview(cut + b"xx"), "shotrig.BlockFloat64")
+    # The size of the samples follows the header. A sample has eight bytes.
+    cut = data[: _HEADER.size] + bytes([7]) + data[_HEADER.size + 1 :][:7]
+    with pytest.raises(RecordingError, match="7 bytes are not a whole number of samples"):
+        decode(memoryview(cut), "shotrig.BlockFloat64")
 
 
 @pytest.mark.parametrize("schema", [*(block_schema(name) for name, _, _ in SCHEMAS.values()), TRANSFORMS_SCHEMA])

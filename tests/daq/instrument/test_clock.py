@@ -5,6 +5,7 @@ import threading
 import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqError, DaqReadError
 
 from daq.instrument.clock import FastClock, ManualClock, RealClock, Sleepers, _DelayReport, clock, longest_step
@@ -125,7 +126,7 @@ def test_timeout_reports_number_of_samples_read():
         add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         manual.advance(0.1)  # 512 samples
-        with raises_code(-200284, kind=DaqReadError, samples=512):
+        with raises_code(Code.SAMPLES_NOT_YET_AVAILABLE, kind=DaqReadError, samples=512):
             task.read(600)
         manual.advance(0.2)
         assert task.in_stream.avail_samp_per_chan == 1024

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType, Coupling, ExcitationSource
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.system import System
 
 import daq
@@ -84,7 +85,7 @@ def test_ac_only_module_rejects_dc():
         channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0", current_excit_val=0.002)
         channel.ai_coupling = Coupling.DC
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
-        with raises_code(-200077, "AC coupling only"):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "AC coupling only"):
             task.start()
 
 
@@ -96,7 +97,7 @@ def test_different_coupling_of_used_input_is_rejected():
         for task in (first, second):
             task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
-        with raises_code(-50103, "another coupling or sensor supply"):
+        with raises_code(Code.PAL_RESOURCE_RESERVED, "another coupling or sensor supply"):
             second.start()
 
 
@@ -111,7 +112,7 @@ def test_teds_sets_sensitivity():
         channels = task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai0:1", "acc", min_val=-40, max_val=40)
         assert task.channel_names == ["acc0", "acc1"]
         assert channels.ai_accel_sensitivity == pytest.approx(0.1, rel=2e-4)  # V/g
-        with raises_code(-200709):
+        with raises_code(Code.TEDS_SENSOR_NOT_DETECTED):
             task.ai_channels.add_teds_ai_accel_chan("cDAQ1Mod1/ai2")
 
 
@@ -124,7 +125,7 @@ def test_named_device_is_outside_chassis():
     assert device.ao_voltage_rngs == [-3.5, 3.5]
     with Task() as task:
         task.ao_channels.add_ao_voltage_chan("Dev1/ao0", min_val=-3.5, max_val=3.5)
-        with raises_code(-201087):
+        with raises_code(Code.SAMP_CLK_RATE_MUST_BE_SPECD):
             task.write(1.0)
         task.timing.cfg_samp_clk_timing(96e3)
         assert task.timing.samp_clk_rate == 96e3

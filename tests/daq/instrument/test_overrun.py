@@ -4,6 +4,7 @@ import re
 
 import pytest
 from nidaqmx.constants import AcquisitionType, OverwriteMode
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqReadError
 
 from daq.instrument.clock import ManualClock
@@ -26,7 +27,7 @@ def test_overrun_is_counted_and_reading_continues(chassis):
     with Task() as task:
         start_acquisition(task)
         pass_samples(chassis, 1300)  # 300 more than the buffer
-        with raises_code(-200279, "300 samples", kind=DaqReadError):
+        with raises_code(Code.SAMPLES_NO_LONGER_AVAILABLE, "300 samples", kind=DaqReadError):
             task.read(100)
         assert task.in_stream.curr_read_pos == 300
         assert len(task.read(1000)) == 1000
@@ -40,7 +41,7 @@ def test_single_delay_is_reported_once(chassis, block_size):
     with Task() as task:
         start_acquisition(task)
         pass_samples(chassis, 2600)
-        with raises_code(-200279, "1600 samples", kind=DaqReadError):
+        with raises_code(Code.SAMPLES_NO_LONGER_AVAILABLE, "1600 samples", kind=DaqReadError):
             task.read(block_size)
         for number in range(20):
             assert task.in_stream.curr_read_pos == 1600 + number * block_size
@@ -68,5 +69,5 @@ def test_full_buffer_without_overwriting_stops(chassis):
         start_acquisition(task)
         pass_samples(chassis, 1400)
         assert len(task.read(1000)) == 1000
-        with raises_code(-200222, kind=DaqReadError):
+        with raises_code(Code.ACQ_STOPPED_TO_PREVENT_INPUT_BUFFER_OVERWRITE, kind=DaqReadError):
             task.read(1)

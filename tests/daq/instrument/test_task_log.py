@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, LoggingMode, LoggingOperation, OverwriteMode, Slope
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqError, DaqReadError
 
 import daq
@@ -50,7 +51,7 @@ def test_log_marks_overrun_as_gap(chassis, tmp_path):
         task.read(200)
         pass_samples(chassis, 800)
         # Of the 800 unread samples, the buffer contains the last 500.
-        with raises_code(-200279, kind=DaqReadError):
+        with raises_code(Code.SAMPLES_NO_LONGER_AVAILABLE, kind=DaqReadError):
             task.read(100)
         later = np.array(task.read(500))
         task.stop()
@@ -110,7 +111,7 @@ def test_task_that_only_logs_rejects_reads(chassis, tmp_path):
         task.start()
         for _ in range(20):
             pass_samples(chassis, 100)
-        with raises_code(-201301, "LOG_AND_READ"):
+        with raises_code(Code.READ_NOT_SUPPORTED_FOR_LOGGING_MODE, "LOG_AND_READ"):
             task.read(1)
         task.stop()
     with daq.open(path) as recording:

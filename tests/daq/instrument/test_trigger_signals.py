@@ -7,6 +7,7 @@ record of a task is the sequence of samples that its trigger selects.
 import numpy as np
 import pytest
 from nidaqmx.constants import READ_ALL_AVAILABLE, AcquisitionType, Slope
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqReadError
 
 from tests.daq.client import RATE, Task, add_inputs, add_output, connect, raises_code, reads_waveforms
@@ -92,7 +93,7 @@ def test_missing_trigger_times_out(chassis):
     with Task() as input_task:
         add_inputs(input_task, "Dev1/ai0:3", samps_per_chan=100)
         input_task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 400.0)
-        with raises_code(-200284, "start trigger has not occurred", DaqReadError, 0):
+        with raises_code(Code.SAMPLES_NOT_YET_AVAILABLE, "start trigger has not occurred", DaqReadError, 0):
             input_task.read(100, timeout=0.5)
     assert chassis.elapsed == 0.5  # the timeout, in bench time
 
@@ -141,9 +142,21 @@ def test_output_starts_one_tick_after_triggered_input(chassis):
 @pytest.mark.parametrize(
     "configure, code, hint",
     [
-        (lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai9"), -200265, "Dev1/ai0"),
-        (lambda task: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/Nowhere"), -89136, "PFI0"),
-        (lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100), -200213, "0 to 99"),
+        (
+            lambda task: task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai9"),
+            Code.INVALID_ANALOG_TRIG_SRC,
+            "Dev1/ai0",
+        ),
+        (
+            lambda task: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/Nowhere"),
+            Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
+            "PFI0",
+        ),
+        (
+            lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100),
+            Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
+            "0 to 99",
+        ),
     ],
 )
 def test_error_of_impossible_trigger_names_remedy(chassis, configure, code, hint):
@@ -158,10 +171,10 @@ def test_reference_trigger_needs_finite_task(chassis):
     with Task() as input_task:
         add_inputs(input_task, sample_mode=AcquisitionType.CONTINUOUS)
         input_task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 10)
-        with raises_code(-200358, "FINITE"):
+        with raises_code(Code.REF_TRIG_WHEN_CONTINUOUS, "FINITE"):
             input_task.start()
     with Task() as input_task:
         input_task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
         input_task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0")
-        with raises_code(-200262, "cfg_samp_clk_timing"):
+        with raises_code(Code.TRIG_WHEN_ON_DEMAND_SAMP_TIMING, "cfg_samp_clk_timing"):
             input_task.read()

@@ -11,6 +11,7 @@ from nidaqmx.constants import (
     TriggerType,
     VoltageUnits,
 )
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqError
 from nidaqmx.stream_readers import AnalogMultiChannelReader
 from nidaqmx.system.storage import PersistedTask
@@ -80,7 +81,7 @@ def test_trigger_source_names_its_device(chassis):
 def test_output_event_of_input_task_is_rejected(chassis):
     with Task() as task:
         add_inputs(task)
-        with raises_code(-200980):
+        with raises_code(Code.EVERY_N_SAMPS_TRANSFERRED_FROM_BUFFER_EVENT_NOT_SUPPORTED_BY_DEVICE):
             task.register_every_n_samples_transferred_from_buffer_event(10, print)
 
 

@@ -9,6 +9,7 @@ import nidaqmx
 import numpy as np
 import pytest
 from nidaqmx.constants import AccelSensitivityUnits, AccelUnits, AcquisitionType
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqError, RpcError
 from nidaqmx.system import System
 
@@ -56,7 +57,7 @@ def test_named_module_rejects_on_demand_reading():
         assert (module.product_type, module.ai_voltage_rngs) == ("NI 9234", [-5.0, 5.0])
         with nidaqmx.Task(grpc_options=rig) as task:
             task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
-            with raises_code(-201087):
+            with raises_code(Code.SAMP_CLK_RATE_MUST_BE_SPECD):
                 task.read()
             task.timing.cfg_samp_clk_timing(8000.0)
             assert task.timing.samp_clk_rate == pytest.approx(51200 / 6)
@@ -75,7 +76,7 @@ def test_defaults_are_those_of_driver(shared_rig):
         assert task.triggers.reference_trigger.pretrig_samples == 2
         channel = task.ai_channels[0]
         del channel.ai_max
-        with raises_code(-200695):
+        with raises_code(Code.AI_MAX_NOT_SPECIFIED):
             task.ai_channels[0].ai_max  # noqa: B018
         channel.ai_max = 400.0
         assert task.ai_channels[0].ai_max == 400.0
@@ -164,7 +165,7 @@ def test_existing_session_is_rejected(shared_rig):
 def test_device_used_by_others_is_not_reset(shared_rig):
     with input_task_of(connect_client(shared_rig), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
-        with raises_code(-50103):
+        with raises_code(Code.PAL_RESOURCE_RESERVED):
             System.remote(connect_client(shared_rig)).devices["cDAQ1Mod1"].reset_device()
         assert not task.is_task_done()
 

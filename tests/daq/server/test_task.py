@@ -18,6 +18,7 @@ from nidaqmx.constants import (
     RegenerationMode,
     TaskMode,
 )
+from nidaqmx.error_codes import DAQmxErrors as Code
 from nidaqmx.errors import DaqError
 
 import rig
@@ -295,7 +296,7 @@ def test_committed_task_reserves_its_modules(chassis):
         add_inputs(second, "Dev1/ai0:3", samps_per_chan=10)
         first.control(TaskMode.TASK_COMMIT)
         first.read(READ_ALL_AVAILABLE)
-        with raises_code(-50103):  # the resource is reserved
+        with raises_code(Code.PAL_RESOURCE_RESERVED):
             second.start()
         first.control(TaskMode.TASK_UNRESERVE)
         assert np.shape(second.read(READ_ALL_AVAILABLE)) == (4, 10)
@@ -368,7 +369,7 @@ def test_repeated_reads_without_timeout_succeed(chassis):
             try:
                 return len(task.read(10, timeout=0.0)[0]) == 10
             except DaqError as no_samples:
-                assert no_samples.error_code == -200284  # not enough samples before the timeout
+                assert no_samples.error_code == Code.SAMPLES_NOT_YET_AVAILABLE
                 return False
 
         count_queries(condition, task)

@@ -1,6 +1,6 @@
 """Errors have the codes and texts of NI's driver, and name the remedy.
 
-Negative numbers in these tests are error codes of the driver (`nidaqmx.error_codes`); the hints are parts of messages.
+Hints are parts of messages.
 """
 
 import importlib
@@ -19,6 +19,8 @@ from nidaqmx.constants import (
     TerminalConfiguration,
     VoltageUnits,
 )
+from nidaqmx.error_codes import DAQmxErrors as Code
+from nidaqmx.error_codes import DAQmxWarnings
 from nidaqmx.errors import DaqError, DaqReadError, DaqResourceWarning, DaqWriteError
 
 import rig
@@ -39,7 +41,7 @@ def test_finished_task_gives_remaining_samples(chassis):
         task.start()
         pass_samples(chassis, 100)
         assert len(task.read(150)) == 100
-        with raises_code(-200278, kind=DaqReadError, samples=0):
+        with raises_code(Code.SAMPLES_WILL_NEVER_BE_AVAILABLE, kind=DaqReadError, samples=0):
             task.read(1)
 
 
@@ -53,7 +55,7 @@ def test_dropped_samples_end_task_until_restart():
         add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
         task.start()
         pass_samples(chassis, 1000)
-        with raises_code(-200361, kind=DaqReadError, samples=512):
+        with raises_code(Code.INPUT_FIFO_OVERFLOW_2, kind=DaqReadError, samples=512):
             task.read(1000)
         task.stop()
         task.start()
@@ -68,7 +70,7 @@ def test_long_delay_of_machine_overflows_inputs(chassis):
         # Delays relative to real time, s; up to 5 s are tolerated.
         assert not chassis.report_delay(1.0)
         assert chassis.report_delay(6.0)
-        with raises_code(-200361, "fast clock", kind=DaqReadError):
+        with raises_code(Code.INPUT_FIFO_OVERFLOW_2, "fast clock", kind=DaqReadError):
             task.read(1)
 
 
@@ -84,11 +86,11 @@ def start_output(task):
 def test_exhausted_output_buffer_is_reported_until_stop(chassis):
     with Task() as task:
         start_output(task)
-        with raises_code(-200292, kind=DaqWriteError, samples=0):
+        with raises_code(Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, kind=DaqWriteError, samples=0):
             task.write(np.zeros(50), timeout=1.0)
         pass_samples(chassis, 150)
         for call in (task.is_task_done, lambda: task.write(np.zeros(50)), task.is_task_done) * 2:
-            with raises_code(-200290):
+            with raises_code(Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES):
                 call()
         assert chassis.last_volts[0] == 0.5
         task.stop()
@@ -100,7 +102,7 @@ def test_exhausted_output_buffer_is_reported_on_stop(chassis):
     with Task() as task:
         start_output(task)
         pass_samples(chassis, 150)
-        with raises_code(-200290):
+        with raises_code(Code.GEN_STOPPED_TO_PREVENT_REGEN_OF_OLD_SAMPLES):
             task.stop()
 
 
@@ -120,20 +122,23 @@ def test_running_task_rejects_settings(chassis):
         ):
             with pytest.raises(DaqError) as caught:
                 change()
-            # Property cannot be set, operation cannot be performed, or event cannot be registered while running.
-            assert caught.value.error_code in (-200557, -200479, -200960)
+            assert caught.value.error_code in (
+                Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING,
+                Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING,
+                Code.CANNOT_REGISTER_DA_QMX_SOFTWARE_EVENT_WHILE_TASK_IS_RUNNING,
+            )
             assert "stop()" in str(caught.value)
 
 
 @pytest.mark.parametrize(
     "name, code, hint",  # hint: part of the message that names existing channels, or the wrong value
     [
-        ("Nothing/ai0", -200220, "cDAQ1Mod1"),
-        ("Dev1/ai4", -200170, "Dev1/ai3"),
-        ("Dev1/xy0", -200170, "ao0"),
-        ("Dev1", -200170, "cDAQ1Mod1/ai0"),
-        ("Dev1/ai0:x", -200498, "Dev1/ai0:3"),
-        ("Dev1/ai0:99999999", -200498, "100000000"),
+        ("Nothing/ai0", Code.INVALID_DEVICE_ID, "cDAQ1Mod1"),
+        ("Dev1/ai4", Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "Dev1/ai3"),
+        ("Dev1/xy0", Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "ao0"),
+        ("Dev1", Code.PHYSICAL_CHAN_DOES_NOT_EXIST, "cDAQ1Mod1/ai0"),
+        ("Dev1/ai0:x", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING, "Dev1/ai0:3"),
+        ("Dev1/ai0:99999999", Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING, "100000000"),
     ],
 )
 def test_error_of_missing_channel_names_existing_channels(chassis, name, code, hint):
@@ -144,7 +149,7 @@ def test_error_of_missing_channel_names_existing_channels(chassis, name, code, h
 def test_channel_limits_are_rejected_or_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:
-        with raises_code(-200077, "-50 to 50 g"):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "-50 to 50 g"):
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", min_val=-100.0, max_val=100.0, sensitivity=100.0)
         channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
         assert (channel.ai_min, channel.ai_max) == pytest.approx((-50.0, 50.0))
@@ -155,7 +160,7 @@ def test_channel_limits_are_rejected_or_coerced():
 def test_impossible_rate_is_rejected(chassis, rate):
     with Task() as task:
         add_inputs(task)
-        with raises_code(-200077, "51200"):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "51200"):
             task.timing.cfg_samp_clk_timing(rate)
 
 
@@ -189,14 +194,14 @@ def test_impossible_rate_is_rejected(chassis, rate):
 def test_error_of_invalid_value_names_valid_values(chassis, call, hint):
     with Task() as task:
         add_inputs(task)
-        with raises_code(-200077, hint):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, hint):
             call(task)
 
 
 def test_excessive_samples_are_rejected(chassis):
     with Task() as task:
         add_inputs(task, samps_per_chan=10**13)
-        with raises_code(-200077, "memory"):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "memory"):
             task.start()
 
 
@@ -213,10 +218,10 @@ def test_infinite_timeout_waits_for_task(timeout):
 @pytest.mark.parametrize("sensitivity", [0.0, -100.0, 1e-310, np.inf, np.nan])
 def test_invalid_sensitivity_does_not_replace_valid_sensitivity(chassis, sensitivity):
     with Task() as task:
-        with raises_code(-200077, "sensitivity"):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "sensitivity"):
             task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=sensitivity)
         channel = task.ai_channels.add_ai_accel_chan("Dev1/ai0", sensitivity=100.0)
-        with raises_code(-200077):
+        with raises_code(Code.INVALID_ATTRIBUTE_VALUE):
             channel.ai_accel_sensitivity = sensitivity
         assert channel.ai_accel_sensitivity == 100.0
         task.timing.cfg_samp_clk_timing(RATE)
@@ -230,7 +235,7 @@ def test_error_of_used_module_names_its_task(chassis):
         add_inputs(first, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
         add_inputs(second, "Dev1/ai1", sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
-        with raises_code(-50103, "'mine'"):
+        with raises_code(Code.PAL_RESOURCE_RESERVED, "'mine'"):
             second.start()
         first.stop()
         second.start()
@@ -244,24 +249,26 @@ def test_invalid_calls_have_codes_of_driver(chassis):
         return caught.value.error_code
 
     with Task() as without_channels, Task() as input_task, Task() as output_task:
-        assert code(without_channels.start) == -200478
-        assert code(without_channels.read) == -200478
+        assert code(without_channels.start) == Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
+        assert code(without_channels.read) == Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK
         add_inputs(input_task, sample_mode=AcquisitionType.CONTINUOUS)
         input_task.in_stream.auto_start = False
-        assert code(input_task.read, 10) == -200473
-        assert code(lambda: input_task.in_stream.overloaded_chans) == -200362
+        assert code(input_task.read, 10) == Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED
+        assert code(lambda: input_task.in_stream.overloaded_chans) == Code.OVERLOADED_CHANS_EXIST_NOT_READ
         output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         output_task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
-        assert code(output_task.start) == -200462
-        assert code(output_task.write, np.zeros((2, 10))) == -200524
-        assert code(output_task.write, [0.0, 11.0]) == -200561
-        assert code(output_task.write, [0.0, np.nan]) == -200561
+        assert code(output_task.start) == Code.OUTPUT_BUFFER_EMPTY
+        assert code(output_task.write, np.zeros((2, 10))) == Code.WRITE_NUM_CHANS_MISMATCH
+        assert code(output_task.write, [0.0, 11.0]) == Code.INVALID_AO_DATA_WRITE
+        assert code(output_task.write, [0.0, np.nan]) == Code.INVALID_AO_DATA_WRITE
         output_task.write(np.zeros(10))
         output_task.start()
-        assert code(output_task.wait_until_done, 0.1) == -200560
-        assert code(output_task.ai_channels.add_ai_voltage_chan, "Dev1/ai0") == -200479
+        assert code(output_task.wait_until_done, 0.1) == Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
+        assert (
+            code(output_task.ai_channels.add_ai_voltage_chan, "Dev1/ai0") == Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING
+        )
         pass_samples(chassis, 10)
-    assert code(input_task.read, 1) == -200088
+    assert code(input_task.read, 1) == Code.INVALID_TASK
 
 
 def test_offset_before_first_sample_is_rejected(chassis):
@@ -271,26 +278,32 @@ def test_offset_before_first_sample_is_rejected(chassis):
         pass_samples(chassis, 100)
         task.read(20)
         task.in_stream.offset = -21
-        with raises_code(-200277, kind=DaqReadError):
+        with raises_code(Code.NEGATIVE_READ_SAMPLE_NUMBER, kind=DaqReadError):
             task.read(10)
         assert task.in_stream.curr_read_pos == 20
 
 
 def test_unsupported_call_names_client_function(chassis):
+    no_measurement, no_channel = Code.PHYS_CHAN_MEAS_TYPE, Code.PHYSICAL_CHAN_DOES_NOT_EXIST
+    unsupported = Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
     with Task() as task:
         add_inputs(task)
-        for call, name, code in (
-            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", -200431),
-            (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", -200170),
-            (lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"), "does not support this measurement", -200431),
-            (lambda: task.ai_channels.add_ai_pos_lvdt_chan("Dev1/ai1"), "does not support", -200431),
-            (lambda: task.timing.ai_conv_rate, "ai_conv_rate", -200452),
-            (lambda: task.timing.cfg_handshaking_timing(), "cfg_handshaking_timing", -200452),
-            (lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "add_ci_count_edges_chan", -200170),
-            (lambda: task.di_channels.add_di_chan("Dev1/port0/line0"), "add_di_chan", -200170),
-            (lambda: task.di_channels.add_di_chan("nowhere/port0"), "nowhere", -200220),
+        for call, hint, code in (
+            (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", no_measurement),
+            (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", no_channel),
+            (
+                lambda: task.ai_channels.add_ai_bridge_chan("Dev1/ai1"),
+                "does not support this measurement",
+                no_measurement,
+            ),
+            (lambda: task.ai_channels.add_ai_pos_lvdt_chan("Dev1/ai1"), "does not support", no_measurement),
+            (lambda: task.timing.ai_conv_rate, "ai_conv_rate", unsupported),
+            (lambda: task.timing.cfg_handshaking_timing(), "cfg_handshaking_timing", unsupported),
+            (lambda: task.ci_channels.add_ci_count_edges_chan("Dev1/ctr0"), "add_ci_count_edges_chan", no_channel),
+            (lambda: task.di_channels.add_di_chan("Dev1/port0/line0"), "add_di_chan", no_channel),
+            (lambda: task.di_channels.add_di_chan("nowhere/port0"), "nowhere", Code.INVALID_DEVICE_ID),
         ):
-            with raises_code(code, name):
+            with raises_code(code, hint):
                 call()
 
 
@@ -314,7 +327,7 @@ def test_timeout_has_text_of_driver(chassis):
         with pytest.raises(DaqReadError) as caught:
             task.read(100, timeout=0.01)
     # For this error alone, the client package contains the driver's text.
-    assert str(caught.value).startswith(_ERROR_MESSAGES[-200284])
+    assert str(caught.value).startswith(_ERROR_MESSAGES[Code.SAMPLES_NOT_YET_AVAILABLE])
     assert "Task Name: waiting" in str(caught.value)
 
 
@@ -333,14 +346,14 @@ def test_early_stop_returns_warning_code(chassis):
     with Task("early") as task:
         add_inputs(task, samps_per_chan=100)
         task.start()
-        assert chassis.tasks["early"].stop() == 200010  # NI's warning that a finite task was not done
+        assert chassis.tasks["early"].stop() == DAQmxWarnings.STOPPED_BEFORE_DONE
 
 
 def test_closed_task_is_unusable(chassis):
     task = Task("used")
     same_task = nidaqmx.Task(task.name, grpc_options=options())
     task.close()
-    with raises_code(-200088):
+    with raises_code(Code.INVALID_TASK):
         same_task.start()
     with pytest.warns(DaqResourceWarning, match="already closed"):
         task.close()

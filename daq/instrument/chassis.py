@@ -230,7 +230,10 @@ class Chassis:
     def set_conditioning(self, task: Runner, channels: Sequence[Channel]) -> None:
         """Set the input couplings and sensor supplies of a task's channels; see `Terminals.set_conditioning`."""
         in_use = {
-            row for other, acquisition in self.inputs.items() if other is not task for row in acquisition.plan.rows
+            index
+            for other, acquisition in self.inputs.items()
+            if other is not task
+            for index in acquisition.plan.bench_indices
         }
         self.terminals.set_conditioning(channels, in_use)
         for listener in self.conditioning_listeners:
@@ -244,7 +247,7 @@ class Chassis:
 
     def run_output(self, task: Runner, plan: OutputPlan, buffer: OutputBuffer) -> Generation:
         """Start a generation of voltages from a buffer at the present tick and return it."""
-        self.outputs[task] = Generation(plan, buffer, self.position, self.last_volts[list(plan.rows)])
+        self.outputs[task] = Generation(plan, buffer, self.position, self.last_volts[list(plan.bench_indices)])
         return self.outputs[task]
 
     @property
@@ -275,9 +278,9 @@ class Chassis:
         if self._tasks_drive_outputs:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
             for generation in self.outputs.values():
-                rows = list(generation.plan.rows)
-                volts[rows] = generation.produce(tick, ticks, self.event_tick)
-                self.last_volts[rows] = generation.last_volts
+                bench_indices = list(generation.plan.bench_indices)
+                volts[bench_indices] = generation.produce(tick, ticks, self.event_tick)
+                self.last_volts[bench_indices] = generation.last_volts
         # Rates of tasks that do not run are included, so that their filters stay settled.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}

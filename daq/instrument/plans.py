@@ -184,9 +184,9 @@ def input_plan(
     if on_demand is None:
         samples = task.samples_per_channel if task.is_finite else None
         buffer_size, rate = task.input_buffer_size, task.rate
-    volts_per_count = [bench.channels[channel.row].volts_per_count or 1.0 for channel in task.channels]
+    volts_per_count = [bench.channels[channel.bench_index].volts_per_count or 1.0 for channel in task.channels]
     return InputPlan(
-        rows=tuple(channel.row for channel in task.channels),
+        bench_indices=tuple(channel.bench_index for channel in task.channels),
         factors=np.array(volts_per_count) / [channel.volts_per_unit for channel in task.channels],
         scales=tuple(task.scale_of(channel) for channel in task.channels),
         rate=rate,
@@ -213,7 +213,7 @@ def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> t
     if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
         start = clock_task = OtherTask("", "ai", reference=False)
     plan = OutputPlan(
-        rows=tuple(channel.row for channel in task.channels),
+        bench_indices=tuple(channel.bench_index for channel in task.channels),
         tick_rate=tick_rate,
         per_tick=samples_per_tick(task.rate, tick_rate),
         samples=task.samples_per_channel if task.is_finite else None,

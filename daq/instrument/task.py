@@ -93,7 +93,7 @@ class Task:
     def reserve(self) -> None:
         """Reserve the modules and outputs that the task needs; see `Chassis.reserve`."""
         if self.settings.direction == "ao":
-            self.chassis.reserve(self, {channel.row: channel.port.name for channel in self.settings.channels})
+            self.chassis.reserve(self, {channel.bench_index: channel.port.name for channel in self.settings.channels})
         else:
             self.chassis.reserve(self, {f"{name}/ai": f"{name}/ai" for name in self.settings.device_names})
 

@@ -159,19 +159,19 @@ class TaskOutput:
 
     def write_on_demand(self, volts: Array) -> int:
         """Output samples, V, at the tick rate, and keep the last value; return the number per channel."""
-        chassis, rows = self._chassis, [channel.row for channel in self._settings.channels]
+        chassis, bench_indices = self._chassis, [channel.bench_index for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
             buffer.write(volts, is_running=False)
             per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
-            plan = OutputPlan(tuple(rows), chassis.rate, per_tick, volts.shape[1], False)
+            plan = OutputPlan(tuple(bench_indices), chassis.rate, per_tick, volts.shape[1], False)
             run = chassis.run_output(self._task, plan, buffer)
             chassis.wait(lambda: run.done, run.ticks_to_end, -1.0)
             chassis.halt(self._task)
             if run.error is not None:
                 raise run.error
         elif volts.shape[1]:
-            chassis.last_volts[rows] = volts[:, 0]
+            chassis.last_volts[bench_indices] = volts[:, 0]
         return volts.shape[1]
 
 

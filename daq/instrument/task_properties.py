@@ -30,7 +30,7 @@ def get_channel_property(task: Task, names: str, name: str) -> Any:
         )
     if name in ("ai_filter_delay", "ai_remove_filter_delay"):
         return task.chassis.terminals.filter_properties(
-            channels[0].row, task.settings.rate if task.settings.has_sample_clock else None
+            channels[0].bench_index, task.settings.rate if task.settings.has_sample_clock else None
         )[name]
     values = [channel.get(name) for channel in channels]
     if any(value != values[0] for value in values):

@@ -135,19 +135,19 @@ class Terminals:
                 supply = 0.0
             elif supply is not None:
                 supply = supply or channel.module.currents[0]
-            present = scene_channels[channel.row]
+            present = scene_channels[channel.bench_index]
             coupling = Coupling(channel.settings["ai_coupling"]).name
             requested = present.replace(coupling=coupling, excitation=supply)
             if self._conditioning(requested) == self._conditioning(present):
                 continue
-            if channel.row in fixed:
+            if channel.bench_index in fixed:
                 raise DaqError(
                     f"{channel.port.name} is in use with another coupling or sensor supply. Stop the task that uses "
                     "it, or choose the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
-            scene_channels[channel.row] = requested
-            fixed.add(channel.row)
+            scene_channels[channel.bench_index] = requested
+            fixed.add(channel.bench_index)
         self.bench.set_conditioning(scene_channels)
 
     def _conditioning(self, scene_channel: SceneChannel) -> tuple[str, float | None]:
@@ -155,22 +155,22 @@ class Terminals:
         settings = input_settings(self.bench.scene.converter, scene_channel)
         return settings.coupling or "DC", settings.excitation
 
-    def supply(self, row: int) -> float | None:
+    def supply(self, bench_index: int) -> float | None:
         """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
-        channel = self.bench.channel_settings[row]
+        channel = self.bench.channel_settings[bench_index]
         return self._conditioning(channel)[1] if needs_supply(channel) else None
 
-    def teds(self, row: int) -> bytes | None:
+    def teds(self, bench_index: int) -> bytes | None:
         """Return the TEDS (electronic data sheet) of a channel's sensor; None if the input cannot read any."""
-        channel = self.bench.channel_settings[row]
+        channel = self.bench.channel_settings[bench_index]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
         if sheet is None:
             return None
-        return with_sensitivity(sheet.bits, sheet.template, self.bench.channels[row].sensitivity)
+        return with_sensitivity(sheet.bits, sheet.template, self.bench.channels[bench_index].sensitivity)
 
-    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+    def filter_properties(self, bench_index: int, rate: float | None) -> dict[str, Any]:
         """Return NI's filter properties of a channel at a rate in S/s: the delay in s, and whether it is removed."""
-        info = self.bench.channels[row]
+        info = self.bench.channels[bench_index]
         delay = info.delay * (info.rate / rate if rate and info.filter else 1.0)
         return {
             "ai_filter_delay": delay + (0.5 / (rate or info.rate) if info.average else 0.0),

@@ -138,14 +138,14 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             last = f":{len(names) - 1}" if len(names) > 1 else ""
             ranges += [f"{name.partition('/')[2]}{last}" for name in names[:1]]
         lines.append(", ".join([f"{module.name}: {module.product_type}", *ranges]))
-        for terminal, row in zip(module.channel_names("ai"), module.inputs, strict=True):
-            info = chassis.bench.channels[row]
-            supply_note = "" if chassis.terminals.supply(row) is None else ", IEPE"
+        for terminal, bench_index in zip(module.channel_names("ai"), module.inputs, strict=True):
+            info = chassis.bench.channels[bench_index]
+            supply_note = "" if chassis.terminals.supply(bench_index) is None else ", IEPE"
             lines.append(
                 f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{supply_note}"
             )
-        for terminal, row in zip(module.channel_names("ao"), module.outputs, strict=True):
-            lines.append(f"  {terminal}: {describe_output(chassis.bench.scene, row + 1)}")
+        for terminal, bench_index in zip(module.channel_names("ao"), module.outputs, strict=True):
+            lines.append(f"  {terminal}: {describe_output(chassis.bench.scene, bench_index + 1)}")
     channel_function = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     credentials_argument = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
     return "\n".join([*lines, *starter_script(chassis, f'{channel_function}("{address}"{credentials_argument})')])

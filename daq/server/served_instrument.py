@@ -46,8 +46,8 @@ class ServedInstrument:
 
     def _teds_of_sensor(self, port: Port) -> bytes | None:
         module = self.chassis.devices.module(port.device)
-        channel_index = module.row("ai", port.number)
-        return self.chassis.terminals.teds(channel_index) if module.teds else None
+        bench_index = module.bench_index("ai", port.number)
+        return self.chassis.terminals.teds(bench_index) if module.teds else None
 
     def check_size(self, size: int) -> None:
         """Raise `DaqError` -200077 if a response of that size, bytes, is too large."""

@@ -38,7 +38,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     statements: list[str] = []
     for module in in_task:
         # Neighboring inputs with equal settings are created by one statement.
-        numbered = [(_create_channel(chassis, module, row), number) for number, row in enumerate(module.inputs)]
+        numbered = [(_create_channel(chassis, module, index), number) for number, index in enumerate(module.inputs)]
         for statement, group in groupby(numbered, key=lambda pair: pair[0]):
             numbers = [number for _, number in group]
             number_range = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
@@ -59,10 +59,10 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
     ]
 
 
-def _create_channel(chassis: Chassis, module: Module, row: int) -> str:
-    """Return the statements that create the input `row` of the bench, with a placeholder for the terminal."""
-    info = chassis.bench.channels[row]
-    needs_supply, current = chassis.terminals.supply(row) is not None, module.currents[0]
+def _create_channel(chassis: Chassis, module: Module, bench_index: int) -> str:
+    """Return the statements that create an input, with a placeholder for the terminal."""
+    info = chassis.bench.channels[bench_index]
+    needs_supply, current = chassis.terminals.supply(bench_index) is not None, module.currents[0]
     if info.quantity in _SENSORS:
         function, unit, factor = _SENSORS[info.quantity]
         supply = f"INTERNAL, current_excit_val={current!r}" if needs_supply else "NONE"
@@ -97,13 +97,13 @@ def report_missing_excitation(chassis: Chassis) -> None:
     reported: set[int] = set()
 
     def check(channels: Sequence[Channel]) -> None:
-        unsupplied = [channel for channel in channels if chassis.terminals.supply(channel.row) == 0.0]
-        unreported = {channel.row: channel for channel in unsupplied if channel.row not in reported}
+        unsupplied = [channel for channel in channels if chassis.terminals.supply(channel.bench_index) == 0.0]
+        unreported = {channel.bench_index: channel for channel in unsupplied if channel.bench_index not in reported}
         if not unreported:
             return
         reported.update(unreported)
         infos = chassis.bench.channels
-        inputs = ", ".join(f"{channel.port.name} ({infos[row].name})" for row, channel in unreported.items())
+        inputs = ", ".join(f"{channel.port.name} ({infos[index].name})" for index, channel in unreported.items())
         current = next(iter(unreported.values())).module.currents[0]
         # A closed terminal must not cause an error in the client.
         with suppress(OSError):

@@ -144,21 +144,21 @@ class SimulatedSignals:
         """See `Terminals.is_idle`."""
         return True
 
-    def supply(self, row: int) -> float | None:
+    def supply(self, bench_index: int) -> float | None:
         """See `Terminals.supply`."""
         return None
 
-    def teds(self, row: int) -> bytes | None:
+    def teds(self, bench_index: int) -> bytes | None:
         """See `Terminals.teds`."""
         return None
 
     def set_conditioning(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """See `Terminals.set_conditioning`."""
         for channel in channels:
-            self._low_volts[channel.row] = channel.settings["ai_min"] * channel.volts_per_unit
-            self._high_volts[channel.row] = channel.settings["ai_max"] * channel.volts_per_unit
+            self._low_volts[channel.bench_index] = channel.settings["ai_min"] * channel.volts_per_unit
+            self._high_volts[channel.bench_index] = channel.settings["ai_max"] * channel.volts_per_unit
 
-    def filter_properties(self, row: int, rate: float | None) -> dict[str, Any]:
+    def filter_properties(self, bench_index: int, rate: float | None) -> dict[str, Any]:
         """See `Terminals.filter_properties`."""
         return {"ai_filter_delay": 0.0, "ai_remove_filter_delay": True}
 

@@ -109,12 +109,12 @@ class Module:
         count = len(self.inputs if direction == "ai" else self.outputs)
         return [f"{self.name}/{direction}{number}" for number in range(count)]
 
-    def row(self, direction: str, number: int) -> int:
+    def bench_index(self, direction: str, number: int) -> int:
         """Return the index of the bench's channel or output at a terminal; `DaqError` -200170 without this terminal."""
-        rows = {"ai": self.inputs, "ao": self.outputs}.get(direction, ())
-        if not 0 <= number < len(rows):
+        bench_indices = {"ai": self.inputs, "ao": self.outputs}.get(direction, ())
+        if not 0 <= number < len(bench_indices):
             raise self.channel_error(direction, number)
-        return rows[number]
+        return bench_indices[number]
 
     def unsupported_measurement_error(self, where: str) -> DaqError:
         """Return the error for a measurement that the device does not support (-200431)."""

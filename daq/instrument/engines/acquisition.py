@@ -27,7 +27,7 @@ EventTick = Callable[[OtherTask], int | None]
 class InputPlan:
     """The settings of an acquisition."""
 
-    rows: tuple[int, ...]  # index of each channel of the task among the channels of the bench
+    bench_indices: tuple[int, ...]  # indices of the task's channels among those of the bench
     factors: NDArray[np.float64]  # reading per count (or per volt, if samples are volts), shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
@@ -62,14 +62,14 @@ class Acquisition:
 
     def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
-        self.ring = RingBuffer(len(plan.rows), 2 * plan.buffer_size, dtype)
-        self.overloads = RingBuffer(len(plan.rows), 2 * plan.buffer_size, bool)  # flag of each sample
+        self.ring = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, dtype)
+        self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # flag of each sample
         self.position = 0  # read position: number of the sample that is read next
         self.first_instant: int | None = None  # of the present record; None before the start trigger
         self.trigger_sample: int | None = None  # number of the sample at the reference trigger; None before it
         self.done = False  # complete, or stopped by `error`
         self.error: DaqError | None = None
-        self.overloaded = np.zeros(len(plan.rows), bool)  # flag of each channel since it was last queried
+        self.overloaded = np.zeros(len(plan.bench_indices), bool)  # flag of each channel since it was last queried
         self._has_overflowed = False
         self._first_unreported = 0  # number of the first sample that has not been reported as lost
         self._record_start = 0  # number of the first sample of the present record
@@ -181,8 +181,8 @@ class Acquisition:
 
         `instant` is that of the first sample; blocks are contiguous.
         """
-        rows = list(self.plan.rows)
-        selected, flags = samples[rows], overload[rows]
+        bench_indices = list(self.plan.bench_indices)
+        selected, flags = samples[bench_indices], overload[bench_indices]
         # A filter delays samples, so that the first samples of the block may be older than the start of the task.
         offset, count = max(0, self.armed_instant - instant), selected.shape[1]
         while offset < count and not self.done:

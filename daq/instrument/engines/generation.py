@@ -58,7 +58,7 @@ class OutputBuffer:
 class OutputPlan:
     """The settings of a generation."""
 
-    rows: tuple[int, ...]  # index of each channel of the task among the outputs of the bench
+    bench_indices: tuple[int, ...]  # indices of the task's channels among the outputs of the bench
     tick_rate: float  # ticks of the bench per second
     per_tick: Fraction  # samples per tick
     samples: int | None  # samples per channel of a finite generation; None for a continuous generation

@@ -231,7 +231,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
     with these settings.
     """
     settings = task.groups["read"]
-    infos = [replace(bench.channels[row], rate=plan.rate) for row in plan.rows]
+    infos = [replace(bench.channels[bench_index], rate=plan.rate) for bench_index in plan.bench_indices]
     names = [channel.name for channel in task.channels]
 
     def open_file(path: Path, first: int) -> _File:

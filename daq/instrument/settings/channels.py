@@ -72,7 +72,7 @@ class Channel:
     name: str  # name in the task, which the script may choose ("virtual name" in NI-DAQmx)
     port: Port  # the physical channel (terminal), by its name in the script
     module: Module
-    row: int  # index of the bench's channel or output at the terminal
+    bench_index: int  # index of the bench's channel or output at the terminal
     measurement: Measurement | None  # None for an output
     defaults: dict[str, Any]  # by NI's names of the properties
     settings: dict[str, Any]  # by NI's names of the properties
@@ -86,7 +86,7 @@ class Channel:
 
         Raises `DaqError` -200170 if the terminal does not exist, and the errors of `check`.
         """
-        row, defaults = module.row("ao" if measurement is None else "ai", port.number), dict(_OUTPUT)
+        bench_index, defaults = module.bench_index("ao" if measurement is None else "ai", port.number), dict(_OUTPUT)
         if measurement is not None:
             defaults = _INPUT | measurement.defaults()
             # AC coupling is the default if the module supplies the sensor and its supply requires AC coupling.
@@ -101,7 +101,7 @@ class Channel:
             # Peak of a sine with this RMS level; the reference is 20 uPa.
             limit = 20e-6 * 10 ** (level_db / 20) * math.sqrt(2)
             given = {"ai_min": -limit, "ai_max": limit, **given}
-        channel = cls(name, port, module, row, measurement, defaults, defaults | dict(given))
+        channel = cls(name, port, module, bench_index, measurement, defaults, defaults | dict(given))
         channel.check()
         return channel
 

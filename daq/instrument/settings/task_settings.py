@@ -139,7 +139,8 @@ class TaskSettings:
                     Code.VIRTUAL_CHAN_NAME_USED,
                 )
             channel = Channel.declare(virtual_name, port, module, measurement, settings)
-            if direction == "ao" and channel.row in [channel.row for channel in (*self.channels, *added)]:
+            used_indices = [other.bench_index for other in (*self.channels, *added)]
+            if direction == "ao" and channel.bench_index in used_indices:
                 raise DaqError(
                     f"{port.name} is already in the task. Add each output only once.", Code.CHAN_ALREADY_IN_TASK
                 )

@@ -2,7 +2,7 @@
 
 This module uses internals of numba. A compiled function that a kernel calls (a callee) gets no wrapper for Python, is
 optimized only in its callers, and is compiled once for each type, not for each constant. Kernels create no arrays, so
-they need no reference counting (`_nrt`), and numba need not be initialized for it when they are loaded.
+they need no reference counting (`_nrt`), and are loaded without a refresh of numba's registries.
 """
 
 import functools

@@ -30,7 +30,8 @@ N_BORDER_KINDS = 9  # number of these kinds
 def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
     """Return the lowest minimum between instants of offset + sign * guard, or infinity if there is none.
 
-    The guard is that of damper j in segment s of the track, from instant `first` on.
+    The guard is that of damper j in segment s of the track, from instant `first` on. The last index of `Track.guards`
+    is the order of the derivative.
     """
     guard = track.guards[s, :, j]
     step = track.times[s, 1] - track.times[s, 0]
@@ -91,7 +92,7 @@ def _finite_contact_margins(
     """
     events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]
-    overlapped_wall = 0
+    overlapped_wall = 0  # none
     segments = track.times.shape[0]
     # s: segment in `track`; k: the same in `sequence`.
     for visit in range(2 * segments):
@@ -114,8 +115,8 @@ def _finite_contact_margins(
         # `first_free`: first instant of the segment at which the damper does not overlap a wall.
         first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and first_free < guard.shape[0]:
-            sign, height = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
-            overlap, closing_speed = sign * (guard[first_free, 0] - height), sign * guard[first_free, 1]
+            sign, wall_gap = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
+            overlap, closing_speed = sign * (guard[first_free, 0] - wall_gap), sign * guard[first_free, 1]
             if overlap <= 0.0 and first_free > 0:
                 overlapped_wall = 0
                 break
@@ -193,9 +194,9 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             continue
         separates = kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION)
         left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
-        ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
+        at_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
         is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
-        away_sign = -1.0 if ceiling else 1.0
+        away_sign = -1.0 if at_ceiling else 1.0
         if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
             # The gap's curvature right after the event must lead away from the wall.
             _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acceleration_unit)
@@ -209,9 +210,11 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 body = body_of[i]
                 coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
                 if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
-                    speed_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
+                    velocity_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
-                    _reduce_margin(distances, SEPARATED_BY_IMPACT, i, sign * speed_change * omega / acceleration_unit)
+                    _reduce_margin(
+                        distances, SEPARATED_BY_IMPACT, i, sign * velocity_change * omega / acceleration_unit
+                    )
         if separates:
             # At zero flight time the equations are singular, so a curve ends before.
             next_event = (event + 1) % events
@@ -219,7 +222,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 next_event = (next_event + 1) % events
             next_period = equations.period if next_event <= event else 0.0
             flight_time = instants[next_event] - instants[event] + next_period
-            if sequence.kind[next_event] == (kinds.CEILING if ceiling else kinds.FLOOR):
+            if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.gap_coordinate[j] >= 0:

@@ -30,7 +30,7 @@ from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_for
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
 #: Continuation parameters, with their kinds of quantity.
 PARAMETERS: dict[str, Kind] = {"frequency": FREQUENCY, "force": FORCE, "clearance": LENGTH, "mass_ratio": RATIO}
-#: Axis label of each parameter, and number of its units per SI unit.
+#: Axis label of each parameter, and factor from SI to the unit of the axis.
 AXES = {
     "frequency": ("frequency / Hz", 1.0),
     "force": ("force / N", 1.0),
@@ -147,7 +147,7 @@ class OrbitProblem:
         return assemble(self.scene.replace(dampers=dampers))
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
-        """Return the complex amplitude of each input for a sine with zero phase at t = 0."""
+        """Return the complex amplitude of each input for a level that is a sine with zero phase at t = 0."""
         amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
         amplitudes[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
@@ -156,7 +156,7 @@ class OrbitProblem:
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
-        """Return the equations of motion in a plan's configurations, and their derivatives (by the parameter)."""
+        """Return the equations of motion in a plan's configurations, and their derivatives by a parameter."""
         system, mass_factor = self.varied_system(setting), setting.mass_ratio
         # nq coordinates and n states. The augmented state z = (state, cos wt, sin wt, 1) obeys z' = generator z.
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
@@ -167,8 +167,9 @@ class OrbitProblem:
         generator, generator_derivative = np.zeros((2, len(plan.configurations), n + 3, n + 3))
         generator[:, :n, :n] = matrices.state_matrix
         generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
         generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
+        # Dampers with finite-duration contact that have a ceiling.
+        has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
         if has_contact_ceiling.any():
             generator[:, nq : 2 * nq, n + 2] += (
                 matrices.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]

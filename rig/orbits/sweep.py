@@ -209,10 +209,10 @@ def orbit_response(
     >>> response.motion_type.tolist(), bool(response.simulated.any())
     (['III', 'II', 'II'], False)
     """
-    points = parameter_values(parameter, values)
+    si_values = parameter_values(parameter, values)
     problem = OrbitProblem(scene_of(scene))
-    base = problem.setting(base_frequency(parameter, frequency, float(points[0])))
-    return sweep(problem, base, parameter, points, progress)
+    base = problem.setting(base_frequency(parameter, frequency, float(si_values[0])))
+    return sweep(problem, base, parameter, si_values, progress)
 
 
 def sweep(

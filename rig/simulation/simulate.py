@@ -164,9 +164,9 @@ def simulate(
     system = assemble(scene)
     _check_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
-    grains = bool(system.grains.any())
+    has_grains = bool(system.grains.any())
     tone = None if drive is not None else tone_drive(scene, system, frequency)
-    if tone is not None and not grains:
+    if tone is not None and not has_grains:
         _check_memory(system, duration * (rate + tone.frequency))
         return _simulate_tone(scene, system, tone, duration, samples, rate)
     if drive is None and samples < 2:
@@ -174,21 +174,21 @@ def simulate(
             f"duration: got {duration:g} s, less than a sample interval at {rate:g} Hz; "
             f"expected at least {1.0 / rate:g} s"
         )
-    if grains and tone is not None:
+    if has_grains and tone is not None:
         return _simulate_grains(scene, tone, samples, rate, keep, progress)
-    sampled = sampled_drive(scene, system, samples, rate) if drive is None else _sampled_drive(drive, system)
-    if grains:
+    sampled = sampled_drive(scene, system, samples, rate) if drive is None else _validated_drive(drive, system)
+    if has_grains:
         return _simulate_grains(scene, sampled, sampled.shape[1], rate, keep, progress)
     return _simulate_sampled(scene, system, sampled, rate)
 
 
 def _check_memory(system: HybridSystem, instants: float) -> None:
     """Reject a run whose motion at a number of instants exceeds the memory limit."""
-    numbers = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
-    require_memory(8.0 * numbers * instants, f"a motion of {instants:.3g} instants")
+    values_per_instant = 3 * system.states + 3 * len(system.points) + 4 * len(system.damper_mass) + 16
+    require_memory(8.0 * values_per_instant * instants, f"a motion of {instants:.3g} instants")
 
 
-def _sampled_drive(drive: ArrayLike, system: HybridSystem) -> Array:
+def _validated_drive(drive: ArrayLike, system: HybridSystem) -> Array:
     """Check a user's drive; return it as an array (inputs, samples)."""
     block = validate_drive(drive, system.inputs)
     if block.shape[1] < 2:

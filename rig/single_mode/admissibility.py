@@ -27,20 +27,21 @@ class Batch:
 
     kind: MotionType  # 'I', 'II' or 'III'
     unknowns: Array  # shape (4 + instants, solutions)
-    setting: MotionParameters  # Fields of shape (solutions,)
+    parameters: MotionParameters  # Fields of shape (solutions,)
 
     @property
     def motion(self) -> PeriodicMotion:
         """All motions of the batch."""
-        return PeriodicMotion(self.kind, self.unknowns, self.setting)
+        return PeriodicMotion(self.kind, self.unknowns, self.parameters)
 
     def select(self, indices: NDArray[np.int64]) -> PeriodicMotion:
         """Return the motions of selected solutions; indices may repeat."""
         return PeriodicMotion(
-            self.kind, self.unknowns[:, indices], MotionParameters(*(field[indices] for field in self.setting))
+            self.kind, self.unknowns[:, indices], MotionParameters(*(field[indices] for field in self.parameters))
         )
 
 
+# motion, phase, time after the start of the phase -> value and rate of a quantity
 Quantity = Callable[[PeriodicMotion, MotionPhase, Array], tuple[Array, Array]]
 
 
@@ -56,7 +57,7 @@ def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[A
     return state.q, state.u
 
 
-def _contact(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
+def _contact_force(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
     """Return the contact force per damper mass, q'' + 1, and its rate; the force is negative at the ceiling."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
@@ -70,7 +71,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     motion = batch.motion
     phase = motion.phases[index]
     # At least 24 samples per cycle of the faster oscillation.
-    samples = 48 + int(24 * max(1.0, float(np.max(1 / batch.setting.ratio))))
+    samples = 48 + int(24 * max(1.0, float(np.max(1 / batch.parameters.ratio))))
     t = np.linspace(0.0, 1.0, samples)[:, None] * phase.duration
     value, slope = quantity(motion, phase, t)
     low, high = value.min(axis=0), value.max(axis=0)
@@ -100,7 +101,7 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
 
     instants = np.concatenate([np.zeros((1, reasons.size)), motion.instants, np.full((1, reasons.size), PERIOD)])
     record_flaw((np.diff(instants, axis=0) <= 0).any(axis=0), "events out of order")
-    record_flaw(extremes(batch, 0, _contact)[0] < -MAX_ROUNDING_ERROR, "leaves the floor early")
+    record_flaw(extremes(batch, 0, _contact_force)[0] < -MAX_ROUNDING_ERROR, "leaves the floor early")
     record_flaw(_initial_jerk(motion, 1) > MAX_ROUNDING_ERROR, "does not leave the floor")
     low, high = extremes(batch, 1, _gap)
     record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
@@ -113,7 +114,7 @@ def flaws(batch: Batch) -> NDArray[np.str_]:
             )
             record_flaw(acceleration < -1 - MAX_ROUNDING_ERROR, "stays at the ceiling")
         else:
-            record_flaw(extremes(batch, 2, _contact)[1] > MAX_ROUNDING_ERROR, "leaves the ceiling early")
+            record_flaw(extremes(batch, 2, _contact_force)[1] > MAX_ROUNDING_ERROR, "leaves the ceiling early")
             record_flaw(_initial_jerk(motion, 3) < -MAX_ROUNDING_ERROR, "does not leave the ceiling")
         low, high = extremes(batch, len(motion.phases) - 1, _gap)
         record_flaw(low < -MAX_ROUNDING_ERROR, "hits the floor early")
@@ -133,7 +134,7 @@ def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
     Each phase is integrated by Gauss-Legendre quadrature with enough nodes for rounding accuracy.
     """
     motion = batch.motion
-    fastest = max(1.0, float(np.max(1 / batch.setting.ratio)))
+    fastest = max(1.0, float(np.max(1 / batch.parameters.ratio)))
     nodes, weights = np.polynomial.legendre.leggauss(32 + int(8 * fastest))
     total = np.zeros(batch.unknowns.shape[1], dtype=np.complex128)
     for phase in motion.phases:
@@ -179,7 +180,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
     """Return the saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
-    mu = motion.setting.mass_ratio
+    mu = motion.parameters.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     # Rows of the reset map on (q, u, y, v): positions are continuous, and both velocities become the common velocity.
     q_row, y_row = [ones, zeros, zeros, zeros], [zeros, zeros, ones, zeros]

@@ -248,8 +248,8 @@ def _motions_with_short_stay(mode: SingleMode, curves: list[continuation.Curve])
     located = []
     for curve in curves:
         points = curve.points.T
-        setting = MotionParameters(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
-        stays_at_ceiling = flaws(Batch("II", points[:-1], setting)) == "stays at the ceiling"
+        parameters = MotionParameters(*(np.broadcast_to(f, points.shape[1:]) for f in dimensionless(mode, points[-1])))
+        stays_at_ceiling = flaws(Batch("II", points[:-1], parameters)) == "stays at the ceiling"
         borders = np.flatnonzero(stays_at_ceiling[:-1] != stays_at_ceiling[1:])
         for i in (int(b) + int(stays_at_ceiling[b + 1]) for b in borders):
             x, ratio = curve.points[i], float(curve.points[i, -1])
@@ -269,11 +269,11 @@ def _motions_with_short_stay(mode: SingleMode, curves: list[continuation.Curve])
 
 def _scale(mode: SingleMode, kind: MotionType) -> Array:
     """Return the scale of the unknowns and of the frequency ratio, for the arclength."""
-    setting = dimensionless(mode, 1.0)
-    amplitude = max(1.0, setting.force)
+    parameters = dimensionless(mode, 1.0)
+    amplitude = max(1.0, parameters.force)
     # Relative width of the resonance, or its shift by the damper.
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
-    return np.array([amplitude, amplitude, setting.force, setting.force, *[1.0] * INSTANTS[kind], 5 * width])
+    return np.array([amplitude, amplitude, parameters.force, parameters.force, *[1.0] * INSTANTS[kind], 5 * width])
 
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
@@ -315,8 +315,8 @@ def _branch(mode: SingleMode, kind: MotionType, curve: continuation.Curve) -> Br
     """Evaluate response, admissibility and stability at every point of a curve."""
     points = curve.points.T
     ratio = points[-1]
-    setting = MotionParameters(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
-    batch = Batch(kind, points[:-1], setting)
+    parameters = MotionParameters(*(np.broadcast_to(f, ratio.shape) for f in dimensionless(mode, ratio)))
+    batch = Batch(kind, points[:-1], parameters)
     length = mode.gravity / (2 * np.pi * mode.frequency * ratio) ** 2
     # A positive force is sin(tau - phi) = Re(-i exp(-i phi) exp(i tau)). If the participation is negative, the
     # force on the modal coordinate has the opposite sign.

@@ -39,7 +39,7 @@ def ordering_margins(kind: MotionType, instants: Array) -> Array:
     return np.array([durations[0], flights.min() - MIN_FLIGHT_RAD, *stay])
 
 
-def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> tuple[Array, Array]:
+def eliminate(kind: MotionType, instants: Array, parameters: MotionParameters) -> tuple[Array, Array]:
     """Solve the first four conditions for given instants, and evaluate the remaining conditions.
 
     `kind`: motion type, 'I', 'II' or 'III'; `instants`, shape (instants, batch); complex values are allowed, for
@@ -49,20 +49,20 @@ def eliminate(kind: MotionType, instants: Array, setting: MotionParameters) -> t
     """
     # The affine conditions are evaluated at zero and at the four unit vectors, to obtain their matrix.
     trials = np.concatenate([np.zeros((4, 1, 1)), np.eye(4)[:, :, None]], axis=1)
-    values = PeriodicMotion(kind, [*trials, *instants], setting).affine_conditions()
+    values = PeriodicMotion(kind, [*trials, *instants], parameters).affine_conditions()
     matrix = np.moveaxis(values[:4, 1:] - values[:4, :1], 2, 0)
     with np.errstate(all="ignore"):
         amplitudes = _solve(matrix, -values[:4, 0].T)
         unknowns = np.concatenate([amplitudes.T, instants])
-        motion = PeriodicMotion(kind, unknowns, setting)
+        motion = PeriodicMotion(kind, unknowns, parameters)
         residuals = list(motion.affine_conditions()[4:])
         if kind != "I":
             residuals.append(motion.ceiling_gap() - motion.clearance)
-        residuals.append(0.5 * np.log((motion.a**2 + motion.b**2) / setting.force**2))
+        residuals.append(0.5 * np.log((motion.a**2 + motion.b**2) / parameters.force**2))
     return unknowns, np.array(residuals)
 
 
-def solutions(kind: MotionType, setting: MotionParameters) -> Array:
+def solutions(kind: MotionType, parameters: MotionParameters) -> Array:
     """Compute all solutions of one type at one frequency, including inadmissible motions.
 
     `kind`: motion type, 'I', 'II' or 'III'. Returns shape (solutions, 4 + instants), unknowns as in
@@ -74,7 +74,7 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Array:
     # Cells across the diagonal are included, so that short stays and flights are not missed.
     ordered = (np.diff(instants, axis=0) > -3 * grid[0]).all(axis=0)
     residuals = np.full(instants.shape, np.nan)
-    residuals[:, ordered] = eliminate(kind, instants[:, ordered], setting)[1]
+    residuals[:, ordered] = eliminate(kind, instants[:, ordered], parameters)[1]
     cells = np.ones([points - 1] * count, dtype=bool)
     corners = list(product((slice(None, -1), slice(1, None)), repeat=count))
     for equation in residuals:
@@ -82,17 +82,17 @@ def solutions(kind: MotionType, setting: MotionParameters) -> Array:
         cells &= (np.min(values, axis=0) < 0) & (np.max(values, axis=0) > 0)
     starts = np.array([grid[index] for index in np.nonzero(cells)]) + grid[0]
     distinct: list[Array] = []
-    for candidate in _refine(kind, starts, setting).T:
+    for candidate in _refine(kind, starts, parameters).T:
         if (ordering_margins(kind, candidate) > 0).all() and not any(
             np.allclose(candidate, solution, rtol=0, atol=1e-6) for solution in distinct
         ):
             distinct.append(candidate)
     if not distinct:
         return np.empty((0, 4 + count))
-    return eliminate(kind, np.array(distinct).T, setting)[0].T
+    return eliminate(kind, np.array(distinct).T, parameters)[0].T
 
 
-def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Array:
+def _refine(kind: MotionType, instants: Array, parameters: MotionParameters) -> Array:
     """Solve the remaining equations from many starts (columns) at once; return the converged instants."""
     count = instants.shape[0]
     max_step = PERIOD / _GRID[kind]  # one cell
@@ -101,7 +101,7 @@ def _refine(kind: MotionType, instants: Array, setting: MotionParameters) -> Arr
             break
         batch = instants.shape[1]
         shifted = (instants[:, None] + 1e-40j * np.eye(count)[:, :, None]).reshape(count, -1)
-        residuals = eliminate(kind, shifted, setting)[1].reshape(count, count, batch)
+        residuals = eliminate(kind, shifted, parameters)[1].reshape(count, count, batch)
         slopes = np.moveaxis(residuals.imag / 1e-40, 2, 0)
         steps = _solve(slopes, -residuals[:, 0].real.T).T
         step_size = np.abs(steps).max(axis=0)

@@ -79,12 +79,12 @@ class PeriodicMotion:
     """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
     `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants,
-    which broadcast against each other; `setting`: parameters, which broadcast against unknowns[0].
+    which broadcast against each other; `parameters`, which broadcast against unknowns[0].
     """
 
-    def __init__(self, kind: MotionType, unknowns: Array | Sequence[Array], setting: MotionParameters) -> None:
+    def __init__(self, kind: MotionType, unknowns: Array | Sequence[Array], parameters: MotionParameters) -> None:
         self.kind = kind
-        self.setting = setting
+        self.parameters = parameters
         q, u, self.a, self.b = (np.asarray(value) for value in unknowns[:4])
         self.instants = unknowns[4:]
         take_off = self.instants[0]
@@ -115,16 +115,16 @@ class PeriodicMotion:
     @property
     def clearance(self) -> Array:
         """Clearance in units of g/w^2."""
-        return np.asarray(self.setting.clearance * self.setting.ratio**2)
+        return np.asarray(self.parameters.clearance * self.parameters.ratio**2)
 
     def common_velocity(self, state: ModeState) -> Array:
         """Return the velocity after a plastic impact."""
-        mu = self.setting.mass_ratio
+        mu = self.parameters.mass_ratio
         return (state.u + mu * state.v) / (1 + mu)
 
     def _oscillator(self, phase: MotionPhase) -> tuple[Any, Any, Any]:
         """Return inertia, decay rate, and stiffness per inertia (squared natural frequency) in a phase."""
-        r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
+        r, zeta, mu = self.parameters.ratio, self.parameters.damping, self.parameters.mass_ratio
         inertia = 1 + mu if phase.riding else 1.0
         return inertia, zeta / (r * inertia), 1 / (r * r * inertia)
 
@@ -132,7 +132,7 @@ class PeriodicMotion:
         """Compute the free response at time `t`: q for unit q and unit q', then q' for unit q and unit q'."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
         # sqrt(stiffness_per_inertia - decay**2); the direct difference may round to zero near critical damping.
-        damped_frequency = np.sqrt(inertia - self.setting.damping**2) / (self.setting.ratio * inertia)
+        damped_frequency = np.sqrt(inertia - self.parameters.damping**2) / (self.parameters.ratio * inertia)
         envelope = np.exp(-decay * t)
         cosine = envelope * np.cos(damped_frequency * t)
         sine = envelope * np.sin(damped_frequency * t) / damped_frequency
@@ -158,7 +158,7 @@ class PeriodicMotion:
         u = u_q * q0 + u_u * u0 + u_c * cos_part + u_s * sin_part
         if phase.riding:
             # The weight of the riding mass is the constant -gamma_i of Eq. 9.
-            weight = -self.setting.mass_ratio / inertia
+            weight = -self.parameters.mass_ratio / inertia
             q = q + weight * (1 - q_q) / stiffness_per_inertia
             u = u + weight * q_u
             return ModeState(q, u, q + phase.riding_gap, u)
@@ -166,14 +166,14 @@ class PeriodicMotion:
 
     def acceleration(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Compute the second derivative of q at time `t` after the start of a phase."""
-        r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
+        r, zeta, mu = self.parameters.ratio, self.parameters.damping, self.parameters.mass_ratio
         sin_part, cos_part = self._local_force(phase.start_time)
         force = sin_part * np.sin(t) + cos_part * np.cos(t) - 2 * zeta / r * state.u - state.q / r**2
         return (force - mu) / (1 + mu) if phase.riding else force
 
     def jerk(self, phase: MotionPhase, t: Array, state: ModeState) -> Array:
         """Compute the third derivative of q at time `t` after the start of a phase."""
-        r, zeta, mu = self.setting.ratio, self.setting.damping, self.setting.mass_ratio
+        r, zeta, mu = self.parameters.ratio, self.parameters.damping, self.parameters.mass_ratio
         sin_part, cos_part = self._local_force(phase.start_time)
         acceleration = self.acceleration(phase, t, state)
         force = sin_part * np.cos(t) - cos_part * np.sin(t) - 2 * zeta / r * acceleration - state.u / r**2
@@ -216,24 +216,24 @@ class PeriodicMotion:
         if self.kind != "I":
             conditions.append(self.ceiling_gap() - self.clearance)  # Eq. 16: the damper is d_j above the body
         # The force condition is divided by F, so that all conditions have similar magnitudes.
-        force = self.setting.force
+        force = self.parameters.force
         conditions.append((self.a**2 + self.b**2) / force - force)
         return np.array(conditions)
 
 
-def jacobian(kind: MotionType, unknowns: Array, setting: MotionParameters, parameter: str) -> tuple[Array, Array]:
+def jacobian(kind: MotionType, unknowns: Array, parameters: MotionParameters, parameter: str) -> tuple[Array, Array]:
     """Compute the conditions and their derivatives with respect to the unknowns and one parameter.
 
     The complex-step derivative Im f(x + i h)/h has no cancellation, so it is exact to rounding for a very small h.
 
     `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
-    field of `setting`. Returns the conditions, shape (n,), and their derivatives, shape (n, n + 1), with one column for
-    each unknown and the last for the parameter.
+    field of `parameters`. Returns the conditions, shape (n,), and their derivatives, shape (n, n + 1), with one column
+    for each unknown and the last for the parameter.
     """
     n = len(unknowns)
     step = 1e-40
     shifted = unknowns[:, None] + 1j * step * np.eye(n, n + 1)
-    parameter_values = np.full(n + 1, complex(getattr(setting, parameter)))
+    parameter_values = np.full(n + 1, complex(getattr(parameters, parameter)))
     parameter_values[n] += 1j * step
-    values = PeriodicMotion(kind, shifted, setting._replace(**{parameter: parameter_values})).conditions()
+    values = PeriodicMotion(kind, shifted, parameters._replace(**{parameter: parameter_values})).conditions()
     return values[:, 0].real, values.imag / step

@@ -148,16 +148,16 @@ def test_type_ii_ends_where_type_iii_begins() -> None:
 
 @pytest.mark.parametrize("kind", ["I", "II", "III"])
 def test_jacobian_equals_finite_differences(kind: MotionType) -> None:
-    setting = dimensionless(single_damper().mode, 0.97)
+    parameters = dimensionless(single_damper().mode, 0.97)
     # Any q_0, q'_0, a, b, and instants in order.
     unknowns = np.array([0.3, -1.2, 0.1, 0.25, 0.8, 2.9, 3.6])[: 4 + INSTANTS[kind]]
 
-    values, slopes = jacobian(kind, unknowns, setting, "ratio")
+    values, slopes = jacobian(kind, unknowns, parameters, "ratio")
 
     def conditions(x: np.ndarray) -> np.ndarray:
-        return PeriodicMotion(kind, x[:-1], setting._replace(ratio=x[-1])).conditions()
+        return PeriodicMotion(kind, x[:-1], parameters._replace(ratio=x[-1])).conditions()
 
-    x = np.append(unknowns, setting.ratio)
+    x = np.append(unknowns, parameters.ratio)
     numerical = np.array([(conditions(x + step) - conditions(x - step)) / 2e-6 for step in 1e-6 * np.eye(len(x))]).T
     np.testing.assert_allclose(values, conditions(x), rtol=1e-13)
     np.testing.assert_allclose(slopes, numerical, rtol=1e-7, atol=1e-7)
@@ -281,8 +281,8 @@ def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
     mode = single_damper().mode
     branch = branches(single_damper(), kind)[0]
     (i,) = sample_points(branch, 1)
-    setting = dimensionless(mode, branch.frequency[i] / mode.frequency)
-    motion = PeriodicMotion(kind, branch.unknowns[:, i], setting)
+    parameters = dimensionless(mode, branch.frequency[i] / mode.frequency)
+    motion = PeriodicMotion(kind, branch.unknowns[:, i], parameters)
     omega = 2 * np.pi * branch.frequency[i]
     length = mode.gravity / omega**2
 
@@ -305,9 +305,9 @@ def test_input_energy_equals_damping_and_impact_losses(kind: str) -> None:
 
 
 def test_type_i_that_hits_the_ceiling_is_inadmissible() -> None:
-    setting = dimensionless(single_damper().mode, 0.93)._replace(clearance=0.1)
-    motions = solutions("I", setting).T
-    batch = Batch("I", motions, MotionParameters(*(np.full(motions.shape[1], value) for value in setting)))
+    parameters = dimensionless(single_damper().mode, 0.93)._replace(clearance=0.1)
+    motions = solutions("I", parameters).T
+    batch = Batch("I", motions, MotionParameters(*(np.full(motions.shape[1], value) for value in parameters)))
 
     assert set(flaws(batch)) == {"hits the ceiling early"}
 

@@ -255,8 +255,8 @@ def export(
         return
     with open_recording(file) as recording:
         segment = Slice.of(recording, channel, start, stop)
-        size = expected_bytes(segment, kind_of(output))
-        print(f"writing {output}: about {size / 1e6:.3g} MB", file=sys.stderr)
+        n_bytes = expected_bytes(segment, kind_of(output))
+        print(f"writing {output}: about {n_bytes / 1e6:.3g} MB", file=sys.stderr)
         with count_progress("exporting") as progress:
             lines = export_segment(segment, output, speed, overwrite, progress)
     for line in lines:
@@ -289,12 +289,12 @@ def cost(
     from rig.output_files import create_folder
     from rig.provenance import output_source, reject_foreign_files
 
-    setting = load_scene(scene, changes)
+    loaded_scene = load_scene(scene, changes)
     create_folder(output)
-    with allow_overwriting(overwrite), output_source("chain-cost", setting.to_yaml()):
-        reject_foreign_files(*output_files(setting, output))
+    with allow_overwriting(overwrite), output_source("chain-cost", loaded_scene.to_yaml()):
+        reject_foreign_files(*output_files(loaded_scene, output))
         with count_progress("recording and analyzing") as progress:
-            study = chain_study(setting, frequency, progress)
+            study = chain_study(loaded_scene, frequency, progress)
         files = write(study, output)
     print(table(study))
     report_written(*files)

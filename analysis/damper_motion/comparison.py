@@ -54,13 +54,13 @@ class Peak:
 def peak(frf: Response, low: float, high: float) -> Peak | None:
     """Estimate the peak of a receptance between two frequencies.
 
-    Around a resonance 1/H is nearly quadratic in frequency (k - m w^2 + i c w for one mode). Therefore 1/H is
-    interpolated through the three points around the highest point, and through five points as a check. The bound
-    contains the bounds of these points and twice the difference of the two interpolations. It also contains twice the
-    error with which neighbors predict the points, because widely spaced points may miss the top of a peak with dampers.
-    In a test on computed curves with dampers, with one to nine points in the half-power bandwidth, the bound contained
-    the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the curve is within
-    the bound of its peak.
+    Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
+    mode). Therefore 1/H is interpolated through the three points around the highest point, and through five points as a
+    check. The bound contains the bounds of these points and twice the difference of the two interpolations. It also
+    contains twice the error with which neighbors predict the points, because widely spaced points may miss the top of a
+    peak with dampers. In a test on computed curves with dampers, with one to nine points in the half-power bandwidth,
+    the bound contained the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the
+    curve is within the bound of its peak.
 
     `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
     three points in the band.
@@ -105,16 +105,17 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
         float(grid[peak_index]),
         float(possible_frequencies.min()),
         float(possible_frequencies.max()),
-        float(magnitude[highest] - point_bound[highest]),
-        interpolation_bound,
-        float(np.diff(f[three_points]).max()),
+        lower_limit=float(magnitude[highest] - point_bound[highest]),
+        interpolation_bound=interpolation_bound,
+        step=float(np.diff(f[three_points]).max()),
     )
 
 
 def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
-    """Return the index of the highest significant local maximum, or of the highest point if there is none.
+    """Return the index of the highest point or, if that is at an end, of the highest significant local maximum.
 
-    A maximum is significant if it exceeds the minima on both sides by more than their scatter.
+    Without such a maximum, it is the highest point. A maximum is significant if it exceeds the minima on both sides by
+    more than their scatter.
     """
     highest, best_maximum = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:

@@ -29,7 +29,7 @@ COVERAGE_FACTOR = 1.96
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # Model errors of fits from random initial values, which are used if the modes lead to no solution.
 _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of the logarithms of random initial values around the values of the scene.
+# Standard deviation of the random initial values of unknowns around those of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8

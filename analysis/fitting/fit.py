@@ -103,7 +103,7 @@ class Fit(Result):
     parameters : tuple of Fitted
         Fitted values with their 95 % intervals.
     correlation : ndarray, shape (parameters, parameters)
-        Correlation coefficients of the errors of the parameters' logarithms.
+        Correlation coefficients of the errors of the parameters' logarithms (log odds of ratios below 1).
     sensitivities : mapping of str to (float, float)
         Relative deviation of the sensitivity of each sensor with a tolerance, and its 95 % bound.
     modes : tuple of Mode

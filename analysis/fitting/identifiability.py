@@ -64,8 +64,9 @@ def coupled_values(
 ) -> tuple[str, ...]:
     """Describe the values that the data do not determine, then the combinations, widest interval first.
 
-    The combinations are the principal axes of the covariance of the parameters' logarithms. `statuses`: as in `Fitted`.
-    `largest_gaps`: lower limits [m] of clearances without ceiling impacts, by the index of the parameter.
+    The combinations are the principal axes of the covariance of the parameters' unknowns (see `problem`). `statuses`:
+    as in `Fitted`. `largest_gaps`: lower limits [m] of clearances without ceiling impacts, by the index of the
+    parameter.
     """
     count, moving = len(problem.parameters), any(group.orbits is not None for group in problem.groups)
     determined = [k for k in range(count) if statuses[k] != "undetermined"]

@@ -1,9 +1,9 @@
 """The least-squares problem of a fit: unknowns, prior knowledge of them, weighted residuals and their derivatives.
 
-An *unknown* is the logarithm of a parameter, the relative deviation of a sensor's sensitivity, or that of the sample
-clock. A *group* contains the responses of one sweep or test. Where dampers move, a *periodic orbit* gives the response
-at each frequency; otherwise the response is linear. A *gap* is the distance of a damper from the floor of its cavity,
-the *clearance* its largest possible value.
+An *unknown* is the logarithm of a parameter (the log odds of a ratio below 1), the relative deviation of a sensor's
+sensitivity, or that of the sample clock. A *group* contains the responses of one sweep or test. Where dampers move, a
+*periodic orbit* gives the response at each frequency; otherwise the response is linear. A *gap* is the distance of a
+damper from the floor of its cavity, the *clearance* its largest possible value.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from rig.scene.scene import Scene
 if TYPE_CHECKING:
     from analysis.fitting.sweep_orbits import StoredOrbit, SweepOrbits
 
-# Prior standard deviation of a value's logarithm: so wide that it matters only where the data determine nothing.
+# Prior standard deviation of the unknown of a parameter: so wide that it matters only where the data determine nothing.
 PRIOR_SD = 1.0
-# Largest change of a value's logarithm from its initial value.
+# Largest change of the unknown of a parameter from its initial value.
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6
@@ -113,7 +113,7 @@ class Group:
 class Problem:
     """Unknowns of a scene, and its residuals relative to the measured curves.
 
-    The unknowns, shape (unknowns,), are those of the parameters, then the sensors, then the clock.
+    The unknowns `x`, shape (unknowns,), are those of the parameters, then the sensors, then the clock.
 
     Attributes
     ----------

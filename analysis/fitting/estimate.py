@@ -96,13 +96,14 @@ def estimate(problem: Problem, report: Report) -> Estimate:
 
 
 def _estimate_dampers(
-    problem: Problem, structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
+    problem: Problem, x_structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
     """Estimate all unknowns from several initial values of the dampers, those of the scene first; return the best.
 
     Clearances with ceiling impacts and clearances without them are different optima, so both are tried.
+    `x_structure`: unknowns with the fitted structure, if it is known from linear recordings, and the initial dampers.
     """
-    best, lowest_cost, orbit_states = structure, np.inf, [group.orbit_state() for group in damper_groups]
+    best, lowest_cost, orbit_states = x_structure, np.inf, [group.orbit_state() for group in damper_groups]
     # "" for the unknowns that do not belong to a damper.
     quantities = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
     quantities += [""] * (problem.size - len(quantities))
@@ -118,7 +119,7 @@ def _estimate_dampers(
         for group, state in zip(damper_groups, orbit_states, strict=True):
             group.restore(state)
         factors = {"mass": mass_factor, "mass_ratio": mass_factor, "clearance": clearance_factor}
-        initial = best if is_unreached else structure
+        initial = best if is_unreached else x_structure
         x = initial + np.log([factors.get(quantity, 1.0) for quantity in quantities])
         # The prior would return an unreached clearance to its initial value, so it is fixed.
         active = [k for k, quantity in enumerate(quantities) if not is_unreached or quantity != "clearance"]
@@ -126,7 +127,7 @@ def _estimate_dampers(
         first_active = [k for k in active if quantities[k] or not structure_known]
         if first_active:
             for model_error in _DAMPER_MODEL_ERRORS:
-                x = solve(problem, x, damper_groups, model_error, first_active, 6)
+                x = solve(problem, x, damper_groups, model_error, first_active, max_evaluations=6)
             problem.residual(x, damper_groups)
         # If ceiling impacts explain the curves, a trial without them that fails at half of the points is not refined.
         is_refuted = lowest_cost < _MAX_EXPLAINED_SQUARE and _robust_cost(problem, x, damper_groups) > _HALF_FAILED_COST
@@ -136,8 +137,8 @@ def _estimate_dampers(
             if not any(changed) and round_number > 0:
                 break
             model_error = _MODEL_ERRORS[-2] if round_number == 0 else _ROBUST_MODEL_ERROR
-            x = solve(problem, x, problem.groups, model_error, active, 8)
-            x = solve(problem, x, problem.groups, 0.0, active, 12)
+            x = solve(problem, x, problem.groups, model_error, active, max_evaluations=8)
+            x = solve(problem, x, problem.groups, 0.0, active, max_evaluations=12)
         cost = _robust_cost(problem, x, damper_groups)
         # A single outlier does not prove ceiling impacts, because its motion may be of another type.
         cost_of_one_outlier = _MAX_SQUARE / min(group.is_fitted.size for group in damper_groups)

@@ -44,7 +44,7 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
     for group in sweeps:
         curves = group.curves
         assert curves.level is not None
-        x = solve(problem, estimated.x, [group], 0.0, active, 8)
+        x = solve(problem, estimated.x, [group], 0.0, active, max_evaluations=8)
         jacobian = problem.jacobian(x, [group], 0.0, active)
         residuals = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(residuals**2)), 1.0)

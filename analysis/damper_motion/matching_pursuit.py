@@ -317,11 +317,9 @@ class MatchingPursuit:
     def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
         """Return the first and last window of each segment with a residual larger than a jump of this size in m/s."""
         first = self._windows()
-        above_threshold = (
-            self._residual_squares(self.window_model.polynomial_order)
-            > (jump_size * self.window_model.template_norm) ** 2
-        )
-        return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(above_threshold)]
+        squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.template_norm
+        is_above = squares > (jump_size * jump_norm) ** 2
+        return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(is_above)]
 
     def unresolved(self) -> Array:
         """Return the limits of segments with a residual far above the detection limit, samples; shape (n, 2)."""

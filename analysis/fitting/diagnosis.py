@@ -77,8 +77,7 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     linear_curves = [group.curves for group in problem.groups if group.orbits is None]
     if not linear_curves:
         return False, (
-            "All recordings have moving dampers. Add a recording without dampers, so that the structure can be fitted "
-            "alone."
+            "All recordings have moving dampers. Add a recording without dampers, which determines the structure."
         )
     uncorrected = _fit_structure(problem, linear_curves)
     if uncorrected.variance < _MAX_NOISE_VARIANCE:
@@ -125,9 +124,8 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     # factor.
     unit_error = _unit_error(1.0 / factor) or _unit_error(factor, _FORCE_UNIT_ERRORS)
     return (
-        f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the "
-        "unit of force or motion differs from that in the recording, or the masses of the scene are "
-        "wrong. Correct one of them."
+        f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "
+        "differs from that in the recording, or the masses of the scene are wrong. Correct one of them."
     )
 
 
@@ -178,10 +176,7 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
             [
                 replace(
                     curves,
-                    sensors=tuple(
-                        freed_sensor if channel_sensor == sensor else channel_sensor
-                        for channel_sensor in curves.sensors
-                    ),
+                    sensors=tuple(freed_sensor if other == sensor else other for other in curves.sensors),
                     reference_sensor=freed_sensor if curves.reference_sensor == sensor else curves.reference_sensor,
                 )
                 for curves in linear_curves

@@ -188,9 +188,8 @@ def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, with
     """
     totals = []
     for frf in frfs:
-        included = [
-            limit for name, limit in frf.limits.items() if name in (names or frf.limits) and name not in without
-        ]
+        selected = names or frf.limits
+        included = [limit for name, limit in frf.limits.items() if name in selected and name not in without]
         totals.append(np.linalg.norm([np.zeros(frf.value.size), *included], axis=0))
     return np.stack(totals)
 

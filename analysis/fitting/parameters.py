@@ -20,7 +20,7 @@ from rig.scene.scene import Scene
 from rig.scene.settings import Place, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
-#: Keys that are free by default, where a scene gives them.
+#: Keys that are free by default, where a scene gives them; without the coil spring, which calibrates the force.
 FREE = (
     "structure.masses", "structure.springs", "structure.damping", "dampers.mass", "dampers.mass_ratio",
     "dampers.clearance", "dampers.restitution", "dampers.contact",
@@ -126,9 +126,6 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
     selected = [candidate for candidate in candidates if any(change.covers(candidate.place) for change in chosen)]
-    if free is None:
-        # The coil spring calibrates the force; it is free only on request.
-        selected = [candidate for candidate in selected if candidate.place[0] != "shaker"]
     if not selected:
         raise SceneError(f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0.")
     return selected

@@ -14,7 +14,7 @@ from analysis.presentation.outputs import CommandOutput, output_stem, with_endin
 from analysis.reporting.charts import ChartWriter
 from analysis.reporting.drawing import mode_drawing, rig_drawing
 from analysis.reporting.histories import spectrograms, time_histories
-from analysis.reporting.measured import Measured, Measurements
+from analysis.reporting.measurements import Measurement, Measurements
 from analysis.reporting.responses import damper_chart, decay_charts, response_charts
 from analysis.reporting.summary import summarize
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
@@ -87,38 +87,40 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     if responses:
         sections += ["<h2>Frequency responses</h2>", *responses]
     sections += _modes(results)
-    motions = [charts.write(damper_chart(measured, result)) for measured in results for result in measured.dampers]
+    motions = [
+        charts.write(damper_chart(measurement, result)) for measurement in results for result in measurement.dampers
+    ]
     if motions:
         sections += ["<h2>Dampers</h2>", *motions]
     free_decays = [charts.write(chart) for chart in decay_charts(results)]
     if free_decays:
         sections += ["<h2>Free decays</h2>", *free_decays]
     sections += _budgets(results)
-    for measured in results:
+    for measurement in results:
         sections += [
-            f"<h2>Recording {escape_html(measured.path.name)}</h2>",
-            f"<figure>{rig_drawing(measured.rec.scene)}</figure>",
+            f"<h2>Recording {escape_html(measurement.path.name)}</h2>",
+            f"<figure>{rig_drawing(measurement.rec.scene)}</figure>",
         ]
-        sections += [settings(measured), charts.write(time_histories(measured.rec))]
-        sections += [charts.write(chart) for chart in spectrograms(measured.rec)]
+        sections += [settings(measurement), charts.write(time_histories(measurement.rec))]
+        sections += [charts.write(chart) for chart in spectrograms(measurement.rec)]
     sections += _commands(paths, results)
     return sentences, "\n".join(sections)
 
 
-def _test_description(measured: Measured) -> str:
+def _test_description(measurement: Measurement) -> str:
     """Describe the test of a recording: excitation, channels, duration."""
-    rec = measured.rec
+    rec = measurement.rec
     return (
-        f"Test “{measured.label}”: {test_text(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"Test “{measurement.label}”: {test_text(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
         f"{rec.duration:.4g} s."
     )
 
 
-def _modes(results: Sequence[Measured]) -> list[str]:
+def _modes(results: Sequence[Measurement]) -> list[str]:
     """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
     sections = []
-    for measured in results:
-        for modes in [sweep.modes for sweep in measured.sweeps[:1] if sweep.modes is not None]:
+    for measurement in results:
+        for modes in [sweep.modes for sweep in measurement.sweeps[:1] if sweep.modes is not None]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
@@ -127,42 +129,47 @@ def _modes(results: Sequence[Measured]) -> list[str]:
                 for k, frequency in enumerate(modes.frequency)
             ]
             sections += [
-                f"<h3>{escape_html(measured.label)}</h3>",
+                f"<h3>{escape_html(measurement.label)}</h3>",
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
     return ["<h2>Mode shapes</h2>", *sections] if sections else []
 
 
-def _budgets(results: Sequence[Measured]) -> list[str]:
+def _budgets(results: Sequence[Measurement]) -> list[str]:
     """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
-    peaks = [(measured, measured.sweeps[0].highest) for measured in results if measured.sweeps]
-    tables = [budget(measured, *highest) for measured, highest in peaks if highest is not None]
+    peaks = [(measurement, measurement.sweeps[0].highest) for measurement in results if measurement.sweeps]
+    tables = [budget(measurement, *highest) for measurement, highest in peaks if highest is not None]
     return ["<h2>Uncertainty</h2>", *tables] if tables else []
 
 
-def _commands(paths: Sequence[Path], results: Sequence[Measured]) -> list[str]:
+def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str]:
     """List the commands that reproduce the recordings and the results, and the version of shotrig, as HTML."""
     all_paths = " ".join(shlex.quote(str(path)) for path in paths)
     analyzed_by = [
-        ("frf", [measured for measured in results if measured.sweeps]),
-        ("modes", [measured for measured in results if any(sweep.modes is not None for sweep in measured.sweeps)]),
-        ("dampers", [measured for measured in results if measured.dampers]),
-        ("decay", [measured for measured in results if measured.decay is not None]),
+        ("frf", [measurement for measurement in results if measurement.sweeps]),
+        (
+            "modes",
+            [measurement for measurement in results if any(sweep.modes is not None for sweep in measurement.sweeps)],
+        ),
+        ("dampers", [measurement for measurement in results if measurement.dampers]),
+        ("decay", [measurement for measurement in results if measurement.decay is not None]),
     ]
-    recorded = [measured for measured in results if not measured.rec.source and measured.rec.scene.test is not None]
+    recorded = [
+        measurement for measurement in results if not measurement.rec.source and measurement.rec.scene.test is not None
+    ]
     lines = [
-        f"daq record {shlex.quote(measured.path.stem + '.yaml')} -o {shlex.quote(str(measured.path))}"
-        for measured in recorded
+        f"daq record {shlex.quote(measurement.path.stem + '.yaml')} -o {shlex.quote(str(measurement.path))}"
+        for measurement in recorded
     ]
     lines += [
-        f"analysis {command} {' '.join(shlex.quote(str(measured.path)) for measured in recordings)}"
+        f"analysis {command} {' '.join(shlex.quote(str(measurement.path)) for measurement in recordings)}"
         for command, recordings in analyzed_by
         if recordings
     ]
     lines.append(f"analysis report {all_paths}")
     origin = f"Made with shotrig {version('shotrig')}."
     if recorded:
-        names = ", ".join(f"{measured.path.stem}.yaml" for measured in recorded)
+        names = ", ".join(f"{measurement.path.stem}.yaml" for measurement in recorded)
         origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
         "<h2>How to repeat this</h2>",

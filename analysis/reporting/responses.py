@@ -9,22 +9,22 @@ from numpy.typing import NDArray
 
 from analysis.damper_motion.dampers import Dampers
 from analysis.reporting.charts import Chart, Curve, Panel, needs_logarithmic_axis
-from analysis.reporting.measured import Measured
+from analysis.reporting.measurements import Measurement
 from rig.results.response import Response
 
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
 
-def response_charts(measurements: Sequence[Measured]) -> list[Chart]:
+def response_charts(measurements: Sequence[Measurement]) -> list[Chart]:
     """Return charts of all frequency responses.
 
     The responses of a single recording share a chart. With several recordings each response has its own chart, so
     that the recordings can be compared. Responses to different inputs never share a chart.
     """
-    with_responses = [measured for measured in measurements if measured.sweeps]
-    frfs = [frf for measured in with_responses for sweep in measured.sweeps for frf in sweep.frfs]
-    several = len({measured.label for measured in with_responses}) > 1
+    with_responses = [measurement for measurement in measurements if measurement.sweeps]
+    frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
+    several = len({measurement.label for measurement in with_responses}) > 1
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
@@ -84,7 +84,7 @@ def _thinned(frf: Response) -> Response:
     return frf.at(np.array(sorted(selected | {0, count - 1})))
 
 
-def damper_chart(measured: Measured, result: Dampers) -> Chart:
+def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
     """Return a chart of impacts per period for each body, and the share of energy dissipated by all dampers."""
     frequency = result.sweep.lines.frequency
     order = np.argsort(frequency)
@@ -102,10 +102,10 @@ def damper_chart(measured: Measured, result: Dampers) -> Chart:
         curve = Curve("dampers", frequency[order], share[order], low, high)
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
     level = f"drive level {result.sweep.level:.4g}"
-    if getattr(measured.rec.scene.test, "force", None) is not None:
+    if getattr(measurement.rec.scene.test, "force", None) is not None:
         level = f"force {result.sweep.level:.4g} N"
     return Chart(
-        f"{measured.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
+        f"{measurement.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
         "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % bounds.",
         f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
         panels,
@@ -117,9 +117,11 @@ def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[n
     return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
 
 
-def decay_charts(measurements: Sequence[Measured]) -> list[Chart]:
+def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
     """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
-    labeled_decays = [(measured.label, measured.decay) for measured in measurements if measured.decay is not None]
+    labeled_decays = [
+        (measurement.label, measurement.decay) for measurement in measurements if measurement.decay is not None
+    ]
     if not labeled_decays:
         return []
     envelopes, energies = [], []

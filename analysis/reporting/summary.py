@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.damper_motion.comparison import PeakChange
 from analysis.damper_motion.dampers import Dampers
-from analysis.reporting.measured import Measured
+from analysis.reporting.measurements import Measurement
 from analysis.reporting.tables import peak_height, with_bound
 from rig.results import format_frequencies
 
@@ -17,21 +17,23 @@ from rig.results import format_frequencies
 _MAX_SENTENCES = 3
 
 
-def summarize(measurements: Sequence[Measured], changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
+def summarize(
+    measurements: Sequence[Measurement], changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
+) -> list[str]:
     """Return sentences about decays, then peak changes (if none, resonances) and damper impacts.
 
     `measurements`: all recordings of the report; `changes`: first recording, other recording and the change of one
     peak between them, from `Measurements.changes`.
     """
     sentences = _decay_sentences(measurements) + _change_sentences(changes)
-    for measured in measurements:
+    for measurement in measurements:
         if not changes:
-            sentences += _resonance_sentences(measured)
-        sentences += [text for result in measured.dampers for text in _impact_sentences(measured, result)]
+            sentences += _resonance_sentences(measurement)
+        sentences += [text for result in measurement.dampers for text in _impact_sentences(measurement, result)]
     return sentences[:_MAX_SENTENCES] or ["No result: see the warnings."]
 
 
-def _change_sentences(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> list[str]:
+def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> list[str]:
     """Describe, for each other recording, the change of the highest peak whose change has a bound."""
     sentences = []
     for label in dict.fromkeys(other.label for _, other, _ in changes):
@@ -70,17 +72,17 @@ def _initial_height(change: PeakChange) -> float:
     return change.bare.value
 
 
-def _resonance_sentences(measured: Measured) -> list[str]:
+def _resonance_sentences(measurement: Measurement) -> list[str]:
     """List natural frequencies and damping ratios of each sweep, and its highest compliance."""
     sentences = []
-    for sweep in measured.sweeps:
+    for sweep in measurement.sweeps:
         modes = sweep.modes
         if modes is None or not modes.frequency.size:
             continue
         pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
         listed = ", ".join(f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs)
         plural = "s" * (modes.frequency.size != 1)
-        text = f"“{measured.label}”: {modes.frequency.size} resonance{plural} at {listed}"
+        text = f"“{measurement.label}”: {modes.frequency.size} resonance{plural} at {listed}"
         if sweep.highest is not None:
             curve, highest = sweep.highest
             where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
@@ -89,7 +91,7 @@ def _resonance_sentences(measured: Measured) -> list[str]:
     return sentences
 
 
-def _impact_sentences(measured: Measured, result: Dampers) -> list[str]:
+def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
     """State the frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
     if not result.bodies:
         return []
@@ -98,9 +100,9 @@ def _impact_sentences(measured: Measured, result: Dampers) -> list[str]:
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
     if not has_impacts.any():
-        return [f"“{measured.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."]
+        return [f"“{measurement.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."]
     text = (
-        f"“{measured.label}”: damper impacts at {int(has_impacts.sum())} of {frequency.size} frequencies "
+        f"“{measurement.label}”: damper impacts at {int(has_impacts.sum())} of {frequency.size} frequencies "
         f"({format_frequencies(frequency.tolist(), has_impacts.tolist())})"
     )
     energy = result.energy
@@ -113,16 +115,16 @@ def _impact_sentences(measured: Measured, result: Dampers) -> list[str]:
     return [f"{text}."]
 
 
-def _decay_sentences(measurements: Sequence[Measured]) -> list[str]:
+def _decay_sentences(measurements: Sequence[Measurement]) -> list[str]:
     """State in one sentence, for each free decay, the time to fall below 1 g and the time of a fall by 6 dB."""
     parts = []
-    for measured in measurements:
-        result = measured.decay
+    for measurement in measurements:
+        result = measurement.decay
         if result is None:
             continue
         time_below_1_g, time_of_6_db = result.quiet_from, result.halving
         text = "stays above 1 g" if np.isnan(time_below_1_g) else f"falls below 1 g after {time_below_1_g:.3g} s"
         if not np.isnan(time_of_6_db):
             text += f" and its energy level decreases by 6 dB in {time_of_6_db:.3g} s"
-        parts.append(f"“{measured.label}”: after the hit, {result.channel} {text}")
+        parts.append(f"“{measurement.label}”: after the hit, {result.channel} {text}")
     return [f"{'; '.join(parts)}."] if parts else []

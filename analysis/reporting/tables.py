@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from analysis.damper_motion.comparison import Peak, PeakChange
-from analysis.reporting.measured import Measured
+from analysis.reporting.measurements import Measurement
 from analysis.responses.systematic import tolerance
 from rig.escaping import escape_html
 from rig.results import format_number, round_to_bound
@@ -43,10 +43,10 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     return f'<div class="wide"><table><caption>{escape_html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
 
 
-def resonances(measurements: Sequence[Measured]) -> str:
+def resonances(measurements: Sequence[Measurement]) -> str:
     """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for modes, peaks in ((sweep.modes, sweep.peaks) for measured in measurements for sweep in measured.sweeps):
+    for modes, peaks in ((sweep.modes, sweep.peaks) for measurement in measurements for sweep in measurement.sweeps):
         if modes is None:
             continue
         rows.append((modes.label,))
@@ -76,7 +76,7 @@ def with_bound(value: float, bound: float) -> str:
     return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
 
 
-def changes_table(changes: Sequence[tuple[Measured, Measured, PeakChange]]) -> str:
+def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> str:
     """Return a table of the changes of peaks, and whether each exceeds its uncertainty, as HTML."""
     rows: list[tuple[str, ...]] = []
     for first, other, change in changes:
@@ -102,14 +102,14 @@ def _interval(low: float, high: float) -> str:
     return f"at most {high:+.1f}" if isfinite(high) else "unbounded"
 
 
-def decays(measurements: Sequence[Measured]) -> str:
+def decays(measurements: Sequence[Measurement]) -> str:
     """Return a table of free-decay modes with their damping at the largest and the smallest amplitude, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for measured in measurements:
-        result = measured.decay
+    for measurement in measurements:
+        result = measurement.decay
         if result is None:
             continue
-        rows.append((f"{measured.label}, {result.channel}",))
+        rows.append((f"{measurement.label}, {result.channel}",))
         for mode in result.modes:
             damping_texts = ("too short or too noisy", "")
             if mode.damping.size:
@@ -126,7 +126,7 @@ def decays(measurements: Sequence[Measured]) -> str:
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
-def budget(measured: Measured, curve: Response, highest: Peak) -> str:
+def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
     """Return the uncertainty budget of a response at its peak, as HTML: contribution, type, bound and share."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     unit, factor = curve.shown_in
@@ -143,7 +143,7 @@ def budget(measured: Measured, curve: Response, highest: Peak) -> str:
         for name, (kind, bound) in sorted(contributions.items(), key=lambda item: -item[1][1])
         if bound > 0.0
     ]
-    title = f"{measured.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
+    title = f"{measurement.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
     height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
     return table(
         f"Uncertainty budget of {title}: {height} {unit} (95 %)",
@@ -179,12 +179,12 @@ def _on_one_line(settings: Mapping[str, object]) -> str:
     return ", ".join(texts)
 
 
-def settings(measured: Measured) -> str:
+def settings(measurement: Measurement) -> str:
     """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
-    rec, scene = measured.rec, measured.rec.scene
+    rec, scene = measurement.rec, measurement.rec.scene
     dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
-        ("recording", str(measured.path)),
+        ("recording", str(measurement.path)),
         ("scene", scene.name),
         ("test", test_text(scene)),
         ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
@@ -198,7 +198,7 @@ def settings(measured: Measured) -> str:
     facts_html = "".join(
         f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>" for key, value in facts
     )
-    middle = _middle_frequency(measured)
+    middle = _middle_frequency(measurement)
     channels = [
         (
             info.name,
@@ -218,14 +218,14 @@ def settings(measured: Measured) -> str:
     )
 
 
-def _middle_frequency(measured: Measured) -> float:
+def _middle_frequency(measurement: Measurement) -> float:
     """Return the frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
-    if measured.sweeps:
-        band = measured.sweeps[0].frfs[0].frequency
+    if measurement.sweeps:
+        band = measurement.sweeps[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))
-    if measured.decay is not None and measured.decay.modes:
-        return float(np.exp(np.mean([np.log(mode.center) for mode in measured.decay.modes])))
-    return measured.rec.rate / 100.0
+    if measurement.decay is not None and measurement.decay.modes:
+        return float(np.exp(np.mean([np.log(mode.center) for mode in measurement.decay.modes])))
+    return measurement.rec.rate / 100.0
 
 
 def _damper_text(damper: Damper, body: str) -> str:

@@ -15,7 +15,7 @@ import analysis
 import rig
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
-from analysis.reporting.measured import highest_peak
+from analysis.reporting.measurements import highest_peak
 from analysis.reporting.report import write_report
 from tests.analysis.responses import synthetic
 

@@ -56,7 +56,7 @@ class SweepResults:
 
 
 @dataclass(frozen=True)
-class Measured:
+class Measurement:
     """One open recording and its results; a result is empty or None if the test does not determine it."""
 
     path: Path
@@ -73,7 +73,7 @@ class Measurements:
 
     paths: Sequence[Path]
     progress: CountProgress | None = None
-    results: list[Measured] = field(default_factory=list)
+    results: list[Measurement] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     _open: ExitStack = field(default_factory=ExitStack)
 
@@ -89,7 +89,7 @@ class Measurements:
     ) -> None:
         self._open.close()
 
-    def changes(self) -> list[tuple[Measured, Measured, PeakChange]]:
+    def changes(self) -> list[tuple[Measurement, Measurement, PeakChange]]:
         """Compute the change of each resonance peak from the first recording to every other recording."""
         first, *others = self.results
         if not first.sweeps or first.sweeps[0].modes is None:
@@ -101,7 +101,7 @@ class Measurements:
             for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
         ]
 
-    def _measure(self, path: Path, label: str, rec: Recording) -> Measured:
+    def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
         frfs_of_sweeps = None
         if rec.test.drives:
             frfs_of_sweeps = self._attempt(
@@ -120,7 +120,7 @@ class Measurements:
             if free_decay is not None:
                 free_decay = relabel(free_decay, rec.scene.name, label)
                 self._warn(path, free_decay.warnings)
-        return Measured(path, label, rec, sweeps, tuple(dampers or ()), free_decay)
+        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay)
 
     def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
@@ -187,11 +187,11 @@ def highest_peak(
     return highest
 
 
-def _peak_changes(first: Measured, other: Measured) -> list[PeakChange]:
+def _peak_changes(first: Measurement, other: Measurement) -> list[PeakChange]:
     """Return the change of each peak between two recordings."""
     modes = first.sweeps[0].modes
     assert modes is not None
-    points, first_points = (MeasurementPoints.of(measured.path, measured.rec) for measured in (other, first))
+    points, first_points = (MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, first))
     points.comparable_with(first_points)
     same_sensors, first_frfs = points.same_sensors(first_points), first.sweeps[0].frfs
     return [change for sweep in other.sweeps for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]

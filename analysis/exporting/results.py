@@ -26,23 +26,10 @@ def export_results(
 ) -> list[str]:
     """Write the FRFs or modes of a recording or of an FRF file; return messages for the user.
 
-    Each sweep has an output file; the second and later files are numbered.
-
-    Parameters
-    ----------
-    file : Path
-        Recording, or FRF file that `analysis.read_frfs` can read.
-    path : Path
-        Output file, ``.uff``, ``.unv`` or ``.mat``.
-    what : str
-        Results to write, 'frfs' or 'modes'.
-    overwrite : bool
-        Whether existing files with different content may be replaced.
-
-    Raises
-    ------
-    SceneError
-        If the file name ending is unknown, or the file exists.
+    `file`: a recording, or an FRF file that `analysis.read_frfs` can read. `path`: output file, ``.uff``, ``.unv`` or
+    ``.mat``; each sweep has a file, and the second and later files are numbered. `what`: 'frfs' or 'modes'.
+    `overwrite`: whether existing files with different content may be replaced. Raises `SceneError` if the file name
+    ending is unknown, or the file exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):

@@ -99,18 +99,9 @@ def tabulate_limits(
 ) -> Limits | None:
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
-    Parameters
-    ----------
-    sections, sensor_sections
-        Sections of the circuit, and number of the first sections that form the sensor.
-    output_limit
-        Largest magnitude of the sensor's output, V.
-    rails
-        Largest magnitude of each state, V; (states,).
-    gain, rate
-        V per unit of the input, and sample rate in Hz.
-    entries
-        Points at which the disturbances enter.
+    `sensor_sections`: number of the first sections, which form the sensor; `output_limit`: of the sensor's output, V;
+    `rails`: of each state, V, (states,); `gain`: V per unit of the input; `rate`: sample rate, Hz; `entries`: of the
+    disturbances.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None

@@ -173,8 +173,8 @@ def bench_drive(scene: Scene, rate: float) -> Array:
     omega = float(structural_model(scene).modes.omega[-1])
     given_level = getattr(scene.test, "force", None) or getattr(scene.test, "drive", None)
     level = level_of(scene) if given_level is not None else 1.0
-    gain = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)
+    amplitude = level * (drive_per_level(scene, system, omega) if scene.test is not None else 1.0)
     drive[system.inputs.index(scene.at_driven("shaker"))] = np.imag(
-        gain * np.exp(1j * omega * np.arange(samples) / rate)
+        amplitude * np.exp(1j * omega * np.arange(samples) / rate)
     )
     return drive

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from rig.arrays import Array
 
-# Minimum real part of the power at a line with a clear sign, as a ratio to the magnitude. Other lines count only in the
-# total.
+# Minimum magnitude of the real part of the power at a line with a clear sign, relative to the magnitude of the power.
+# Other lines count only in the total.
 _MIN_REAL_RATIO = 0.3
-# Share of the real part that must be negative. Far from resonances, phase errors can reverse the sign.
-_REVERSED_SHARE = 0.8
+# Minimum negative sum of the real parts, relative to the sum of their magnitudes: at 0.8, 90 % of the real part is
+# negative. Far from resonances, phase errors can reverse the sign.
+_MIN_NEGATIVE_SUM = 0.8
 # Smallest share of the total power at lines with a clear sign. Lines near an antiresonance alone have less.
 _MIN_CLEAR_SHARE = 0.02
 # Minimum force at a driven line, as a ratio to the largest line of the force.
@@ -40,7 +41,7 @@ def _power_sums(power: NDArray[np.complex128]) -> Array:
 
 def _is_returned(power_sums: Array) -> bool:
     total, clear_magnitude, clear_sum = power_sums
-    return bool(clear_magnitude > _MIN_CLEAR_SHARE * total and -clear_sum > _REVERSED_SHARE * clear_magnitude)
+    return bool(clear_magnitude > _MIN_CLEAR_SHARE * total and -clear_sum > _MIN_NEGATIVE_SUM * clear_magnitude)
 
 
 class DrivingPower:

@@ -81,7 +81,7 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
     `points` is the number of fitted points; 0 or less means 1000. A negative `order` means the order of `forward`.
     Raises `DaqError` -200077 if the fit is not possible.
 
-    >>> [round(each, 6) for each in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
+    >>> [round(value, 6) for value in reverse_polynomial([1.0, 2.0], -10.0, 10.0, 100, 1)]
     [-0.5, 0.5]
     """
     if not forward:

@@ -36,7 +36,9 @@ def _nth_name(list_names: Callable[[Task], list[str]]) -> Handler:
     def get_name(call: Call) -> ResponseFields:
         names, index = list_names(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
-            raise invalid_value(f"index {index}: the task has {len(names)} names. Give 1 to {len(names)}.")
+            raise invalid_value(
+                f"there is no name number {index}: the task has {len(names)}. Give an index from 1 to this number."
+            )
         return {"buffer": names[index - 1]}
 
     return get_name

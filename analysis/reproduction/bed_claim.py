@@ -200,16 +200,16 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
 
 def _describe_contact(beds: Columns, contacts: Columns) -> str:
     """Assess one mass on finite-duration contact, the model between instantaneous contact and grains."""
-    limited = with_ceiling(beds)
-    contact = fit_contact(limited, contacts)
+    beds_with_ceiling = with_ceiling(beds)
+    contact = fit_contact(beds_with_ceiling, contacts)
     deviations, cross_validated = (
-        deviation_on_contact(contact, limited, contacts),
-        cross_validated_deviation(limited, contacts),
+        deviation_on_contact(contact, beds_with_ceiling, contacts),
+        cross_validated_deviation(beds_with_ceiling, contacts),
     )
     all_deviations, instantaneous = (deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance"))
     has_ceiling = np.isfinite(beds["clearance"])
-    ceiling_impulse = ceiling_impulse_on_contact(contact, limited, contacts)
-    floor_deviations = (1.0 + limited["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
+    ceiling_impulse = ceiling_impulse_on_contact(contact, beds_with_ceiling, contacts)
+    floor_deviations = (1.0 + beds_with_ceiling["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
     return (
         "One mass with finite-duration contact agrees best with the beds below a ceiling if it lands in "
         f"{1e3 * contact.duration:g} ms with a restitution of {contact.restitution:g}, and {100 * contact.share:g} % "

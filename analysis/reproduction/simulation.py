@@ -56,14 +56,14 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
 
     `band`: Hz; `searches`: number of frequencies in it at which branches are searched.
     """
-    curve = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
+    orbits = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
     rows = []
-    for number, branch in enumerate(curve.branches):
+    for branch_number, branch in enumerate(orbits.branches):
         omega = 2 * np.pi * branch.value
         instants = np.array([_contact_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
         rows.append(
             {
-                "branch": np.full(branch.value.size, number),
+                "branch": np.full(branch.value.size, branch_number),
                 "frequency": branch.value,
                 "compliance": branch.compliance.T,
                 "stable": branch.stable,
@@ -76,14 +76,14 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
         )
     special_points = [
         (name, value)
-        for branch in curve.branches
+        for branch in orbits.branches
         for name, values in (("fold", branch.folds), ("doubling", branch.doublings), ("torus", branch.toruses))
         for value in values
     ]
     return join_columns(rows) | {
         "special": np.array([name for name, _ in special_points], dtype="U10"),
         "special_frequency": np.array([value for _, value in special_points]),
-        "failures": np.array(curve.failures, dtype=np.str_),
+        "failures": np.array(orbits.failures, dtype=np.str_),
     }
 
 
@@ -107,7 +107,7 @@ def approximate_branches(
     response, dense_frequency = follow_mode(reduced, band, searches), np.linspace(*band, 801)
     rows = [
         {
-            "branch": np.full(branch.frequency.size, number),
+            "branch": np.full(branch.frequency.size, branch_number),
             "frequency": branch.frequency,
             "compliance": branch.compliance,
             "stable": branch.stable,
@@ -116,7 +116,7 @@ def approximate_branches(
             "phi": branch.phi,
             "tau": np.array([branch.tau_0, branch.tau_1, branch.tau_2]).T,
         }
-        for number, branch in enumerate(response.branches)
+        for branch_number, branch in enumerate(response.branches)
     ]
     return join_columns(rows) | {
         "shape": reduced.shape,

@@ -69,30 +69,30 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         return []
     shaker = scene.driven_shaker
     assert shaker is not None
-    needed_places = [f"body {body}"]
+    needed_locations = [f"body {body}"]
     if isinstance(shaker, ForceShaker):
-        needed_places.append(scene.at_driven("shaker"))
+        needed_locations.append(scene.at_driven("shaker"))
     else:
-        needed_places += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
-    measured_places = {channel.at for channel in scene.channels}
+        needed_locations += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
+    measured_locations = {channel.at for channel in scene.channels}
     names = {channel.name for channel in scene.channels}
     template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
     new_channels = []
-    for place in dict.fromkeys(needed_places):
-        if place in measured_places:
+    for location in dict.fromkeys(needed_locations):
+        if location in measured_locations:
             continue
-        name = place.replace("shaker", "force").replace(" ", "")
+        name = location.replace("shaker", "force").replace(" ", "")
         name = name if name not in names else f"{name}.check"
-        if place.startswith("shaker"):
+        if location.startswith("shaker"):
             converter = None if scene.converter is None else complete_from_preset(scene.converter)
             sensor = None
             if converter is not None and converter.range is not None:
                 assert isinstance(scene.test, SteppedSine)
                 sensor = Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
-            new_channels.append(Channel(name=name, at=place, hammer=sensor))
+            new_channels.append(Channel(name=name, at=location, hammer=sensor))
         else:
             sensors = (None, None) if template is None else (template.accelerometer, template.integrator)
-            new_channels.append(Channel(name=name, at=place, accelerometer=sensors[0], integrator=sensors[1]))
+            new_channels.append(Channel(name=name, at=location, accelerometer=sensors[0], integrator=sensors[1]))
     return new_channels
 
 

@@ -32,16 +32,16 @@ class ImpactLaw:
 
     restitution: float = 0.0  # ratio of separation to approach speed
     contact: Contact | None = None  # finite-duration contact with floor and ceiling; None: instantaneous impact
-    origin: str = "the scene has none to go by"  # where these values come from, for messages
+    origin: str = "the scene has no dampers"  # where these values come from, for messages
 
     def __str__(self) -> str:
         """Describe the impact law.
 
-        >>> print(ImpactLaw(0.2, origin="as the scene's"))
-        new dampers land at once, restitution 0.2: as the scene's
+        >>> print(ImpactLaw(0.2, origin="as in the scene"))
+        impacts of the new dampers: instantaneous, restitution 0.2 (as in the scene)
         """
         contact, restitution = _format_contact(self.contact), format_number(self.restitution)
-        return f"new dampers land {contact}, restitution {restitution}: {self.origin}"
+        return f"impacts of the new dampers: {contact}, restitution {restitution} ({self.origin})"
 
 
 #: Impact law for scenes without dampers: perfectly plastic and instantaneous.
@@ -66,17 +66,17 @@ def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
         (damper.restitution, damper.contact, damper.grains) == (first.restitution, contact, first.grains)
         for damper in dampers
     )
-    origin = "as the scene's" if identical else "as the scene's first; others of it differ"
+    origin = "as in the scene" if identical else "as the first damper of the scene; others differ"
     if first.grains is not None:
-        origin = "as one mass each, not as the grains of the scene's"
+        origin = "as one mass each, although the scene has grains"
     return ImpactLaw(first.restitution, contact, origin)
 
 
 def _format_contact(contact: Contact | None) -> str:
     durations = [f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)]
     if len(durations) == 2:
-        return f"in {durations[0]} on floors and {durations[1]} on ceilings"
-    return f"in {durations[0]}" if durations else "at once"
+        return f"duration {durations[0]} on floors and {durations[1]} on ceilings"
+    return f"duration {durations[0]}" if durations else "instantaneous"
 
 
 def mass_unit(mass: float) -> tuple[float, str]:

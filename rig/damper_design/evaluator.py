@@ -36,7 +36,7 @@ class Evaluator:
 
     def trial(self, objective: Objective, choice: Choice) -> Trial | None:
         """Return the worst peaks of a design, or None if one of them is not computed yet."""
-        peaks = [self._stored.values.get((part.digest, choice)) for part in objective.subproblems]
+        peaks = [self._stored.values.get((subproblem.digest, choice)) for subproblem in objective.subproblems]
         known, levels = [peak for peak in peaks if peak is not None], len(objective.levels)
         if len(known) < len(peaks):
             return None
@@ -64,8 +64,9 @@ class Evaluator:
             for choice in chain.from_iterable(search(partial(self.trial, objective)) for search in searches):
                 if choice not in requested:
                     requested.add(choice)
-                    missing = [(part, choice) for part in objective.subproblems if (part, choice) not in self._stored]
-                    self._finished += len(objective.subproblems) - len(missing)
+                    needed = [(subproblem, choice) for subproblem in objective.subproblems]
+                    missing = [piece for piece in needed if piece not in self._stored]
+                    self._finished += len(needed) - len(missing)
                     pieces.extend(missing)
 
         request_designs()
@@ -107,7 +108,7 @@ def _parse_row(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
 
 STUDY: Study[Piece, Peak] = Study(
     "designs",
-    # The digest of the objective, the choice, its total mass, and the fields of its `Peak`.
+    # Digest of the objective, choice, total mass, and the `Peak` (size: compliance; simulated: irregular share).
     (
         "question", "bodies", "masses_kg", "clearances_m", "mass_kg",
         "size", "frequency", "level", "body", "acceleration", "simulated",

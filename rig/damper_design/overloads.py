@@ -180,7 +180,7 @@ def impact_acceleration(
     return float(max(accelerations))
 
 
-def _format_acceleration(size: float) -> str:
-    if np.isinf(size):
+def _format_acceleration(acceleration: float) -> str:
+    if np.isinf(acceleration):
         return "more than any sensor withstands"
-    return f"{format_number(float(f'{size / STANDARD_GRAVITY:.2g}'))} g"
+    return f"{format_number(float(f'{acceleration / STANDARD_GRAVITY:.2g}'))} g"

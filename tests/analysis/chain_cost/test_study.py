@@ -58,7 +58,7 @@ def test_error_grows_with_noise_and_quantization(study: ChainStudy) -> None:
     assert error_of(study, "bits", "12") > 10.0 * error_of(study, "bits", "24")
 
 
-def test_filtered_drive_samples_exclude_images(study: ChainStudy) -> None:
+def test_filter_removes_images_of_the_drive(study: ChainStudy) -> None:
     # The table is driven by linearly interpolated samples, whose image near the sample rate aliases to the tone.
     assert error_of(study, "anti-alias filter", "off") > 100.0 * study.without_noise.error
     assert error_of(study, "sample rate", "250 Hz") < 1e-5

@@ -111,7 +111,7 @@ def test_foreign_file_is_not_changed(tmp_path: Path) -> None:
 def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
     path = tmp_path / "beds.csv"
     rows = [synthetic_row(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
-    rows[1]["grains_landing"] = "461"
+    rows[1]["grains_landing"] = "461"  # 101 degrees; the other seed has 102 degrees
     with path.open("w", encoding="utf-8") as file:
         writer = csv.DictWriter(file, TABLE.header)
         writer.writeheader()
@@ -135,7 +135,7 @@ def test_verdict_follows_compliance_deviations(deviations: list[float], beginnin
     assert f"within 10 % in {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
 
 
-def test_claim_c7_quotes_the_bundled_table() -> None:
+def test_claim_c7_states_the_bundled_table() -> None:
     beds = table()
     parts = {
         "beds": beds,
@@ -169,7 +169,7 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
     )
 
 
-def test_compliance_of_setting_is_that_of_a_body() -> None:
+def test_compliance_is_that_of_a_driven_body() -> None:
     """A body ten times as heavy as the damper, driven by the force that the compliance states, has this peak."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     summary = summary_row(scene, steady_mass(scene, FREQUENCY))
@@ -200,7 +200,7 @@ def test_repeated_setting_agrees_within_10_percent() -> None:
     assert float(recomputed["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
 
 
-def test_design_quotes_counts_of_the_bundled_table() -> None:
+def test_design_states_counts_of_the_bundled_table() -> None:
     beds = table()
     deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
     for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):

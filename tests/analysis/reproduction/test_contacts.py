@@ -29,6 +29,7 @@ from rig.bed_response.steady_bed import steady_mass
 
 def test_fit_recovers_a_finite_contact() -> None:
     bundled_contacts, true_contact = table(), FittedContact(0.1, 3e-3, 0.85)
+    # Accelerations, g, and clearances, m, of settings in the bundled table.
     level, clearance = np.array([(3.0, 3e-4), (4.5, 6e-4), (7.0, 2e-3), (7.0, math.inf)]).T
     beds = {"level": level, "clearance": clearance}
     beds["grains_compliance"] = compliance_on_contact(true_contact, beds, bundled_contacts)
@@ -58,6 +59,7 @@ def test_bundled_table_is_ordered_and_reproducible() -> None:
     points = contacts()
     index = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
 
+    # The first four columns are the fields of a `Contact`.
     assert [tuple(float(row[name]) for name in TABLE.header[:4]) for row in rows] == [tuple(point) for point in points]
     recomputed = simulate_contact(points[index])
     assert float(recomputed["energy"]) == pytest.approx(float(rows[index]["energy"]), rel=1e-3)

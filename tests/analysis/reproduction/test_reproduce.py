@@ -29,17 +29,17 @@ def compute_value(value: float) -> Arrays:
     return {"value": np.array(value)}
 
 
-def part(value: float) -> PaperPart:
+def part_with(value: float) -> PaperPart:
     """Return a part of the reproduction whose result is this value."""
     return PaperPart("one", f"depends on {value}", compute_value, {"value": value}, "a part")
 
 
 def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
     computed_values.clear()
-    assert part(3.0).load(tmp_path) is None
-    part(3.0).store(tmp_path, part(3.0).run())
+    assert part_with(3.0).load(tmp_path) is None
+    part_with(3.0).store(tmp_path, part_with(3.0).run())
 
-    stored = part(3.0).load(tmp_path)
+    stored = part_with(3.0).load(tmp_path)
 
     assert stored is not None
     assert stored["value"] == 3.0
@@ -47,14 +47,14 @@ def test_finished_part_is_read_not_computed(tmp_path: Path) -> None:
     assert computed_values == [3.0]
 
 
-def test_part_with_changed_inputs_or_damaged_file(tmp_path: Path) -> None:
-    part(3.0).store(tmp_path, part(3.0).run())
-    assert part(4.0).load(tmp_path) is None
+def test_changed_or_damaged_part_is_not_read(tmp_path: Path) -> None:
+    part_with(3.0).store(tmp_path, part_with(3.0).run())
+    assert part_with(4.0).load(tmp_path) is None
 
-    path = part(3.0).path(tmp_path)
+    path = part_with(3.0).path(tmp_path)
     path.write_bytes(path.read_bytes()[:200])
 
-    assert part(3.0).load(tmp_path) is None
+    assert part_with(3.0).load(tmp_path) is None
 
 
 def test_parts_are_unique_and_repeatable(tmp_path: Path) -> None:
@@ -132,6 +132,7 @@ def test_optimum_is_better_than_all_trials() -> None:
     optimum = best_damper(scene, 3.3, np.array([0.03, 0.06]), 1e-3 * np.array([0.6, 1.2]), frequencies, trials=6)
 
     assert optimum["peak"] == optimum["worst"].min()
+    # The grid has four points; the simplex search adds better ones.
     assert len(optimum["worst"]) > 4
     assert optimum["peak"] < optimum["worst"][:4].min()
     assert 0.03 <= optimum["mass_ratio"] <= 0.06
@@ -183,7 +184,8 @@ def test_c2_needs_ratio_and_types() -> None:
     assert holds_c2({"scan-single": single, "scan-three": three}).tolist() == [[True, False, False, False, False]]
 
 
-def test_differences_at_antiresonances_and_peaks() -> None:
+def test_differences_are_taken_at_antiresonances_and_peaks() -> None:
+    # Of five frequencies, the first is near an antiresonance and the last near a peak.
     reference = {"compliance": np.tile(np.array([1.0, 2.0, 3.0, 4.0, 10.0]), (2, 1))}
     measured = {"compliance": reference["compliance"] * np.array([1.5, 1.0, 1.0, 1.0, 1.01])}
 

@@ -1,7 +1,8 @@
 """A design is written as a scene whose test checks it: the scene has the right frequencies and expected results.
 
 The objective is what a design optimizes: structure, force levels and band. A choice is the dampers of a candidate
-design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks (compliance |X| / F, m/N).
+design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks. Arguments are positional:
+Peak(compliance, frequency, level, body, acceleration, irregular share).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ def with_dampers(*changes: dict[str, Any]) -> rig.Scene:
 def test_new_dampers_have_the_contact_of_the_scene() -> None:
     scene = with_dampers(FINITE_CONTACT, FINITE_CONTACT)
     objective, _ = parse_request(scene, bodies=[2], levels=[3.3], band=(48.5, 50.5), watched=[2])
-    assert str(objective.impact_law) == "new dampers land in 4 ms, restitution 0.2: as the scene's"
+    assert str(objective.impact_law) == "impacts of the new dampers: duration 4 ms, restitution 0.2 (as in the scene)"
     choice = Choice((2,), (0.1,), (1e-3,))
     peak = objective.worst(choice)
     trial = Trial(choice, (peak,))
@@ -40,10 +40,10 @@ def test_new_dampers_have_the_contact_of_the_scene() -> None:
 
 def test_contact_of_the_first_damper_is_used() -> None:
     impact_law = impact_law_of(with_dampers(FINITE_CONTACT, {}).dampers)
-    assert (impact_law.restitution, impact_law.origin) == (0.2, "as the scene's first; others of it differ")
+    assert (impact_law.restitution, impact_law.origin) == (0.2, "as the first damper of the scene; others differ")
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
-    assert "in 4 ms on floors and 1 ms on ceilings" in str(impact_law_of(with_dampers(walls).dampers))
-    assert impact_law_of(()) == INSTANTANEOUS and "at once, restitution 0" in str(INSTANTANEOUS)
+    assert "duration 4 ms on floors and 1 ms on ceilings" in str(impact_law_of(with_dampers(walls).dampers))
+    assert impact_law_of(()) == INSTANTANEOUS and "instantaneous, restitution 0" in str(INSTANTANEOUS)
 
 
 def test_contact_by_stiffness_is_rejected() -> None:

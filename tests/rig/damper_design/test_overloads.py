@@ -18,7 +18,8 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
 FREQUENCY_HZ, FORCE_N = 49.0, 3.3
-# A peak of the steady motion that overloads no sensor: compliance 1e-6 m/N at body 2.
+# A peak of the steady motion that overloads no sensor: compliance 1e-6 m/N at body 2, acceleration 1 m/s^2, no
+# irregular motion.
 SMALL_PEAK = Peak(1e-6, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0)
 # A peak at which the dampers stay at rest on their floors: no approach speed.
 PEAK_WITHOUT_LANDING = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))

@@ -2,7 +2,8 @@
 
 An objective returns the worst peak of a choice of dampers (bodies, masses in kg, clearances in m). These tests replace
 the structure by closed forms, so that the best choice is known. A trial is a choice with its peaks. A search
-space is the set of choices: bodies, total mass, and the smallest and largest clearance.
+space is the set of choices: bodies, total mass, and the smallest and largest clearance. Arguments are positional:
+Objective(scenes, levels, band, bodies), Peak(compliance, frequency, level, body, acceleration, irregular share).
 """
 
 from __future__ import annotations

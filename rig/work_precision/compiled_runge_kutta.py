@@ -99,7 +99,7 @@ class DormandPrince:
             self._tables, contacts, start, times, motion, rtol, guard_pause, max_step, steps, *self._work
         ):
             if contacts.logged_events[0] < max_events:
-                raise RunError(f"takes more than {steps} steps. Allow longer steps or larger errors.")
+                raise RunError(f"more than {steps} steps were needed. Allow longer steps or larger errors.")
             raise RunError(ENDLESS_EVENTS.format(contacts.time[-1]))
         events = slice(contacts.logged_events[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)

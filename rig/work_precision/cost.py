@@ -50,7 +50,7 @@ STYLE_OF_METHOD = {
 
 @dataclass(frozen=True, repr=False)
 class Cost(Result):
-    """Error and computing time of methods or models.
+    """Error and computing time of methods, or of models of beds of grains.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ from rig.system.open_loop_drive import ToneDrive
 #: Contact state of each damper: `FLIGHT`, `FLOOR` or `CEILING`.
 ContactStates = Sequence[int]
 
-#: Samples per period at which methods are compared.
+#: Number of samples per period at which methods are compared.
 SAMPLES_PER_PERIOD = 16
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: Kind of the event that starts each contact state; index: `FLIGHT`, `FLOOR` or `CEILING`.
@@ -74,7 +74,7 @@ class FirstOrderForm:
     ) -> None:  # fmt: skip
         if system.coupled:
             raise SceneError(
-                "the compared methods treat contacts one by one. Use a structure with a diagonal mass matrix."
+                "structure: the mass matrix is not diagonal, as the compared methods require. Use a diagonal mass matrix."
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers
@@ -163,7 +163,10 @@ class FirstOrderForm:
         return row
 
     def contact_force_row(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Return the row vector of wall force over damper mass, m/s^2; of wall force, N, in finite-duration contact."""
+        """Return the row vector whose product with z is the wall force over the damper mass, m/s^2.
+
+        In finite-duration contact, the product is the wall force, N.
+        """
         n = self.system.coordinates
         if self.system.finite_contact[j]:
             bed = int(self.system.gap_coordinate[j])

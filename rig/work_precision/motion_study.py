@@ -55,7 +55,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Point:
-    """One method at one setting."""
+    """Cost and error of one method, or one model of beds, at one setting."""
 
     method: str
     setting: str
@@ -68,9 +68,9 @@ class Point:
     note: str = ""  # remarks, or the reason for a failure
 
 
-def failure_reason(problem: ShotrigError) -> str:
+def failure_reason(failure: ShotrigError) -> str:
     """Describe why a method has no result: the scene is not supported, or the method failed."""
-    return f"{'not applicable' if isinstance(problem, SceneError) else 'failed'}: {problem}"
+    return f"{'not applicable' if isinstance(failure, SceneError) else 'failed'}: {failure}"
 
 
 @dataclass(frozen=True)

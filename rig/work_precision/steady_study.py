@@ -33,11 +33,11 @@ BAND_HALF_WIDTH = 0.04
 
 @dataclass(frozen=True)
 class SteadyStudy:
-    """Result of `steady_study`."""
+    """Result of `steady_study` or `bed_models`."""
 
     points: tuple[Point, ...]  # error: largest compliance error of any body, relative to the largest compliance
     frequency: float  # Hz
-    motion_type: str
+    motion_type: str  # of the steady motion at this frequency; "" if there is none
     reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
 
 

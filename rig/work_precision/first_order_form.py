@@ -74,7 +74,7 @@ class FirstOrderForm:
     ) -> None:  # fmt: skip
         if system.coupled:
             raise SceneError(
-                "structure: the mass matrix is not diagonal, as the compared methods require. Use a diagonal mass matrix."
+                "structure: the compared methods require a diagonal mass matrix. Choose a structure with such a matrix."
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers

@@ -172,8 +172,8 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
         fastest = min((point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu)
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
-            f"Best of the other methods, {fastest.method} ({fastest.setting}): {fastest.error:.0e} in "
-            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times the time of the engine."
+            f"Best of the other methods, {fastest.method} ({fastest.setting}): relative error {fastest.error:.0e} in "
+            f"{1e3 * fastest.cpu:.2g} ms a period, {ratio} times as long as the engine."
         )
     wrong = sum(np.isfinite(point.error) and not point.is_correct for point in points)
     if wrong:

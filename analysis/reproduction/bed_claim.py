@@ -213,7 +213,7 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     return (
         "One mass with finite-duration contact agrees best with the beds below a ceiling if it lands in "
         f"{1e3 * contact.duration:g} ms with a restitution of {contact.restitution:g}, and {100 * contact.share:g} % "
-        "of the bed move. The compliance is then within {100 * GOOD_DEVIATION:g} % in "
+        f"of the bed move. The compliance is then within {100 * GOOD_DEVIATION:g} % in "
         f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in "
         f"{_count_within(deviations, MAX_DEVIATION)} of {len(deviations)} settings (one mass with instantaneous "
         f"contact: {_count_within(instantaneous[has_ceiling], GOOD_DEVIATION)} and "

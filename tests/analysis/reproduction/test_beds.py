@@ -150,6 +150,7 @@ def test_claim_c7_states_the_bundled_table() -> None:
     for mode in ("At 13 Hz", "At 34.8 Hz"):
         assert any(evidence.text.startswith(mode) for evidence in claim.evidence)
     assert claim.verdict == verdict(beds)
+    assert not any("{" in evidence.text for evidence in claim.evidence), "a value is not formatted"
     assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
 
 

@@ -271,19 +271,30 @@ class Problem:
     def _finite_differences(
         self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, indices: Sequence[int]
     ) -> list[ComplexArray]:
-        """Differentiate the residuals of each group by finite differences; shape (fitted, responses, indices)."""
+        """Differentiate the residuals of each group by central differences; shape (fitted, responses, indices).
+
+        A forward difference is too inaccurate near a resonance: its error would appear as information on values that
+        the recordings do not determine, such as a common factor of masses, stiffnesses and force.
+        """
         if not groups:
             return []
-        initial = [self.normalized_residuals(x, group, scene, model_error, search=False) for group in groups]
-        columns: list[list[ComplexArray]] = [[] for _ in groups]
-        for k in indices:
-            shifted = x.copy()
-            shifted[k] += _UNKNOWN_STEP * max(1.0, abs(x[k]))
-            shifted_scene = self.scene(shifted)
-            for group, residual, column in zip(groups, initial, columns, strict=True):
-                shifted_residual = self.normalized_residuals(shifted, group, shifted_scene, model_error, search=False)
-                column.append((shifted_residual - residual) / (shifted[k] - x[k]))
-        return [np.stack(column, axis=-1) for column in columns]
+        for group in groups:
+            self._displacement_ratio(x, group, scene)  # stores the orbits at x
+        stored_ratios = [group.cached for group in groups]
+        derivatives = [
+            np.zeros((*group.curves.whitening[group.is_fitted].shape[:2], len(indices)), complex) for group in groups
+        ]
+        for column, k in enumerate(indices):
+            for sign in (1.0, -1.0):
+                shifted = x.copy()
+                shifted[k] += sign * _UNKNOWN_STEP
+                shifted_scene = self.scene(shifted)
+                for group, derivative in zip(groups, derivatives, strict=True):
+                    residual = self.normalized_residuals(shifted, group, shifted_scene, model_error, search=False)
+                    derivative[..., column] += sign * residual / (2.0 * _UNKNOWN_STEP)
+        for group, ratio in zip(groups, stored_ratios, strict=True):
+            group.cached = ratio
+        return derivatives
 
     def _linear_derivatives(
         self, x: Array, group: Group, scene: Scene, model_error: float, indices: Sequence[int]

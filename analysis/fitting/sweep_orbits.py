@@ -18,11 +18,12 @@ from analysis.fitting.measured import Curves
 from analysis.fitting.predicted import linear_response
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError, UncoveredMotionError
-from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
+from rig.orbits.newton import newton_solve
 from rig.orbits.orbit import Orbit, OrbitFamily
 from rig.orbits.periodic_orbit import search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import OperatingPoint, OrbitProblem
+from rig.orbits.track import first_harmonic
 from rig.scene.matrices import Matrices
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
@@ -226,11 +227,13 @@ class _OrbitSolver:
         return None
 
     def refine_unchecked(self, start: StoredOrbit, frequency: float, level: float) -> OrbitResponse | None:
-        """Refine an orbit at a slightly different frequency and level, without checks; None without convergence.
+        """Correct an orbit once for a slightly different scene, frequency and level; None if it is singular.
 
-        Finite differences for derivatives need the same orbit even where it is inadmissible.
+        Finite differences for derivatives need the same orbit even where it is inadmissible. The error of a single
+        correction is of second order in the shift, and cancels in a central difference.
         """
-        solution = self._refine_at_drive(start, frequency, self._initial_drive(start, level))
+        drive = self._initial_drive(start, level)
+        solution = self._refine_at_drive(start, frequency, drive, max_corrections=1)
         if solution is None:
             return None
         stored, ratio, reached_level = solution
@@ -305,11 +308,16 @@ class _OrbitSolver:
         return stored.drive if self.table is not None else self._force(level)
 
     def _refine_at_drive(
-        self, start: StoredOrbit, frequency: float, drive: float, check: bool = False
+        self,
+        start: StoredOrbit,
+        frequency: float,
+        drive: float,
+        check: bool = False,
+        max_corrections: int = _MAX_CORRECTIONS,
     ) -> tuple[StoredOrbit, ComplexArray, float] | None:
         """Return the orbit at a drive, its displacement / reference, and its level; None as in `refine`."""
         point = OperatingPoint(float(frequency), float(drive))
-        solution = self._newton(start, point)
+        solution = self._newton(start, point, max_corrections)
         if solution is None:
             return None
         family, x, equations, shooting = solution
@@ -319,18 +327,28 @@ class _OrbitSolver:
             if orbit.flaw or not orbit.stable:
                 return None
         event_times = x[len(x) - len(sequence.kind) :]
-        integral = evaluate_motion(equations, sequence, shooting, event_times)[1]
+        integral = first_harmonic(equations, sequence, event_times, shooting.states)
         harmonic = 2.0 / equations.period * integral
         prescribed = -1j * point.force / (self.spring or 1.0)
         reference = complex(prescribed if self.table is None else harmonic[self.table])
         stored = replace(start, unknowns=x, drive=float(drive))
         return stored, harmonic[: self.bodies] / reference, abs(reference)
 
-    def _newton(self, start: StoredOrbit, point: OperatingPoint) -> tuple[OrbitFamily, Array, Any, Any] | None:
-        """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence."""
-        family = OrbitFamily(self.problem, start.plan, point, "frequency", start.unknowns)
+    def _newton(
+        self, start: StoredOrbit, point: OperatingPoint, max_corrections: int = _MAX_CORRECTIONS
+    ) -> tuple[OrbitFamily, Array, Any, Any] | None:
+        """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence.
+
+        The convergence of a single correction is not checked.
+        """
+        plan, problem = start.plan, self.problem
+        family = OrbitFamily(problem, plan, point, "frequency", start.unknowns)
+        equations, derivatives = problem.equations(point, plan, parameter=None)
+        scale, residual_scale = family.scale[:-1], family.residual_scale
         try:
-            equations, x, _, shooting, _, count = family.correct(point.frequency, start.unknowns, _MAX_CORRECTIONS)
+            x, _, shooting, _, count = newton_solve(
+                equations, derivatives, plan.sequence, start.unknowns, scale, residual_scale, max_corrections
+            )
         except np.linalg.LinAlgError:
             return None
-        return None if count < 0 else (family, x, equations, shooting)
+        return None if count < 0 and max_corrections > 1 else (family, x, equations, shooting)

@@ -84,8 +84,8 @@ class _ConfigurationMatrices(NamedTuple):
     """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
 
     `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
-    is pressed on its ceiling. `norm_bound`: upper limit of the norm of the state matrix, 1/s. The last four fields are
-    derivatives with respect to the mass factor. The first index of each array is the configuration.
+    is pressed on its ceiling. `norm_bound`: upper limit of the norm of the state matrix, 1/s. The first index of each
+    array is the configuration.
     """
 
     state_matrix: Array
@@ -93,10 +93,15 @@ class _ConfigurationMatrices(NamedTuple):
     inverse_mass: Array
     clearance_input: Array
     norm_bound: Array
-    state_matrix_derivative: Array
-    input_matrix_derivative: Array
-    inverse_mass_derivative: Array
-    clearance_input_derivative: Array
+
+
+class _MatrixDerivatives(NamedTuple):
+    """Derivatives of fields of `_ConfigurationMatrices` with respect to the mass factor."""
+
+    state_matrix: Array
+    input_matrix: Array
+    inverse_mass: Array
+    clearance_input: Array
 
 
 class OrbitProblem:
@@ -113,6 +118,7 @@ class OrbitProblem:
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
+        self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}
         self._systems: dict[float, HybridSystem] = {}
 
     def varied_system(self, setting: OperatingPoint) -> HybridSystem:
@@ -181,13 +187,14 @@ class OrbitProblem:
         if drive_derivative is not None:
             generator_derivative[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive_derivative
         if parameter == "mass_ratio":
-            generator_derivative[:, :n, :n] = matrices.state_matrix_derivative
-            generator_derivative[:, :n, n : n + 2] = matrices.input_matrix_derivative[:, :, :-1] @ drive
-            generator_derivative[:, :n, n + 2] = matrices.input_matrix_derivative[:, :, -1]
+            by_factor = self._matrix_derivatives(plan.configurations, mass_factor)
+            generator_derivative[:, :n, :n] = by_factor.state_matrix
+            generator_derivative[:, :n, n : n + 2] = by_factor.input_matrix[:, :, :-1] @ drive
+            generator_derivative[:, :n, n + 2] = by_factor.input_matrix[:, :, -1]
             generator_derivative[:, nq : 2 * nq, n + 2] += (
-                matrices.clearance_input_derivative[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
+                by_factor.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
             )
-            inverse_mass_derivative = matrices.inverse_mass_derivative
+            inverse_mass_derivative = by_factor.inverse_mass
         if parameter == "clearance":
             generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
         damper_zeros, wall_zeros = np.zeros(system.dampers), np.zeros((system.dampers, 2))
@@ -220,7 +227,7 @@ class OrbitProblem:
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
 
-    def _drive_derivative(self, setting: OperatingPoint, parameter: Parameter, drive: Array) -> Array | None:
+    def _drive_derivative(self, setting: OperatingPoint, parameter: Parameter | None, drive: Array) -> Array | None:
         """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
@@ -253,6 +260,33 @@ class OrbitProblem:
         system = self._system_at(mass_factor)
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
+        inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        wall_force, clearance_force = _finite_contact_forces(system, configuration)
+        state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
+        state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
+        state_matrix[nq : 2 * nq] = inverse_mass @ (system.force_state + wall_force)
+        state_matrix[2 * nq :] = system.rate_state
+        input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
+        input_matrix[2 * nq :, :-1] = system.rate_drive
+        input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
+        norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
+        arrays = state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, norm_bound
+        return _ConfigurationMatrices(*(array[None] for array in arrays))
+
+    def _matrix_derivatives(self, configurations: tuple[int, ...], mass_factor: float) -> _MatrixDerivatives:
+        """Differentiate the stacked matrices of several configurations with respect to the mass factor."""
+        key = (configurations, mass_factor)
+        if key not in self._derivatives:
+            if len(self._derivatives) > MAX_CACHED:
+                self._derivatives.clear()
+            single = [self._configuration_derivatives(configuration, mass_factor) for configuration in configurations]
+            self._derivatives[key] = _MatrixDerivatives(*(np.stack(field) for field in zip(*single, strict=True)))
+        return self._derivatives[key]
+
+    def _configuration_derivatives(self, configuration: int, mass_factor: float) -> _MatrixDerivatives:
+        """Differentiate the matrices of one configuration; the arrays lack the index of the configuration."""
+        system = self._system_at(mass_factor)
+        nq, n = system.coordinates, system.states
         # Mass matrix and forces are linear in the mass factor: any two values determine the slope.
         heavier, lighter = (self._system_at(factor * mass_factor) for factor in (1.5, 0.5))
         mass_derivative, constant_derivative = (
@@ -263,7 +297,8 @@ class OrbitProblem:
                 strict=True,
             )
         )
-        inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        constant = _riding_mass_and_forces(system, configuration)[1]
+        inverse_mass = self._configurations((configuration,), mass_factor).inverse_mass[0]
         inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
         stiffness_derivative, damping_derivative = self._wall_derivatives(mass_factor)
@@ -271,25 +306,11 @@ class OrbitProblem:
         wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
         force = system.force_state + wall_force
         state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-        state_matrix_derivative, input_matrix_derivative = np.zeros_like(state_matrix), np.zeros_like(input_matrix)
-        state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
-        state_matrix[nq : 2 * nq] = inverse_mass @ force
-        state_matrix[2 * nq :] = system.rate_state
-        input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
-        input_matrix[2 * nq :, :-1] = system.rate_drive
-        input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
-        state_matrix_derivative[nq : 2 * nq] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
-        input_matrix_derivative[nq : 2 * nq, :-1] = inverse_mass_derivative @ system.force_drive
-        input_matrix_derivative[nq : 2 * nq, -1] = (
-            inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
-        )
-        norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
-        arrays = (
-            state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, norm_bound,
-            state_matrix_derivative, input_matrix_derivative, inverse_mass_derivative,
-            inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative,
-        )  # fmt: skip
-        return _ConfigurationMatrices(*(array[None] for array in arrays))
+        state_matrix[nq : 2 * nq] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
+        input_matrix[nq : 2 * nq, :-1] = inverse_mass_derivative @ system.force_drive
+        input_matrix[nq : 2 * nq, -1] = inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        clearance_input = inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative
+        return _MatrixDerivatives(state_matrix, input_matrix, inverse_mass_derivative, clearance_input)
 
     def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array]:
         """Return the derivatives of wall stiffness and damping with respect to the mass factor, shape (dampers, 2).

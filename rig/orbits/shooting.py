@@ -88,9 +88,11 @@ def _propagate(
     dinitial[n] = -start_time * derivatives.omega * initial[n + 1]
     dinitial[n + 1] = start_time * derivatives.omega * initial[n]
     dx[:] = np.ascontiguousarray(flow[:n, :n]) @ dx
-    dx[:, n_unknowns] = exponential_derivative(
-        a, derivatives.generator[configuration], initial, dinitial, duration, equations.norm_bound[configuration]
-    )[:n]
+    generator_derivative = derivatives.generator[configuration]
+    if derivatives.omega != 0.0 or np.any(generator_derivative):
+        dx[:, n_unknowns] = exponential_derivative(
+            a, generator_derivative, initial, dinitial, duration, equations.norm_bound[configuration]
+        )[:n]
     for i in range(n):
         rate = 0.0
         for m in range(n + 3):

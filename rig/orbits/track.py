@@ -19,6 +19,8 @@ from rig.orbits.orbit_equations import Equations, Sequence
 # Largest product of the step between instants and the norm of the state matrix. The relative error of the extremes
 # of quintics is then 1e-9, and the harmonic is exact to rounding.
 MAX_RATE_TIMES_STEP = 0.25
+# The same product for the harmonic alone, which then has a relative error of 1e-11.
+_MAX_RATE_TIMES_HARMONIC_STEP = 0.7
 # Largest number of steps in a segment; it limits the memory for long flights in stiff structures.
 MAX_STEPS = 1500
 # Bernoulli numbers over factorials, for the end corrections of the trapezoidal rule (Euler-Maclaurin).
@@ -60,7 +62,9 @@ def turning_value(left_value: float, right_value: float, slopes: Array, curvatur
 
 
 @cached_njit
-def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tuple[Array, Array, int]:
+def _segments(
+    equations: Equations, sequence: Sequence, instants: Array, max_rate_times_step: float
+) -> tuple[Array, Array, int]:
     """Return start and duration of each segment, s, and the number of steps in a segment.
 
     The last segment ends at the first event of the next period.
@@ -76,7 +80,7 @@ def _segments(equations: Equations, sequence: Sequence, instants: Array) -> tupl
             durations[s] = segment_end - starts[s]
         norm_bound = equations.norm_bound[sequence.configuration[min(s + 1, events)]]
         largest_rate_times_duration = max(largest_rate_times_duration, abs(durations[s]) * norm_bound)
-    steps = int(np.ceil(largest_rate_times_duration / MAX_RATE_TIMES_STEP))
+    steps = int(np.ceil(largest_rate_times_duration / max_rate_times_step))
     return starts, durations, max(8, min(MAX_STEPS, steps))
 
 
@@ -200,7 +204,7 @@ def track_orbit(equations: Equations, sequence: Sequence, instants: Array, state
     """
     n = equations.generator.shape[1] - 3
     nq, nd, omega = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0], equations.omega
-    starts, durations, steps = _segments(equations, sequence, instants)
+    starts, durations, steps = _segments(equations, sequence, instants, MAX_RATE_TIMES_STEP)
     segments = starts.size
     times = np.zeros((segments, steps + 1))
     motion = np.zeros((segments, steps + 1, n))
@@ -224,3 +228,22 @@ def track_orbit(equations: Equations, sequence: Sequence, instants: Array, state
             _sample_guard(equations, a, sequence.wall[k, j], j, states[k], x, rate, step, guards[s, :, j])
         harmonic += _first_harmonic(a, omega, times[s], x, step)[:n]
     return Track(times, motion, guards, extremes, harmonic)
+
+
+@cached_njit
+def first_harmonic(equations: Equations, sequence: Sequence, instants: Array, states: Array) -> NDArray[np.complex128]:
+    """Return the harmonic of `Track` alone, with larger steps; the arguments are those of `track_orbit`."""
+    n, omega = equations.generator.shape[1] - 3, equations.omega
+    starts, durations, steps = _segments(equations, sequence, instants, _MAX_RATE_TIMES_HARMONIC_STEP)
+    harmonic = np.zeros(n, dtype=np.complex128)
+    start, x, rate = np.ones(n + 3), np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
+    for s in range(starts.size):
+        k = s + 1 if sequence.kind.shape[0] > 0 else 0  # index of the segment in `sequence`
+        configuration, step = sequence.configuration[k], durations[s] / steps
+        a = equations.generator[configuration]
+        start[:n] = states[k, :n]
+        start[n], start[n + 1] = np.cos(omega * starts[s]), np.sin(omega * starts[s])
+        _sample_states(a, exponential(a, step, equations.norm_bound[configuration]), start, x, rate)
+        times = starts[s] + step * np.arange(steps + 1)
+        harmonic += _first_harmonic(a, omega, times, x, step)[:n]
+    return harmonic

@@ -160,9 +160,12 @@ class OrbitProblem:
         return amplitudes
 
     def equations(
-        self, setting: OperatingPoint, plan: Plan, parameter: Parameter = "frequency"
+        self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
-        """Return the equations of motion in a plan's configurations, and their derivatives by a parameter."""
+        """Return the equations of motion in a plan's configurations, and their derivatives by a parameter.
+
+        Without a parameter, the derivatives are zero.
+        """
         system, mass_factor = self.varied_system(setting), setting.mass_ratio
         # nq coordinates and n states. The augmented state z = (state, cos wt, sin wt, 1) obeys z' = generator z.
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency

@@ -12,7 +12,6 @@ from analysis.fitting.diagnosis import list_omitted_points
 from analysis.fitting.measured import measured_curves
 from analysis.fitting.predicted import scene_of_test
 from analysis.fitting.sweep_orbits import SweepOrbits
-from rig.orbits.orbit import OrbitFamily
 
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
@@ -81,5 +80,5 @@ def test_singular_matrix_yields_no_gap(monkeypatch):
     def raise_singular(*_):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr(OrbitFamily, "correct", raise_singular)
+    monkeypatch.setattr("analysis.fitting.sweep_orbits.newton_solve", raise_singular)
     assert orbits.largest_gap(test_scene, level, frequency, 0) == 0.0

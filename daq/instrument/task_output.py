@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 
 class TaskOutput:
-    """The output of a task."""
+    """Counterpart of `TaskInput`, with its interface: an output is not retriggerable, and has no samples to read."""
 
-    # The properties of `TaskInput`: an output is not retriggerable, and no event waits until its samples are read.
     is_retriggerable, all_read = False, True
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
@@ -42,11 +41,11 @@ class TaskOutput:
             raise DaqError(
                 "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
             )
-        plan, clock_task = output_plan(self._settings, self._chassis.rate, start)
+        plan, clock_source = output_plan(self._settings, self._chassis.rate, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
         self._is_running = self._has_played = True
-        if clock_task is not None:
-            self.run.start_if_clock_runs(self._chassis.event_tick(clock_task))
+        if clock_source is not None:
+            self.run.start_if_clock_runs(self._chassis.event_tick(clock_source))
 
     def stop(self) -> None:
         """End the generation."""
@@ -105,7 +104,7 @@ class TaskOutput:
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples, V, as soon as the buffer has space; return their number per channel. See `Task.write`."""
+        """Write samples, V, as the buffer has space; return their number per channel. `timeout`: s; negative: none."""
         if not self._is_running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]
@@ -116,11 +115,11 @@ class TaskOutput:
         chassis, n_requested, n_written = self._chassis, volts.shape[1], 0
         start_s = chassis.clock.now(chassis)
 
-        def present_run() -> Generation | None:
+        def current_run() -> Generation | None:
             return self.run if self._is_running else None
 
         def space() -> int:
-            run = present_run()
+            run = current_run()
             return buffer.space(0 if run is None else run.generated, self._is_running, self._settings.regenerates)
 
         def chunk_size() -> int:
@@ -128,7 +127,7 @@ class TaskOutput:
             return min(n_requested - n_written, max(1, buffer.size // 2))
 
         while True:
-            run = present_run()
+            run = current_run()
             if run is not None and run.error is not None:
                 raise DaqError(str(run.error), run.error.code, n_written)
             if run is not None and run.done:
@@ -146,13 +145,14 @@ class TaskOutput:
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
 
             def ready() -> bool:
-                run = present_run()
+                run = current_run()
                 return run is None or run.done or space() >= chunk_size()
 
             if run is None or not chassis.wait(ready, lambda: chunk_size() - space(), time_left):
+                cause = "the task is not running" if run is None else "the timeout has expired"
                 raise DaqError(
-                    f"{n_written} of {n_requested} samples per channel were written within {timeout:g} s: the buffer "
-                    "is full. Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
+                    f"{n_written} of {n_requested} samples per channel were written: the buffer is full, and {cause}. "
+                    "Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     n_written,
                 )
@@ -163,8 +163,8 @@ class TaskOutput:
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
             buffer.write(volts, is_running=False)
-            per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
-            plan = OutputPlan(tuple(bench_indices), chassis.rate, per_tick, volts.shape[1], False)
+            bench_samples_per_tick = samples_per_tick(chassis.bench.rate, chassis.rate)
+            plan = OutputPlan(tuple(bench_indices), chassis.rate, bench_samples_per_tick, volts.shape[1], False)
             run = chassis.run_output(self._task, plan, buffer)
             chassis.wait(lambda: run.done, run.ticks_to_end, -1.0)
             chassis.halt(self._task)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Slope, WindowCondition
 
-_SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/(?:StartTrigger|ReferenceTrigger))", re.IGNORECASE)
+_SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/StartTrigger|ai/ReferenceTrigger)", re.IGNORECASE)
 
 # Function that returns two flags for each sample: whether it fires an armed trigger, and whether it arms the trigger.
 Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
@@ -32,14 +32,14 @@ Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     """Return the condition of a level crossing.
 
-    The trigger is armed at the distance `hysteresis` before the level; both are in the unit of the samples.
+    A sample at least `hysteresis` before the level arms the trigger; both are in the unit of the samples.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
 
 
 def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
-    """Return the condition of entering or leaving a window of values; its limits belong to it."""
+    """Return the condition of entering or leaving a window of values, which includes its limits."""
 
     def classify(x: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         inside = (x >= bottom) & (x <= top)
@@ -79,7 +79,7 @@ class CrossingFinder:
         return start + int(firing[0]) if firing.size else None
 
     def _update_armed(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
-        """Update whether the trigger is armed, as the last sample that fires or arms it determines."""
+        """Update the state: the trigger is armed if the last arming sample is later than the last firing sample."""
         last_firing, last_arming = (int(np.flatnonzero(flags)[-1]) if flags.any() else -1 for flags in (fires, arms))
         if last_firing != last_arming:
             self._armed = last_arming > last_firing
@@ -103,7 +103,7 @@ class SyncPulse:
     edge: Slope
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the first instant at or after an edge, from `earliest` on; instants count periods of a rate, Hz."""
+        """Return the number of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
         # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
         second = max(1, math.ceil(earliest / rate - phase - 1e-9))
@@ -117,7 +117,7 @@ class AtTime:
     seconds: float  # of bench time, from power-on
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the first instant at or after the time, at least `earliest`; see `SyncPulse.next_instant`."""
+        """Return the number of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
         return max(math.ceil(self.seconds * rate - 1e-6), earliest)
 
 

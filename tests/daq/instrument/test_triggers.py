@@ -106,7 +106,9 @@ def test_terminal_has_pulse_or_trigger_of_task(terminal, source):
     assert digital_source(terminal, Slope.FALLING) == source
 
 
-@pytest.mark.parametrize("terminal", ["", "/Dev1/PFI", "/Dev1/ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger"])
+@pytest.mark.parametrize(
+    "terminal", ["", "PFI", "ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger", "ao/ReferenceTrigger"]
+)
 def test_error_of_unusable_terminal_names_usable_terminals(terminal):
     with pytest.raises(DaqError, match="PFI0") as caught:
         digital_source(terminal, Slope.RISING)

@@ -83,6 +83,17 @@ def start_output(task):
     task.start()
 
 
+def test_error_of_full_buffer_names_its_cause(chassis):
+    with Task() as task:
+        start_output(task)
+        with raises_code(Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, "the timeout has expired", kind=DaqWriteError):
+            task.write(np.zeros(50), timeout=-1.0)
+        task.stop()
+        task.out_stream.output_buf_size = 100
+        with raises_code(Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN, "the task is not running", kind=DaqWriteError):
+            task.write(np.zeros(150), timeout=-1.0)
+
+
 def test_exhausted_output_buffer_is_reported_until_stop(chassis):
     with Task() as task:
         start_output(task)

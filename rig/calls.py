@@ -83,7 +83,7 @@ def grains(
     Raises
     ------
     SceneError
-        As `rig.response`, or if no bed of grains can move.
+        As `rig.response`, or if every bed of grains is locked.
     """
     from rig.bed_response.bed_response import bed_response
     from rig.steady_response.response_output import sweep_frequencies
@@ -122,7 +122,7 @@ def map(
     cluster : str, optional
         Address of a Dask scheduler; omitted, the processors of this machine.
     kept : str or Path, optional
-        File of finished points, from which an interrupted call is continued.
+        CSV file to which each finished row is added; rows in this file are not recomputed.
 
     Raises
     ------

@@ -100,11 +100,11 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
     """Compare each resonance peak of the first recording with those of the others.
 
     `paths`: recordings with frequency responses of one structure. The first sweep (level, direction) of the first
-    recording is the reference; all sweeps of the other recordings are compared with it. Raises `SceneError` if there
+    recording is the baseline; all sweeps of the other recordings are compared with it. Raises `SceneError` if there
     is only one recording, or if the recordings have no response in common.
     """
     if len(paths) < 2:
-        raise SceneError("compare: only one recording. Give two or more; the first is the reference.")
+        raise SceneError("compare: only one recording. Give two or more; the first is the baseline.")
     sweeps: list[list[list[Response]]] = []
     measured_points: list[MeasurementPoints] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
@@ -184,7 +184,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
-    """Format a change, dB or Hz, and its interval; a change without one of its limits has no best estimate."""
+    """Format a change, dB or Hz, and its interval; if one limit is infinite, only the other limit is given."""
     estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
         return "unknown", ""
@@ -233,7 +233,7 @@ class MeasurementPoints:
 
     path: Path
     force_on: tuple[int, ...]  # numbers of the driven bodies
-    channels: dict[str, str]  # location of each response channel
+    channels: dict[str, str]  # location of each response channel, by its name
     # For each response, identifier of its sensor and of the force sensor; empty if several sensors measure the force.
     sensors: dict[str, str] = field(default_factory=dict)
 

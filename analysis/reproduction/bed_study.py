@@ -3,7 +3,7 @@
 A bed is the granular material in the cavity of a damper. It is simulated as grains by discrete elements, and as one
 mass without rebound, which is the model of the paper. The bed is in a body a thousand times as heavy, so that both
 simulations have the same motion of the body. The body vibrates at 50 Hz, near the paper's third resonance, or at its
-first or second resonance. The parameters are its acceleration, the clearance and the depth of the bed. A narrow cavity
+first or second resonance. The parameters are its acceleration (*level*), the clearance and the depth. A narrow cavity
 with few grains and a smooth side represents a section of a wide bed. The dissipated energy yields the compliance at
 resonance of a body ten times as heavy as its bed. The package contains the results; `analysis beds` recomputes them.
 """
@@ -29,8 +29,8 @@ from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 
-#: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances that one mass does not cross are
-#: equivalent to no ceiling and are omitted.
+#: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances above the flight height of one mass
+#: are equivalent to no ceiling and are omitted.
 SETTINGS = {
     0.9: (math.inf,),
     1.3: (math.inf,),
@@ -68,8 +68,8 @@ DAMPED_MASS_RATIO = 0.1
 #: Periods in a block without a ceiling; the last two of three blocks are averaged.
 BLOCK_PERIODS = 6
 #: Periods in a block below a ceiling. Grains that hit a ceiling rearrange for tens of periods, most of all in deep
-#: beds. At 7 g and 2 mm, six layers dissipated 10 times the bed's weight times 1 mm in the first 18 periods, and 7
-#: times in the first 60 periods.
+#: beds. At 7 g and 2 mm, six layers dissipated per period 10 times the bed's weight times 1 mm in the first 18 periods,
+#: but 7 times in the first 60 periods.
 BLOCK_PERIODS_WITH_CEILING = 20
 #: Young's modulus of the grains, Pa.
 MODULUS_PA = 1e8
@@ -220,7 +220,7 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
 
     Impulses are relative to the bed's weight times a period, energy to its weight times 1 mm. Landings are in degrees,
     flight is a share of the period. The compliance is that of a body with `DAMPING` and `DAMPED_MASS_RATIO` at its
-    peak, relative to its spring's. There the force balances the dissipation: k X / F = 1 / (2 zeta + E / (pi M omega^2
+    peak, relative to its spring's. There the work of the force is dissipated: k X / F = 1 / (2 zeta + E / (pi M omega^2
     X^2)).
     """
     mass, test = scene.dampers[0].mass, scene.test
@@ -242,7 +242,7 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
 
 
 def compliance_at_peak(level: Array, energy: Array) -> Array:
-    """Compute the compliance of `summary_row` from the acceleration [g] and the relative energy; any shape."""
+    """Compute the compliance of `summary_row` at `FREQUENCY` from acceleration [g] and relative energy; any shape."""
     speed = level * STANDARD_GRAVITY / (2.0 * math.pi * FREQUENCY)
     vibration_energy = math.pi / DAMPED_MASS_RATIO * speed**2
     return np.asarray(1.0 / (2.0 * DAMPING + energy * STANDARD_GRAVITY * 1e-3 / vibration_energy))

@@ -27,31 +27,31 @@ class Decimator:
         self._weights = _lane_weights(taps, delay)
         self._scratch = scratch
         # Moments of the last intervals of the previous block, which precede those of the next.
-        self._last = aligned_zeros(length * self._oversampling + delay - 1, moments)
-        self._moments = self._last
+        self._history = aligned_zeros(length * self._oversampling + delay - 1, moments)
+        self._moments = self._history
         self._intervals = 0  # filtered so far
         self._samples = aligned_zeros(0)
 
     def moments_buffer(self, count: int) -> Array:
-        """Return the array for the moments of the next `count` intervals, to be filled in; (> count, MOMENTS)."""
-        begin = len(self._last)
+        """Return the array for the moments of the next `count` intervals, to be filled in; (> count, moments)."""
+        begin = len(self._history)
         end = begin + count + SUM_BLOCK * self._oversampling
         self._moments = self._scratch.rows(end)
-        self._moments[:begin] = self._last
-        # The intervals after the block have the weight zero, but must be finite.
+        self._moments[:begin] = self._history
+        # Padding: multiplied by zero weights, so that it must be finite.
         self._moments[begin + count : end] = 0.0
         return self._moments[begin:]
 
     def filter(self, count: int) -> Array:
         """Return the samples that end in the next `count` intervals, whose moments are in `moments_buffer`."""
-        oversampling = self._oversampling
-        first_end = -self._intervals % oversampling
-        samples = max(0, -(-(count - first_end) // oversampling))
+        # Index of the first interval that ends a sample and, in `_moments`, of the first interval of its sum.
+        first_end = -self._intervals % self._oversampling
+        samples = max(0, -(-(count - first_end) // self._oversampling))
         if self._samples.size < samples + SUM_BLOCK:
             self._samples = aligned_zeros(samples + SUM_BLOCK)
-        _sum_moments(self._weights, self._moments, first_end, oversampling, self._samples, samples)
+        _sum_moments(self._weights, self._moments, first_end, self._oversampling, self._samples, samples)
         self._intervals += count
-        self._last[:] = self._moments[count : count + len(self._last)]
+        self._history[:] = self._moments[count : count + len(self._history)]
         return self._samples[:samples]
 
 
@@ -61,7 +61,7 @@ def _lane_weights(taps: Array, delay: int) -> Array:
     `LANES` is the number of values in a processor register: these samples are computed at once.
     """
     oversampling, moments, _ = taps.shape
-    # Row (p, j) of the taps has the weights of the interval j samples and p intervals before the sample.
+    # taps[p, :, j] are the weights of the interval that is j samples and p intervals before the sample.
     taps_backward = np.concatenate([np.zeros((delay, moments)), taps.transpose(2, 0, 1).reshape(-1, moments)])
     weights = aligned_zeros(len(taps_backward) + (LANES - 1) * oversampling, moments, LANES)
     for lane in range(LANES):
@@ -71,7 +71,7 @@ def _lane_weights(taps: Array, delay: int) -> Array:
 
 @unfused_kernel
 def _sum_moments(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
-    """Fill in `count` samples: weighted sums of moments. The sum of the first sample begins at the interval `first`."""
+    """Fill in `count` samples: weighted sums of moments. The first sum begins at interval `first` of `moments`."""
     width = moments.shape[1]
     registers = -(-count // LANES)
     factored_sums(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

@@ -19,7 +19,7 @@ TARGET = 0.5  # acceleration amplitude, m/s^2
 def main(blocks: int = 60) -> float:
     """Run the loop over a number of blocks; return the final acceleration amplitude, m/s^2."""
     carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(BLOCK) / RATE)
-    # Drive in V (1 V corresponds to 1 mm of table displacement), and acceleration amplitude in m/s^2.
+    # Drive in V (1 V: table displacement of 1 mm); amplitude in m/s^2 (1 V of the ideal sensor: 1 m/s^2).
     drive, amplitude = 0.005, 0.0
     with (
         daq.connect("bare-structure", clock="fast") as bench,
@@ -33,7 +33,7 @@ def main(blocks: int = 60) -> float:
         output.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
         output.out_stream.output_buf_size = 4 * BLOCK
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A block contains whole periods, so that blocks join without a phase jump. The buffer always contains two.
+        # A block contains whole periods, so that blocks join without a phase jump. Two are written in advance.
         output.write(np.tile(drive * carrier.imag, 2))
         output.start()
         inputs.start()
@@ -41,7 +41,7 @@ def main(blocks: int = 60) -> float:
             samples = np.array(inputs.read(BLOCK))
             amplitude = 2 * abs((samples * carrier.conj()).mean())
             if block > 10:
-                # After the decay of the transient: an exponent of 1/8 keeps the loop stable despite the delay.
+                # The initial transient has decayed. An exponent of 1/8 keeps the loop stable despite the delay.
                 drive *= (TARGET / amplitude) ** 0.125
             output.write(drive * carrier.imag)
             if block % 10 == 0:

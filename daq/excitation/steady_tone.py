@@ -26,10 +26,10 @@ _MAX_GLIDE_S = 3.0
 WINDOW_S = 0.1
 # Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# Largest change of the drive, as the natural logarithm of its ratio, without a slow glide: its transient is negligible.
+# Largest change of the drive, as the natural logarithm of its ratio, in one window: its transient is negligible.
 _MAX_SUDDEN_CHANGE = 0.03
-# Largest change of the predicted force over the last observations, relative to its deviation from the level, at which
-# the drive is changed.
+# The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
+# its deviation from the level.
 _MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in pieces of this size or more.
 _PIECE_SAMPLES = 1 << 16
@@ -68,7 +68,7 @@ class Tone:
         return wave
 
     def _advance(self, periods: Array) -> Array:
-        """Return the phases of a window, rad.
+        """Return the phases of a window, rad, and move `phase` to the next window.
 
         `periods`: since the start of the window, at each of its samples and at the first sample of the next window.
         """
@@ -120,7 +120,7 @@ class SteadyTone(Tone):
         phase = self.phase
         return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
 
-    def mean(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+    def mean_amplitudes(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a number of samples, in pieces that limit the memory; return the mean amplitudes."""
         piece_samples = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate)
         total: ComplexArray = np.zeros(0, dtype=complex)
@@ -151,7 +151,7 @@ class SteadyTone(Tone):
             if new_drive is not None:
                 glide_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                    # The transient of a mode beats with the drive. A glide of two beats hardly excites this mode.
+                    # The transient of a mode beats with the drive. A glide of two beat periods hardly excites it.
                     two_beats = round(window * 4 * np.pi / float(detector.phase_change()[0]))
                     glide_samples = max(window, min(station.samples(_MAX_GLIDE_S), two_beats))
                 detector.restart()
@@ -180,7 +180,7 @@ class SteadyTone(Tone):
         `settled` and `fields` are fields of the marker.
         """
         first = self.station.now
-        amplitudes = yield from self.mean(max(samples, min_samples(self.frequency, self.rate)))
+        amplitudes = yield from self.mean_amplitudes(max(samples, min_samples(self.frequency, self.rate)))
         force = fields["level"] if self.station.force_is_drive else None
         if self.control is not None:
             force = float(abs(amplitudes[0]))
@@ -232,8 +232,8 @@ _MIN_FORCE_RATIO = 1e-9
 class AmplitudeControl:
     """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
 
-    The bracket is the interval between the nearest drives below and above the level. `level`: required force, N;
-    `limit`: largest drive.
+    The bracket is the interval between the nearest drives with forces below and above the level. `level`: required
+    force, N; `limit`: largest drive.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):
@@ -275,7 +275,7 @@ class AmplitudeControl:
         if self._previous is not None and abs(log_drive - self._previous[0]) > _MIN_LOG_DIFFERENCE:
             slope = (self._previous[1] - error) / (log_drive - self._previous[0])
         self._previous = log_drive, error
-        # Update the bracket: the nearest drives below and above the level.
+        # Update the bracket: the nearest drives with forces below and above the level.
         if error > 0.0:
             self._low, self._high = log_drive, self._high if self._high > log_drive else math.inf
         else:

@@ -59,7 +59,7 @@ class BackgroundTest:
             self._drive = np.concatenate([np.zeros((len(self._drive), lead_ticks)), self._drive], axis=1)
 
     def _start_test(self, failure: str) -> None:
-        """Start the test; if it cannot start, the message says `failure`, such as "cannot run"."""
+        """Start the test; `failure`: predicate of the warning if it cannot start, such as "cannot run"."""
         try:
             self._test = self._make_excitation(self._station)
             self._start_block(next(self._test))
@@ -71,7 +71,7 @@ class BackgroundTest:
         self._block_drive, self._drive, self._position = drive, self._interpolator.interpolate(drive), 0
 
     def _finish(self, failure: str, reason: str) -> None:
-        """End the drive, and report the reason; `failure` is the verb of the warning, such as "has ended"."""
+        """End the drive, and report the reason; `failure` is the warning's predicate, such as "has ended"."""
         self.is_idle = True
         if self._on_end is not None:
             self._on_end(reason)
@@ -84,11 +84,11 @@ class BackgroundTest:
             )
 
     def stop(self) -> None:
-        """End the test at the end of the current block, with a ramp of its drive to zero."""
+        """End the test after the current block, with a ramp to zero; without `on_end`, it then starts again."""
         self._is_stopping = True
 
     def release_outputs(self) -> None:
-        """End the test because a client uses an output; a hammer test, which uses no output, continues."""
+        """End the test because a client uses an output; an impulse (hammer) test, which uses no output, continues."""
         test = self._station.scene.test
         if not self.is_idle and test is not None and test.kind != "impulse":
             if self._on_end is None:
@@ -117,7 +117,7 @@ class BackgroundTest:
             return
         n_samples = self._block_drive.shape[1]
         received = np.concatenate(self._readings, axis=1)[:, -n_samples:]
-        # If the filter delay is removed, the first samples of the first block are missing: they are set to zero.
+        # With delay compensation, the first block has fewer samples; the missing ones are set to zero.
         readings = np.zeros((received.shape[0], n_samples))
         readings[:, n_samples - received.shape[1] :] = received
         self._station.now += n_samples

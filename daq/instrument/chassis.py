@@ -6,7 +6,7 @@ time steps of the bench. A task starts at a tick. Tasks may have any rates and s
 sampling of another task.
 
 An output keeps its last voltage when a task ends; `rig.scene.shaker.DRIVE_PER_VOLT` defines the effect of its voltage.
-Bench time stops while no task is open that has been started. The test of the scene runs until a task uses an output for
+Bench time runs only while a started task is open. The test of the scene runs until a task uses an output for
 the first time, see `daq.instrument.background_test`.
 """
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench, Block
 
-# Longest step of the bench, ticks.
+# Largest number of ticks by which the bench advances at once.
 _MAX_BLOCK_TICKS = 4096
 # More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62
@@ -67,7 +67,7 @@ class Runner(Protocol):
 
     @property
     def callback_finished(self) -> bool:
-        """Whether that callback has finished: all samples have been read."""
+        """Whether the callback for `notify_samples` has finished: all samples have been read."""
 
 
 class Chassis:
@@ -252,7 +252,7 @@ class Chassis:
 
     @property
     def was_read_without_drive(self) -> bool:
-        """Whether inputs were read, but neither a task nor the test has driven the bench."""
+        """Whether an acquisition was started, but neither a task nor the test has driven the bench."""
         return self._has_acquired and not self._tasks_drive_outputs and self.terminals.is_idle
 
     def wait(self, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
@@ -271,7 +271,7 @@ class Chassis:
     def _step(self, limit: int) -> None:
         """Advance by at most `limit` ticks, and not beyond the next event that must be processed at its tick."""
         terminals, tick = self.terminals, self.position
-        ticks = terminals.limit_ticks(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_output()))
+        ticks = terminals.limit_ticks(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_awaited_trigger()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
         volts = None
@@ -343,7 +343,7 @@ class Chassis:
                 return tick
         return None
 
-    def _ticks_to_output(self) -> int:
+    def _ticks_to_awaited_trigger(self) -> int:
         """Return the number of ticks until the next sample of an input whose trigger starts an output."""
         awaited_sources = [
             run.plan.start

@@ -1,4 +1,4 @@
-"""Encode and decode a block of samples of one channel as a protobuf message, without copying the samples."""
+"""Encode and decode a block of samples of one channel as a protobuf message."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SampleBlock(NamedTuple):
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
     first_sample: int  # number of the first sample
     rate: float  # samples per second, Hz
-    samples: NDArray[Any]  # the stored numbers; a view into the message, read-only; shape (samples,)
+    samples: NDArray[Any]  # the stored numbers, (samples,); if `encode` wrote the message, a view
 
     @property
     def stop(self) -> int:
@@ -86,7 +86,7 @@ def encode(clock: Timebase, first_sample: int, samples: NDArray[Any]) -> NDArray
 
 
 def decode(data: memoryview, schema: str) -> SampleBlock:
-    """Decode a block of a schema in `SAMPLE_TYPE`, without a copy; raise `RecordingError` for invalid bytes."""
+    """Decode a block; without a copy if `encode` wrote it. Raises `RecordingError` for invalid bytes."""
     kind = SAMPLE_TYPE[schema]
     if len(data) > _HEADER.size:
         tag0, t0_ns, tag1, first, tag2, rate, tag3 = _HEADER.unpack_from(data)
@@ -98,22 +98,22 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
             except ValueError:
                 stored_bytes = len(data) - samples_offset
                 raise RecordingError(f"{stored_bytes} bytes are not a whole number of samples ({schema}).") from None
-    return _decode_any(data, schema)
+    return _decode_other_writer(data, schema)
 
 
 @lru_cache(maxsize=64)
-def _size_prefix(message: int) -> bytes:
-    """Return the encoded size (varint) of the samples in a message with a length of `message` bytes.
+def _size_prefix(message_bytes: int) -> bytes:
+    """Return the encoded size (varint) of the samples in a message of this length.
 
-    The length of the encoded size depends on the size, which is smaller by this length; two lengths are possible.
+    The prefix is as long as the payload size requires, and the payload is shorter by the prefix: try both lengths.
     """
-    bytes_after_header = message - _HEADER.size
+    bytes_after_header = message_bytes - _HEADER.size
     max_prefix = len(varint(bytes_after_header))
     lengths = (max_prefix, max_prefix - 1)
     return next((prefix for n in lengths if len(prefix := varint(bytes_after_header - n)) == n), b"")
 
 
-def _decode_any(data: memoryview, schema: str) -> SampleBlock:
+def _decode_other_writer(data: memoryview, schema: str) -> SampleBlock:
     """Decode a block of another writer, which may omit zero fields or order them differently."""
     from google.protobuf.message import DecodeError
 

@@ -189,13 +189,13 @@ class Propagator:
         return State(*(part.copy() for part in self.state))
 
     def resume(self, snapshot: tuple[Array, ...]) -> None:
-        """Continue from a `snapshot` of this system; the drive may be different."""
+        """Continue from a `snapshot` of this system; the drive of the next segments may be different."""
         for current, copy in zip(self.state, snapshot, strict=True):
             current[...] = copy
         self._look_up_tables()
 
     def start_period(self, level: float) -> None:
-        """Set the tone to the start of a period; `level`: factor on its amplitudes."""
+        """Reset the drive to the start of a period (phase zero); `level`: factor on the tone's amplitudes."""
         self.state.z[self.system.states : self.tables.size] = (level, 0.0)
 
     def current_state(self) -> Trajectory:
@@ -376,7 +376,7 @@ def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple
 
 
 def step_for(span: float, max_rate: float) -> tuple[float, float]:
-    """Return a step length that divides a time span and is short enough for the series.
+    """Return a step length that divides a time span and is short enough for the power series.
 
     `span`: s; `max_rate`: largest rate of system and drive (magnitude of a pole), rad/s. Returns the step length, s,
     and the number of steps in the span. Raises `RunError` if this number exceeds `MAX_STEPS`.

@@ -2,8 +2,8 @@
 
 A *bed* is the particles of one damper, here as grains that LAMMPS moves in the frame of their cavity. The structure and
 its other dampers are propagated exactly over a step h under the beds' forces, which are interpolated linearly from F to
-F' over the step. The body therefore receives the impulse (F + F') h / 2. It equals within rounding the impulse of the
-walls on the grains in LAMMPS's velocity Verlet scheme.
+F' over the step. The body therefore receives the impulse (F + F') h / 2. Within rounding, the walls exert the
+same impulse on the grains in LAMMPS's velocity Verlet scheme.
 
 In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
 step times the body's acceleration is applied at the beginning of the step, and the remainder of the exact change at
@@ -71,11 +71,11 @@ class CoupledPropagator:
         spheres = spheres_of(scene)
         self.substeps = max(1, int(np.ceil(interval / min(each.longest_step() for each in spheres.values()))))
         self.step = interval / self.substeps
-        self.bodies = np.array([scene.dampers[row].body - 1 for row in spheres])
+        self.bodies = np.array([scene.dampers[index].body - 1 for index in spheres])
         self.structure, steps = sampled_propagator(_with_bed_inputs(scene, self.system, self.bodies), self.step)
         self._propagator_steps = np.array([steps])
         numbers = self.system.damper_number.tolist()
-        self._bed_rows = np.array([numbers.index(row + 1) for row in spheres], dtype=np.intp)
+        self._bed_rows = np.array([numbers.index(index + 1) for index in spheres], dtype=np.intp)
         self._rows_without_grains = np.flatnonzero(~self.system.grains)
         self.beds = []
         for each in spheres.values():
@@ -99,7 +99,7 @@ class CoupledPropagator:
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the structure's state with every damper on its floor; return the dampers that separate immediately."""
         inputs = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
-        # Drive states: the inputs and their rates, here zero.
+        # Drive states: the inputs and their changes over the step, here zero.
         separated = self.structure.set_state(state, np.concatenate([inputs, np.zeros(len(inputs))]))
         self._read_beds()
         return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
@@ -133,11 +133,11 @@ class CoupledPropagator:
         event_logs: list[tuple[int, Trajectory]] = []
         for k in range(steps):
             predicted_change = 0.5 * self.step * self._acceleration
-            for row, bed in enumerate(self.beds):
-                bed.add_velocity(-predicted_change[row])
+            for bed_index, bed in enumerate(self.beds):
+                bed.add_velocity(-predicted_change[bed_index])
                 bed.advance()
-                forces[row, :, k + 1] = bed.forces()
-                gap[row, k + 1] = bed.gap
+                forces[bed_index, :, k + 1] = bed.forces()
+                gap[bed_index, k + 1] = bed.gap
             bed_inputs[:, k + 1] = -forces[:, :, k + 1].sum(axis=1)
             events = self.structure.propagate_interval(inputs[:, k : k + 2], self._propagator_steps, sample)
             if events is not None:
@@ -157,8 +157,8 @@ class CoupledPropagator:
         """Read the beds' present forces, and the velocities and accelerations of their bodies under these forces."""
         self._force = np.array([bed.forces() for bed in self.beds])
         current = self.structure.current_state()
-        bed_columns = self.structure.system.states + len(self.system.inputs)
-        current.state[0, bed_columns : bed_columns + len(self.beds)] = -self._force.sum(axis=1)
+        first_bed_input = self.structure.system.states + len(self.system.inputs)
+        current.state[0, first_bed_input : first_bed_input + len(self.beds)] = -self._force.sum(axis=1)
         self._velocity = current.state[0, self.system.coordinates + self.bodies]
         self._acceleration = self.structure.accelerations(current.state, current.table_index)[self.bodies, 0]
 
@@ -186,7 +186,7 @@ class CoupledPropagator:
         )
 
     def sample_motion(self, drive: Array, interval_steps: float, samples: MotionSamples, column: int) -> Trajectory:
-        """Propagate through the sample intervals between the columns of a drive; fill the samples from a column on."""
+        """Propagate as `Propagator.sample_motion`, whose interface requires `interval_steps`; it is not used here."""
         trajectory, beds = self.propagate_steps(interpolate_drive(drive, self.substeps))
         self.fill_samples(samples, column, trajectory, beds)
         return self.at_samples(trajectory)
@@ -201,7 +201,7 @@ class CoupledPropagator:
         self._fill_columns(samples, columns, at_ends, beds.force[:, :, ends], beds.gap[:, ends])
 
     def at_samples(self, trajectory: Trajectory) -> Trajectory:
-        """Return a trajectory whose segments are sample intervals instead of steps, for its events and breaks."""
+        """Renumber events and breaks by sample interval instead of time step; the states remain those of the steps."""
 
         def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
             """Convert numbers of steps, and times in them, to numbers of sample intervals and times in these."""
@@ -273,12 +273,10 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
     )
 
 
-def _join(current_state: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
-    """Join the states of all steps, and their events and breaks, to one trajectory whose segments are the steps."""
+def _join(empty_log: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
+    """Join states, events and breaks of all steps to one trajectory; `empty_log` supplies arrays of the right types."""
     logs = {
-        item.name: np.concatenate(
-            [getattr(current_state, item.name), *(getattr(log, item.name) for _, log in event_logs)]
-        )
+        item.name: np.concatenate([getattr(empty_log, item.name), *(getattr(log, item.name) for _, log in event_logs)])
         for item in fields(Trajectory)
         if item.name not in StateSamples._fields
     }

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
 #: Largest distance from steady state, relative to the motion, at which the motion type is determined.
 STEADY_TOLERANCE = 1e-6
-#: Wait after which a motion without repetition counts as irregular, relative to the time in which the slowest mode
-#: decays to the tolerance.
+#: Longest wait, relative to the time in which the slowest mode decays to the tolerance; then a motion without
+#: repetition counts as irregular.
 MAX_WAIT_DECAY_TIMES = 3.0
 #: Smallest limit of the wait, periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000
@@ -76,7 +76,7 @@ class MotionMap(Result):
     cpu : ndarray, shape (rows, frequencies)
         CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level above which a damper exceeds 1 g, computed for the linear structure with all dampers at rest on floors.
+        Level at which a damper's body reaches 1 g, computed for the linear structure with all dampers on their floors.
     """
 
     scene: Scene
@@ -357,7 +357,7 @@ def _draw(map_: MotionMap) -> Figure:
         map_.draw_axes(right)
         right.set_ylabel("")
         left.set_title("Motion type of the most active damper")
-        right.set_title("Computing time of the motion, not of a test")
+        right.set_title("Periods computed, not the duration of a test")
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":

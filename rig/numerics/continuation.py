@@ -29,7 +29,7 @@ Margins = Callable[[Vector], tuple[Vector, Sequence[str]]]
 # A point (n + 1,) and the curve's unit tangent there (n + 1,)
 PointWithTangent = tuple[Vector, Vector]
 
-# Distance of the last point from a border, relative to the step length.
+# Tolerance of the distance of the last point from a border, relative to the chord across the border.
 BORDER_TOLERANCE = 1e-9
 # Reason for the end of a curve with `Steps.max_points`.
 POINT_LIMIT = "the largest number of points is reached"
@@ -45,7 +45,7 @@ class Steps:
     max_angle_rad: float = 0.15
     """Largest angle between the tangents of neighboring points."""
     tolerance: float = 1e-11
-    """Largest last correction of Newton's iteration (scaled unknowns)."""
+    """Newton's iteration ends when its largest correction (scaled unknowns) is below this."""
     max_iterations: int = 8
     """Largest number of corrections of a point; after these the step is reduced."""
     max_points: int = 4000

@@ -30,7 +30,7 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_value
 from rig.steady_response.steady_state import MAX_REPETITION, settle
 
-# Number of simulated periods after which a search classifies the motion as irregular.
+# Number of simulated periods after which a search ends without an orbit.
 MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
@@ -157,7 +157,7 @@ def start_propagator(
 ) -> tuple[Propagator, float]:
     """Return a propagator at the start of a period, with all dampers on their floors, and its steps per period.
 
-    The initial state is that of the scene or, if `from_linear_response`, the steady state of the linear structure
+    The initial state is that of the scene; `from_linear_response` adds the steady vibration of the linear structure
     with all dampers riding on their floors.
     """
     system = problem.varied_system(setting)
@@ -168,8 +168,8 @@ def start_propagator(
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
-        response = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
-        state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], response).real
+        forcing = (a[:n, n] - 1j * a[:n, n + 1]).astype(np.complex128)
+        state += np.linalg.solve(1j * equations.omega * np.eye(n) - a[:n, :n], forcing).real
     propagator.set_state(state, np.array([1.0, 0.0]))
     return propagator, steps
 
@@ -249,4 +249,4 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
         if not 0.0 <= gap <= system.clearance[j]:
             state.recovering[j] = FLOOR if gap < 0.0 else CEILING
     state.counters[CONFIGURATION] = configuration_of(walls)
-    propagator.resume(propagator.snapshot())
+    propagator.resume(propagator.snapshot())  # looks up the tables of the configuration

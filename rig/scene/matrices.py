@@ -66,10 +66,10 @@ class Matrices(Settings):
     stiffness: Matrix
     """Symmetric, (bodies, bodies) [N/m]."""
     damping: Matrix | None = None
-    """Any matrix of the same size [N s/m]."""
+    """Matrix of the same size with which no free motion grows [N s/m]."""
 
     def relations(self) -> Iterable[Mistake]:
-        """Check sizes, symmetry and energies: kinetic and elastic energy positive, no energy from the damping."""
+        """Check sizes, symmetry and energies: positive kinetic, no negative elastic energy, no growth."""
         mistakes = list(self._check_shapes())
         yield from mistakes
         if not mistakes:
@@ -121,7 +121,7 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def positive_definite(matrix: NDArray[np.float64]) -> bool:
-    """Return whether a symmetric matrix (n, n) is positive definite beyond rounding, for any scaling of its rows."""
+    """Return whether a symmetric matrix (n, n) is positive definite beyond rounding, in any units."""
     diagonal = np.diag(matrix)
     if (diagonal <= 0.0).any():
         return False
@@ -143,7 +143,7 @@ def lowest_squared_frequency(mass: NDArray[np.float64], stiffness: NDArray[np.fl
 def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; both 0 if every mode decays."""
+    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; both 0 if no mode grows."""
     # Without negative eigenvalues of the symmetric part, the damping adds energy in no motion.
     damping_eigenvalues = np.linalg.eigvalsh((damping + damping.T) / 2.0)
     rounding = 10 * len(damping) * np.finfo(float).eps * np.abs(damping_eigenvalues).max()

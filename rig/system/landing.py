@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import math
 
-#: Time constant c / k of a wall of restitution 0, s: the overlap left at separation decays with it. A contact without
-#: adhesion cannot reach restitution 0 exactly, because its dashpot would be infinitely strong. With 5 ms the
-#: restitution is 5 % for a contact of 2 ms, and 0.15 % for 0.1 ms.
+#: Time constant c / k of a wall of restitution 0, s, at least the contact duration: the overlap left at separation
+#: decays with it. A contact without adhesion cannot reach restitution 0 exactly, because its dashpot would be
+#: infinitely strong. With 5 ms the restitution is 5 % for a contact of 2 ms, and 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 

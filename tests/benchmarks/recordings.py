@@ -20,7 +20,7 @@ from daq.signal_chain.channel import ChannelInfo
 LOCATIONS = ("body 1", "body 2", "body 3", "table")
 
 
-def recording_time(path: Path, rate: float, seconds: int, display: bool) -> float:
+def time_to_write(path: Path, rate: float, seconds: int, display: bool) -> float:
     """Write four channels of float64 noise in blocks of 0.1 s; return the elapsed time, s. Noise is incompressible."""
     scene = rig.load("bare-structure").replace(recording={"display": display, "samples": "float64"})
     channels = [ChannelInfo(at.replace(" ", ""), at, "acceleration", 0.01, rate) for at in LOCATIONS]
@@ -35,15 +35,15 @@ def recording_time(path: Path, rate: float, seconds: int, display: bool) -> floa
 
 
 def peak_memory() -> float:
-    """Return the peak memory of this process, MB."""
+    """Return the peak memory of this process so far, MiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def measure(folder: Path, one_hour: bool) -> Iterator[str]:
-    """Yield a line for each result; `one_hour` adds those of a recording of an hour: 6 GB on disk, some minutes."""
+    """Yield a line for each result; `one_hour`: also measure a recording of one hour, 6 GB on disk, some minutes."""
     rate, seconds = 10240.0, 300
     path = folder / "blocks-of-1024.mcap"
-    elapsed = recording_time(path, rate, seconds, display=False)
+    elapsed = time_to_write(path, rate, seconds, display=False)
     megabytes = 4 * 8 * rate * seconds / 1e6
     yield f"write, blocks of 1024 float64 samples: {megabytes / elapsed:.0f} MB/s"
     with daq.open(path) as recording:
@@ -52,9 +52,9 @@ def measure(folder: Path, one_hour: bool) -> Iterator[str]:
     if not one_hour:
         return
     rate, path = 51200.0, folder / "hour.mcap"
-    elapsed = recording_time(path, rate, 3600, display=True)
+    elapsed = time_to_write(path, rate, 3600, display=True)
     yield f"an hour at 4 x 51.2 kS/s with display: written in {elapsed:.0f} s, {path.stat().st_size / 1e9:.2f} GB"
-    yield f"peak memory of writing it: {peak_memory():.0f} MB"
+    yield f"peak memory so far: {peak_memory():.0f} MiB"
     middle = 1800 * round(rate)
 
     def one_second() -> None:
@@ -67,7 +67,7 @@ def measure(folder: Path, one_hour: bool) -> Iterator[str]:
     with daq.open(path) as recording:
         elapsed = _elapsed(lambda: sum(samples.shape[1] for _, samples in recording.blocks()))
     speed = 4 * 8 * rate * 3600 / 1e6 / elapsed
-    yield f"reading all of it in blocks: {speed:.0f} MB/s, peak memory {peak_memory():.0f} MB"
+    yield f"reading all of it in blocks: {speed:.0f} MB/s, peak memory {peak_memory():.0f} MiB"
 
 
 def _elapsed(action: Callable[[], object]) -> float:

@@ -40,8 +40,8 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
 
     assert not result.misfit
     assert any(parameter.key.startswith("dampers[1].contact") for parameter in result.parameters)
-    for parameter, expected in zip(result.parameters, parameters, strict=True):
-        assert parameter.value == pytest.approx(expected.start, rel=5e-3), parameter.key
+    for parameter, true_parameter in zip(result.parameters, parameters, strict=True):
+        assert parameter.value == pytest.approx(true_parameter.start, rel=5e-3), parameter.key
 
 
 def test_contact_parameters_are_those_of_the_scene() -> None:

@@ -1,4 +1,4 @@
-"""Variances of estimates from few averages: not negative, moderated by neighboring lines, not affected by rounding."""
+"""Variances of estimates from few averages: not negative, pooled with neighboring lines (moderated), accurate."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def complex_noise(seed, *shape):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_variance_of_weights_without_scatter_is_zero(seed):
+def test_variance_is_zero_for_weights_orthogonal_to_scatter(seed):
     rows = complex_noise(seed, 2, 4, 50) * np.array([1.0, 1e3, 1e-3, 1e6])[:, None]
     # Weights orthogonal to both rows.
     weights = np.stack([np.linalg.svd(rows[:, :, n])[2][-1].conj() for n in range(50)], axis=1)
@@ -32,7 +32,7 @@ def test_variance_of_weights_without_scatter_is_zero(seed):
 
 
 @pytest.mark.parametrize("degrees", [2, 4, 10])
-def test_moderated_uncertainties_contain_95_percent(degrees):
+def test_moderated_uncertainty_covers_95_percent_of_errors(degrees):
     lines = 4000
     error = complex_noise(1, lines) / np.sqrt(2.0)
     single_variance = np.random.default_rng(2).chisquare(degrees, lines) / degrees
@@ -57,8 +57,8 @@ def test_different_variances_are_hardly_moderated():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_coherence_of_dependent_channels_is_one(seed, tmp_path):
-    # The spring force is a small difference of two readings of nearly the same motion: its power is almost zero.
+def test_coherence_of_dependent_channels_is_at_most_one(seed, tmp_path):
+    # The spring force is a small difference of two readings: rounding could make its power negative.
     path = stepped_sine(tmp_path / "a.mcap", [20.0], periods=2)
     motion = complex_noise(seed, 40)
     readings = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])

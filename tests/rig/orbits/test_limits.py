@@ -13,7 +13,7 @@ GRAVITY = 9.80665  # m/s^2
 
 
 def at_body(scene: Scene, body: int, frequency: float, acceleration: float, **damper: float) -> Scene:
-    """Return a scene with a damper in a body, driven by the force that accelerates this body without damper.
+    """Return a scene with a damper in a body, driven by the force for an acceleration.
 
     `acceleration`: amplitude of the body without damper, g; `damper`: further keys of the damper.
     """
@@ -50,24 +50,24 @@ def test_massless_damper_bounces_at_high_acceleration() -> None:
 
     orbit = rig.periodic_orbit(scene, 47.0)
 
-    # The plan, or sequence of events, is a landing of damper 1 with separation at the same instant.
+    # Events: 1^ separation, 1_ landing, 1v landing of damper 1 with separation at the same instant.
     assert orbit.plan.label == "1v"
     phase = orbit.events["time"][0] * 2 * np.pi * 47.0 + np.angle(orbit.compliance[1])
     # Separation and landing occur at the same phase, where the body's velocity is pi g/w.
     assert np.cos(phase) * acceleration == pytest.approx(np.pi, abs=1e-6)
 
 
-def test_massless_damper_stays_until_full_period_flight() -> None:
+def test_type_i_branch_ends_at_full_period_flight() -> None:
     scene = at_body(rig.load("fig9"), 2, 47.0, 1.0, mass_ratio=1e-9, clearance=float("inf"))
     force_for_1g = scene.test.force
 
     curve = rig.follow_orbits(scene, "force", (1.2 * force_for_1g, 3.6 * force_for_1g), frequency=47.0, searches=1)
 
     # The branch on which damper 1 separates (1^) and lands (1_) once in a period.
-    (sticking,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
+    (type_i_branch,) = [branch for branch in curve.branches if branch.plan.label in ("1^ 1_", "1_ 1^")]
     # At the end of the branch the time on the floor is zero: the damper lands at the phase at which it takes off.
-    assert sticking.value.max() / force_for_1g == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
-    assert sticking.ends[int(sticking.value[-1] > sticking.value[0])] in (
+    assert type_i_branch.value.max() / force_for_1g == pytest.approx(FULL_PERIOD_ACCELERATION_G, abs=1e-6)
+    assert type_i_branch.ends[int(type_i_branch.value[-1] > type_i_branch.value[0])] in (
         "damper 1 leaves its wall early",
         "event 1_ and event 1^ change order",
     )

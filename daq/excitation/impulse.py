@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 BASELINE_S = 0.25
 # Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
-# Maximum wait for the settling of sensors, in time constants.
-_MAX_TIME_CONSTANTS = 10.0
-# Maximum wait for the settling of sensors, s.
-_MAX_SETTLING_S = 60.0
+# Maximum wait for the settling of sensors, in time constants and in s.
+_MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
 # Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5
 # Detection limit of a drift, in standard deviations of its estimate.
@@ -50,7 +48,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
         force = np.zeros(interval)
         force[: pulse.size] = pulse
         first = station.now
-        # The pulse is one window, so that it is marked immediately after its end.
+        # The first window contains the whole pulse, so that it is marked immediately after its end.
         edges = [0, *range(max(window, pulse.size), interval, window), interval]
         for start, stop in pairwise(edges):
             yield station.drive(force[start:stop], "hammer")
@@ -72,13 +70,14 @@ def _wait_for_sensors(station: Station) -> Excitation:
     while is_drifting and station.now < end:
         station.report(0.0, "waiting for the sensors to settle")
         is_drifting = _is_drifting((yield station.zero_drive(min(window, end - station.now))))
-    # After ten time constants the remaining change is the low-frequency noise of the sensors.
-    station.mark("settle", first, station.now, settled=True)
+    # After ten time constants, unless limited to 60 s, the remaining change is low-frequency noise of the sensors.
+    is_settled = not is_drifting or max_samples < round(_MAX_SETTLING_S * station.rate)
+    station.mark("settle", first, station.now, settled=is_settled)
     yield station.zero_drive(station.samples(BASELINE_S))
 
 
 def settling_time(info: ChannelInfo) -> float:
-    """Return the time after power-on in which a bias disappears from a reading, s; 0 without a bias.
+    """Return the time after power-on in which a bias disappears from a reading, at most 60 s; 0 without a bias.
 
     >>> from daq.signal_chain.channel import ChannelInfo
     >>> data_sheet = {"accelerometer.bias": "9.0 V", "accelerometer.bias_settling": "2.0 s"}
@@ -90,8 +89,8 @@ def settling_time(info: ChannelInfo) -> float:
     bias_settling = next(
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
-    # The step at power-on decays with the poles of the high-pass filters. Each high-pass pole has a zero at 0 Hz, and
-    # they are the slowest poles.
+    # The step at power-on decays with the poles of the high-pass filters. There are as many as zeros
+    # at 0 Hz, and they are the slowest poles.
     high_pass_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_MAX_TIME_CONSTANTS * (bias_settling + sum(1.0 / rate for rate in high_pass_rates)), _MAX_SETTLING_S)
 
@@ -109,7 +108,7 @@ def _is_drifting(readings: Array) -> bool:
 
 
 def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and area.
+    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and impulse.
 
     `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine; the pulse is
     therefore longer than `width`. One sample is at the peak.
@@ -121,7 +120,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     from scipy.optimize import brentq
 
     target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
-    if target_sum < 1.2:
+    if target_sum < 1.2:  # 4 / pi for two samples, with a tolerance for a width rounded as in the message
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."

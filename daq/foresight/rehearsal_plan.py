@@ -1,9 +1,9 @@
-"""Choose the parts of a test that are simulated in advance, in a limited CPU time, to predict the largest readings.
+"""Choose the parts of a test that are simulated in advance, within a CPU-time budget, to predict the largest readings.
 
 Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
 its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.
 These peaks are computed with the dampers on their floors and without dampers. A long random test is represented by its
-beginning, equal hits by the first hit, and repeated periods by one period.
+beginning, equal hits by the first hits, and repeated periods by one period.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
 # Approximate CPU time of a rehearsal, s.
-_BUDGET_S = 0.7
-# CPU time for a random test or multisine, as a multiple of `_BUDGET_S`, because the extremes in a part of such a test
-# vary by 10 % from part to part.
+_CPU_BUDGET_S = 0.7
+# CPU time for a random test or multisine, as a multiple of `_CPU_BUDGET_S`, because the extremes in a part of such a
+# test vary by 10 % from part to part.
 _RANDOM_BUDGET_RATIO = 4.0
 # CPU time of a sample without states and channels, s. All CPU times here were measured on one core of 2 GHz.
-_SAMPLE_S = 130e-9
+_SAMPLE_CPU_S = 130e-9
 # CPU time of each state in a sample, s.
-_STATE_S = 6e-9
+_STATE_CPU_S = 6e-9
 # CPU time of each channel in a sample, s.
-_CHANNEL_S = 130e-9
+_CHANNEL_CPU_S = 130e-9
 # CPU time of each period of a sweep with controlled force, s.
-_CONTROLLED_PERIOD_S = 1.2e-3
+_CONTROLLED_PERIOD_CPU_S = 1.2e-3
 # Ratio of the CPU time of a channel with a decimation filter to that of a channel without.
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
-_ELEMENT_S = 0.6e-9
+_ELEMENT_CPU_S = 0.6e-9
 # Fixed part of the wait at a step (one tone), s, measured with the bundled scenes.
-_STEP_S = 1.4
+_FIXED_WAIT_S = 1.4
 # Remaining part of the wait, in which transients decay, as a number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
 # Longest wait for steady state in a rehearsal of parts, s.
@@ -71,13 +71,13 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene) -> float:
-    """Return the longest duration of a test, s, that can be rehearsed in the CPU time `_BUDGET_S`."""
-    system = assemble(scene)
+    """Return the longest duration of a test, s, that can be rehearsed in the CPU time `_CPU_BUDGET_S`."""
+    system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
-    channel_cpu_s = _CHANNEL_S * (1.0 if complete_from_preset(scene.converter).filter is None else _FILTER_TIME_RATIO)
-    sample_cpu_s = _SAMPLE_S + _STATE_S * states + _ELEMENT_S * states**2 + channel_cpu_s * channels
-    return _BUDGET_S / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
+    channel_cpu_s = _CHANNEL_CPU_S * (_FILTER_TIME_RATIO if has_filter else 1.0)
+    sample_cpu_s = _SAMPLE_CPU_S + _STATE_CPU_S * states + _ELEMENT_CPU_S * states**2 + channel_cpu_s * channels
+    return _CPU_BUDGET_S / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
 
 
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
@@ -89,8 +89,8 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
         seconds *= _RANDOM_BUDGET_RATIO
     control_cpu_s = 0.0
     if isinstance(test, SweptSine) and controlled_places(scene):
-        control_cpu_s = _CONTROLLED_PERIOD_S * (test.from_ + test.to) / 2 * test.duration
-    if expected_seconds(scene) / seconds + control_cpu_s / _BUDGET_S <= 1.0:
+        control_cpu_s = _CONTROLLED_PERIOD_CPU_S * (test.from_ + test.to) / 2 * test.duration
+    if expected_seconds(scene) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
         return RehearsalPlan(((scene, 0),), is_complete=True)
     if isinstance(test, SteppedSine | SweptSine):
         return plan_about_peaks(scene, test, channels, seconds)
@@ -111,8 +111,8 @@ def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # Each realization begins with a period of crossfade, and at least two periods until successive periods agree.
-        # With force control, the iterations of the drive take about 8 s.
+        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree. With
+        # force control, the iterations of the drive take about 8 s.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
         return min_duration
@@ -124,7 +124,7 @@ def _expected_wait(scene: Scene) -> float:
     assert isinstance(scene.test, SteppedSine)
     modes = structural_model(scene).modes
     longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
-    return _STEP_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, scene.test.settle.longest)
+    return _FIXED_WAIT_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, scene.test.settle.longest)
 
 
 def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
@@ -255,15 +255,15 @@ def with_level(scene: Scene, level: float) -> Scene:
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
     """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
 
-    Only a stepped sine is shortened. Another test is not changed if it takes at most `seconds`; otherwise the scene is
-    None.
+    Only a stepped sine is shortened; its first step is evaluated only if it is that of the test. Another
+    test is not changed if it takes at most `seconds`; otherwise the scene is None.
     """
     test = scene.test
     if isinstance(test, SteppedSine) and frequency is not None:
         order = list(test.order)
         index = int(np.argmin(np.abs(np.array(order) - frequency)))
         first = max(index - 2, 0)
-        direction = "up" if len(order) < 2 or order[index] >= order[max(index - 1, 0)] else "down"
+        direction = "up" if len(order) < 2 or order[max(index, 1)] >= order[max(index - 1, 0)] else "down"
         settings = _stepped_sine_settings(test, direction, max(test.levels), test.settle, test.measure)
         settings["frequencies"] = sorted(set(order[first : index + 2]))
         return scene.replace(test=settings), min(index - first, 1)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import rig
-from daq.excitation.impulse import half_sine
+from daq.excitation.impulse import _wait_for_sensors, half_sine
+from daq.signal_chain.channel import ChannelInfo
 from rig.errors import SceneError
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
@@ -184,6 +186,19 @@ def test_double_hit_is_applied_and_marked() -> None:
     rebound = second[0] + round(20e-3 * RATE)
     # 40 % of the first peak of 50 N.
     assert hammer[rebound : second[1]].max() == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(("bias_settling", "is_settled"), [("2 s", True), ("100 s", False)])
+def test_drift_at_the_limit_of_the_wait_is_not_marked_as_settled(bias_settling: str, is_settled: bool) -> None:
+    sensor = {"accelerometer.bias": "9 V", "accelerometer.bias_settling": bias_settling}
+    station = Mock(channels=[ChannelInfo("a1", "body 2", "acceleration", 1.0, 100.0, sensor=sensor)], rate=100.0, now=0)
+    station.samples, station.zero_drive = lambda seconds: round(100.0 * seconds), lambda samples: samples
+    wait = _wait_for_sensors(station)
+    samples = next(wait)
+    while not station.mark.called:
+        station.now += samples
+        samples = wait.send(np.arange(50.0)[None])  # a drift without noise
+    assert station.mark.call_args.kwargs["settled"] is is_settled
 
 
 def test_shaker_is_not_driven_during_hammer_test() -> None:

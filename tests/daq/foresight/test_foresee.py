@@ -83,6 +83,13 @@ def test_peaks_with_dampers_are_ranked_first(monkeypatch: pytest.MonkeyPatch) ->
     assert has_dampers == [True, False] * len(names)
 
 
+@pytest.mark.parametrize(("direction", "frequency"), [("up", 10.0), ("up", 40.0), ("down", 40.0), ("down", 10.0)])
+def test_shortened_test_keeps_its_direction(direction: str, frequency: float) -> None:
+    scene = one_body(STEPS | {"direction": direction})
+    part, _ = rehearsal_plan.shorten_to_tone(scene, frequency, 1.0)
+    assert part is not None and part.test is not None and part.test.direction == direction
+
+
 def test_largest_level_is_the_limit() -> None:
     scene = one_body(STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"})
     level = daq.foresee(scene).largest_level

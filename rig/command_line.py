@@ -75,13 +75,13 @@ def run_command(module: str) -> NoReturn:
     Parameters
     ----------
     module : str
-        Imported inside this function, so that an interrupted import is also reported.
+        Name of the module; it is imported here, so that an interrupted import is also reported.
     """
     # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
     gc.set_threshold(_GC_THRESHOLD)
     received_signals.clear()
-    words = sys.argv[1:]
-    debug = words[:1] == ["--debug"]
+    arguments = sys.argv[1:]
+    debug = arguments[:1] == ["--debug"]
     with ExitStack() as cleanup:
         try:
             _handle_signals(cleanup)
@@ -89,18 +89,18 @@ def run_command(module: str) -> NoReturn:
             _replace_hooks(cleanup)
             join()
             console.report_activity(cleanup)
-            code = _execute(module, words[debug:])
+            code = _execute(module, arguments[debug:])
             sys.stdout.flush()
             # From here on, also after an error, a signal ends the process immediately.
-            _set_signals(signal.SIG_DFL)
+            _set_termination_handler(signal.SIG_DFL)
         except BaseException as error:
-            _set_signals(signal.SIG_DFL)
+            _set_termination_handler(signal.SIG_DFL)
             code = _report(error, debug)
     gc.disable()
     sys.exit(128 + received_signals[0] if code == _INTERRUPTED_CODE and received_signals else code)
 
 
-def _execute(module: str, words: Sequence[str]) -> int:
+def _execute(module: str, arguments: Sequence[str]) -> int:
     """Run a command and return its exit code; errors are raised."""
     import typer
 
@@ -110,13 +110,13 @@ def _execute(module: str, words: Sequence[str]) -> int:
         raise RunError("the working folder no longer exists. Change to another folder.") from None
     command, program = typer.main.get_command(import_module(module).app), module.partition(".")[0]
     if f"_{program.upper()}_COMPLETE" in os.environ:
-        # The shell requests completions of the typed words.
+        # The shell requests completions of the typed arguments.
         command.main([], program)
     for subcommand in (command, *getattr(command, "commands", {}).values()):
         for option in subcommand.params:
             option.callback = option.callback or _check_option
     try:
-        with command.make_context(program, list(words)) as context:
+        with command.make_context(program, list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as end:
         return end.exit_code
@@ -150,7 +150,7 @@ def _report(error: BaseException, debug: bool) -> int:
     try:
         sys.stdout.flush()
     except OSError:
-        # Output that Python flushes at exit has no valid destination.
+        # Standard output is broken: redirect it, so that the flush at exit does not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -236,7 +236,7 @@ def _handle_signals(cleanup: ExitStack) -> None:
             signal.signal(number, _interrupt)
 
 
-def _set_signals(handler: Any) -> None:
+def _set_termination_handler(handler: Any) -> None:
     for number in TERMINATION_SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, handler)
@@ -251,11 +251,11 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _replace_hooks(cleanup: ExitStack) -> None:
-    """Report warnings and errors of threads in one line instead of a traceback."""
+    """Report warnings, errors of threads and log messages in one line each on stderr."""
     for module, name, hook in (
         (warnings, "showwarning", _warn),
-        (sys, "unraisablehook", _report_ignored),
-        (threading, "excepthook", _report_thread),
+        (sys, "unraisablehook", _report_unraisable),
+        (threading, "excepthook", _report_thread_error),
     ):
         cleanup.callback(setattr, module, name, getattr(module, name))
         setattr(module, name, hook)
@@ -278,7 +278,7 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
-def _report_ignored(unraisable: sys.UnraisableHookArgs) -> None:
+def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
     """Report an error that Python cannot raise, because it occurred in a destructor or another cleanup."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         # Ctrl-C arrived at that moment; forward it to the command.
@@ -287,6 +287,6 @@ def _report_ignored(unraisable: sys.UnraisableHookArgs) -> None:
         print(f"warning: an unexpected error in a cleanup was ignored ({unraisable.exc_value!r})", file=sys.stderr)
 
 
-def _report_thread(failure: threading.ExceptHookArgs) -> None:
+def _report_thread_error(failure: threading.ExceptHookArgs) -> None:
     if failure.exc_value is not None:
         print(describe_unexpected(failure.exc_value), file=sys.stderr)

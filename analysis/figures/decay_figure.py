@@ -1,4 +1,4 @@
-"""Figure of free decays: acceleration with envelope, envelope in dB scale, damping ratio against amplitude."""
+"""Figure of free decays: acceleration, envelope on a logarithmic scale, damping ratio against amplitude."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         add_caption(
             figure, "Envelope: largest acceleration within half a period of the lowest mode on either side.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, from the same start. Dotted: 1 g.",
-            *["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."][: len(modes)],
+            *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
         )  # fmt: skip
         _draw_damping(figure, rows, modes, gravity)
         return figure

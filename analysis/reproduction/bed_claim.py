@@ -32,8 +32,8 @@ from analysis.reproduction.figures import Columns, Parts
 GOOD_DEVIATION = 0.05
 #: Largest relative deviation at which one mass describes grains acceptably.
 MAX_DEVIATION = 0.10
-#: Smallest value with one mass (see `summary_row`) from which a deviation is computed: smaller energies and impulses
-#: are those of a mass at rest on the floor, or that does not hit the ceiling.
+#: Smallest value with one mass (see `summary_row`) from which a deviation is computed. Smaller energies and impulses
+#: are negligible: the mass rests on the floor, or does not hit the ceiling.
 _MIN_MASS_VALUE = 1e-3
 #: Phase difference below which landings are indistinguishable in a figure, degrees.
 SAME_LANDING_DEG = 20.0
@@ -85,7 +85,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
 
 
 def deviation(beds: Columns, name: str) -> NDArray[np.float64]:
-    """Compute the relative deviation of grains from one mass, shape (settings,); NaN where the mass has no value."""
+    """Compute the relative deviation of grains from one mass, shape (settings,); NaN where the mass has hardly any."""
     return _relative_to_mass(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 
@@ -167,7 +167,7 @@ def _describe_counts(beds: Columns) -> str:
 def _describe_mode(beds: Columns, frequency: float) -> str:
     """Compare grains with one mass at another resonance."""
     at_frequency = select(beds, beds["frequency"] == frequency)
-    deviations, without_ceiling = (100.0 * deviation(at_frequency, "compliance"), np.isinf(at_frequency["clearance"]))
+    deviations, without_ceiling = 100.0 * deviation(at_frequency, "compliance"), np.isinf(at_frequency["clearance"])
     texts = (
         f"{label} {_count_within(deviations[selected], 100 * MAX_DEVIATION)} of {int(selected.sum())} within "
         f"{100 * MAX_DEVIATION:g} %, median {np.median(deviations[selected]):+.0f} %, from "
@@ -202,13 +202,12 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     """Assess one mass on finite-duration contact, the model between instantaneous contact and grains."""
     beds_with_ceiling = with_ceiling(beds)
     contact = fit_contact(beds_with_ceiling, contacts)
-    deviations, cross_validated = (
-        deviation_on_contact(contact, beds_with_ceiling, contacts),
-        cross_validated_deviation(beds_with_ceiling, contacts),
-    )
-    all_deviations, instantaneous = (deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance"))
+    deviations = deviation_on_contact(contact, beds_with_ceiling, contacts)
+    cross_validated = cross_validated_deviation(beds_with_ceiling, contacts)
+    all_deviations, instantaneous = deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance")
     has_ceiling = np.isfinite(beds["clearance"])
     ceiling_impulse = ceiling_impulse_on_contact(contact, beds_with_ceiling, contacts)
+    # In m g T, the impulse of the floor in a period is 1 plus that of the ceiling.
     floor_deviations = (1.0 + beds_with_ceiling["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
     return (
         "One mass with finite-duration contact agrees best with the beds below a ceiling if it lands in "

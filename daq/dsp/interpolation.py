@@ -1,10 +1,10 @@
 """Interpolation of the motion and the force at a sensor between samples, as cubic segments.
 
-The simulation states the motion at nodes: at the samples, and at breaks. A break is an instant between samples at which
-an impact changes the velocity abruptly. A segment extends from a node to the next node. Over a segment, acceleration is
-the cubic with the given acceleration at both ends, change of velocity and change of displacement. Its second integral
-is therefore exact at every node, and its error in between falls with the fourth power of the segment's length. At a
-break the jump of velocity is an impulse of acceleration. A force is interpolated linearly between its samples.
+The simulation gives the motion at nodes: at the samples, and at breaks. A break is an instant between samples at which
+velocity or acceleration jumps. A segment extends from a node to the next node. Over a segment, acceleration is the
+cubic that matches four given values: acceleration at both ends, change of velocity, change of displacement. Its second
+integral is therefore exact at every node, and its error in between falls with the fourth power of the segment's length.
+At a break the jump of velocity is an impulse of acceleration. A force is interpolated linearly between its samples.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from rig.arrays import Array
 from rig.numerics.jit import unfused_kernel
 from rig.simulation.motion import Motion
 
-# A segment shorter than this fraction of the sample interval is straight instead of cubic. For a cubic, the rounding
-# error of the displacement would be divided by the square of the segment's length and cause a large error of the
-# acceleration.
+# A segment shorter than this fraction of the sample interval is a parabola that ignores the change of displacement: the
+# rounding error of the displacement would be divided by the square of the segment's length and cause a large error of
+# the acceleration.
 MIN_CUBIC_FRACTION = 1e-4
-
 
 # Column of `CubicInput.segments` with the length of a segment.
 LENGTH = 4
@@ -33,8 +32,8 @@ IMPULSE = 5
 class CubicInput(NamedTuple):
     """Input over the sample intervals of a block.
 
-    Four numbers describe a cubic: its values at the start and at the end, its mean, and its moment. The moment is the
-    mean of the input times the remaining fraction of the segment (1/2 for a constant 1). An interval without breaks is
+    Four numbers describe a cubic: its values at the start and at the end, its mean, and its moment. The moment is its
+    double integral divided by the square of the segment's length (1/2 for a constant 1). An interval without breaks is
     one segment.
     """
 
@@ -121,9 +120,10 @@ class ForceInterpolator:
         interval_cubics[0, 0], interval_cubics[0, 1:], interval_cubics[1] = self._last, force[:-1], force
         interval_cubics[2] = 0.5 * (interval_cubics[0] + force)
         interval_cubics[3] = interval_cubics[0] / 3.0 + force / 6.0
-        cubics = CubicInput(interval_cubics, *(allocate_segments(1) if self._is_first_block else _NO_SEGMENTS))
+        # A zero segment of length 0 replaces interval 0, so the jump from 0 is not interpolated.
+        segments = allocate_segments(1) if self._is_first_block else _NO_SEGMENTS
         self._last, self._is_first_block = float(force[-1]), False
-        return cubics
+        return CubicInput(interval_cubics, *segments)
 
 
 @unfused_kernel
@@ -161,7 +161,7 @@ def _describe_intervals(
 def _describe_segments(
     break_interval: NDArray[np.int64],
     break_offset: Array,  # s, from the start of the interval
-    at_breaks: tuple[Array, Array, Array],  # acceleration (2: before and after, points, breaks), velocity, displacement
+    at_breaks: tuple[Array, Array, Array],  # acceleration and velocity (before/after, points, breaks); displacement
     row: int,
     at_samples: tuple[Array, Array, Array],  # acceleration, velocity and displacement of the point
     last: Array,  # acceleration, velocity and displacement of the point at the sample before the block

@@ -372,9 +372,9 @@ class Task:
             self._start_for_read()
             run = self.input.run
             assert run is not None
-        if run.readable <= run.position and self.running and not run.done:
+        if run.readable_end <= run.position and self.running and not run.done:
             self.chassis.clock.pass_query(self.chassis)
-        return max(0, run.readable - run.position)
+        return max(0, run.readable_end - run.position)
 
     @property
     def raw_width(self) -> int:

@@ -94,7 +94,7 @@ class TaskInput:
     @property
     def all_read(self) -> bool:
         """Whether all samples have been read."""
-        return self.run is None or self.run.position >= self.run.readable
+        return self.run is None or self.run.position >= self.run.readable_end
 
     def ticks_to_end(self) -> int:
         """Return a lower bound of the ticks until the acquisition is complete; the ticks in 10 ms if it has no end."""
@@ -119,7 +119,7 @@ class TaskInput:
         """Write new samples to the log if the task only logs."""
         if self.run is not None and self.log is not None and self.log.logs_only:
             self.log.write_new(self.run)
-            self.run.position = max(self.run.position, self.run.readable)
+            self.run.position = max(self.run.position, self.run.readable_end)
 
     def start_new_file(self, path: Path) -> None:
         """Continue the log in another file; without a log, do nothing."""
@@ -241,7 +241,7 @@ class TaskInput:
                         Code.SAMPLES_NO_LONGER_AVAILABLE,
                     )
                 )
-            n_available = min(run.readable - run.position, n_requested - n_read)
+            n_available = min(run.readable_end - run.position, n_requested - n_read)
             if n_available > 0:
                 first = first if n_read else run.position
                 samples = run.read_next(n_available)
@@ -254,7 +254,7 @@ class TaskInput:
                     self.log.write_new(run)
             if n_read == n_requested:
                 return reading(None)
-            if run.done and run.readable <= run.position:
+            if run.done and run.readable_end <= run.position:
                 # A read that ends with the acquisition is complete; an error is reported if it has no sample at all.
                 no_samples_left = DaqError(
                     "the acquisition has ended and all its samples have been read. Read fewer samples, acquire more "
@@ -264,11 +264,11 @@ class TaskInput:
                 return reading(None if n_read and run.error is None else run.error or no_samples_left)
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
             ready = chassis.wait(
-                lambda: run.done or run.readable - run.position >= chunk_size(),
+                lambda: run.done or run.readable_end - run.position >= chunk_size(),
                 lambda: run.ticks_until(run.samples_to_wait(chunk_size()), chassis.position),
                 time_left,
             )
-            if not ready and run.readable <= run.position:
+            if not ready and run.readable_end <= run.position:
                 return reading(
                     DaqError(
                         f"only {n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"

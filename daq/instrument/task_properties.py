@@ -207,7 +207,7 @@ _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("read", "num_chans"): lambda task: len(task.settings.indices_to_read()),
     ("read", "raw_data_width"): lambda task: 4 * len(task.settings.indices_to_read()),
     ("read", "avail_samp_per_chan"): _counter(
-        "available", lambda task: _of_input_run(task, lambda run: max(0, run.readable - run.position))
+        "available", lambda task: _of_input_run(task, lambda run: max(0, run.readable_end - run.position))
     ),
     ("read", "total_samp_per_chan_acquired"): _counter("acquired", lambda task: task.input.samples_passed),
     ("read", "curr_read_pos"): lambda task: _of_input_run(task, lambda run: run.position),

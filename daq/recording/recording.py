@@ -67,7 +67,7 @@ class Recording(Result):
     path : Path
         The file.
     channels : dict of str to ChannelInfo
-        In the order of the scene.
+        In the order of their numbers in the file, in our recordings that of the scene.
     rate : float
         Samples per second, Hz.
     start_ns : int
@@ -129,21 +129,21 @@ class Recording(Result):
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
     def _channel_info(self, name: str, series: Series) -> ChannelInfo:
-        """Return the channel that the metadata of a topic describe, with defaults for what another writer omits."""
-        where = f"{self.path}: {series.topic!s:.80}"
+        """Return the channel that the metadata of a topic describe, with defaults for missing metadata."""
+        place = f"{self.path}: {series.topic!s:.80}"
         metadata = {"name": name, "at": "", "sensitivity": "1.0"} | series.metadata
         metadata["rate"] = repr(series.clock.rate)
         if "quantity" not in metadata:
             metadata["quantity"] = next((key for key, unit in UNITS.items() if unit == metadata.get("unit")), "")
         if metadata["quantity"] not in UNITS:
-            raise RecordingError(f"{where}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
+            raise RecordingError(f"{place}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
         if series.clock != next(iter(self._series.values())).clock:
-            raise RecordingError(f"{where}: another sample clock than the first channel; expected one clock for all.")
+            raise RecordingError(f"{place}: another sample clock than the first channel; expected one clock for all.")
         try:
             defaults = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(defaults | metadata)
         except RecordingError as error:
-            raise RecordingError(f"{where}: {error}") from error
+            raise RecordingError(f"{place}: {error}") from error
 
     # -- in a notebook -----------------------------------------------------------------------------------
 
@@ -287,7 +287,7 @@ class Recording(Result):
 
     @cached_property
     def markers(self) -> list[Marker]:
-        """The markers (events of the test with their samples), in the order of their first samples."""
+        """Ranges of samples with a kind, such as a hit or a measurement, in the order of their first samples."""
         with add_path(self.path):
             markers = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted((marker for marker in markers if marker.kind != "start"), key=lambda marker: marker.first_sample)
@@ -296,9 +296,7 @@ class Recording(Result):
     def gaps(self) -> list[Gap]:
         """Missing samples, in the order of their first samples."""
         if layout.MARKERS not in self._topics:
-            missing_ranges = [
-                (*hole, name) for name, series in self._series.items() for hole in series.missing_ranges()
-            ]
+            missing_ranges = [(*gap, name) for name, series in self._series.items() for gap in series.missing_ranges()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(missing_ranges)]
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
@@ -403,7 +401,7 @@ class Recording(Result):
         Raises
         ------
         RecordingError
-            At the first damage, or the first missing samples without a marker.
+            At the first damage, or in a file of this package the first missing samples without a marker.
         """
         from daq.mcap_file.file_check import check_file
 

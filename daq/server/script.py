@@ -46,13 +46,13 @@ def run_script(
         Clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time pass, and so does `input`,
         which then returns an empty line.
     seconds : float, optional
-        Bench time after which the script receives Ctrl-C; if it is waiting for Enter, it receives Enter instead.
+        Bench time after which the script receives Ctrl-C, or Enter if it is waiting for it.
 
     Returns
     -------
     int
-        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal n
-        ended it, also if the signal was forwarded from this process.
+        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 0 if the time limit
+        ended it; 128 + n if signal n ended it, also if the signal was forwarded from this process.
 
     Raises
     ------
@@ -85,16 +85,16 @@ def run_script(
 run = run_script
 
 
-def _run(command: list[str], port: int, is_real_time: bool, limit: TimeLimit) -> int:
+def _run(command: list[str], port: int, follows_wall_clock: bool, limit: TimeLimit) -> int:
     """Run a Python command as a client of the server at a port; return the exit code of `run_script`.
 
-    `is_real_time`: whether the clock follows the wall clock.
+    `follows_wall_clock`: whether bench time does.
     """
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
-    # Forked child processes open new connections, which grpc allows only if this is set before the fork.
+    # Forked child processes open new connections, which grpc allows only if this variable is set before the fork.
     environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
-    environment |= ({} if is_real_time else {FAST: "1"}) | ({} if limit.is_unlimited else {LIMITED: "1"})
+    environment |= ({} if follows_wall_clock else {FAST: "1"}) | ({} if limit.is_unlimited else {LIMITED: "1"})
     process = subprocess.Popen([sys.executable, *command], env=environment)
     limit.process = process.pid
     with forward_signals(process):

@@ -15,13 +15,13 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 # Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
 _LIMIT_RATIO = 1 - 1e-5
-# By quantity: function of nidaqmx, unit of readings, and factor from V per SI unit to the unit of sensitivity.
+# By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to that of sensitivity (mV/g, mV/N).
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),
 }
-# Placeholder for the names of terminals in a statement.
-_TERMINAL = "TERMINAL"
+# Placeholder for the names of physical channels in a statement.
+_PHYSICAL_CHANNEL = "PHYSICAL_CHANNEL"
 # Classes of nidaqmx.constants that the script imports if it uses them.
 _CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
 
@@ -42,7 +42,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         for statement, group in groupby(numbered, key=lambda pair: pair[0]):
             numbers = [number for _, number in group]
             number_range = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
-            lines = statement.replace(_TERMINAL, f"{module.name}/ai{number_range}").splitlines()
+            lines = statement.replace(_PHYSICAL_CHANNEL, f"{module.name}/ai{number_range}").splitlines()
             statements += [f"    {line}" for line in lines]
     used_constants = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
     return [
@@ -60,18 +60,18 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
 
 
 def _create_channel(chassis: Chassis, module: Module, bench_index: int) -> str:
-    """Return the statements that create an input, with a placeholder for the terminal."""
+    """Return the statements that create an input, with a placeholder for its physical channel."""
     info = chassis.bench.channels[bench_index]
-    needs_supply, current = chassis.terminals.supply(bench_index) is not None, module.currents[0]
+    needs_excitation, current = chassis.terminals.supply(bench_index) is not None, module.currents[0]
     if info.quantity in _SENSORS:
         function, unit, factor = _SENSORS[info.quantity]
-        supply = f"INTERNAL, current_excit_val={current!r}" if needs_supply else "NONE"
+        supply = f"INTERNAL, current_excit_val={current!r}" if needs_excitation else "NONE"
         return (
-            f'task.ai_channels.{function}(\n    "{_TERMINAL}"{_limits(info, info.sensitivity)}, units={unit},\n'
+            f'task.ai_channels.{function}(\n    "{_PHYSICAL_CHANNEL}"{_limits(info, info.sensitivity)}, units={unit},\n'
             f"    sensitivity={info.sensitivity * factor:.9g}, current_excit_source=ExcitationSource.{supply})"
         )
-    call = f'task.ai_channels.add_ai_voltage_chan("{_TERMINAL}"{_limits(info, 1.0)})'
-    if not needs_supply:
+    call = f'task.ai_channels.add_ai_voltage_chan("{_PHYSICAL_CHANNEL}"{_limits(info, 1.0)})'
+    if not needs_excitation:
         return call
     # A sensor with an integrating amplifier is read as a voltage, whose call has no argument for the excitation.
     lines = [
@@ -93,19 +93,19 @@ def _limits(info: ChannelInfo, volts_per_unit: float) -> str:
 
 
 def report_missing_excitation(chassis: Chassis) -> None:
-    """Report on stderr, once per input, that a task samples a sensor whose supply is off."""
+    """From now on, report once per input on stderr that a task samples a sensor without excitation."""
     reported: set[int] = set()
 
     def check(channels: Sequence[Channel]) -> None:
-        unsupplied = [channel for channel in channels if chassis.terminals.supply(channel.bench_index) == 0.0]
-        unreported = {channel.bench_index: channel for channel in unsupplied if channel.bench_index not in reported}
+        unexcited = [channel for channel in channels if chassis.terminals.supply(channel.bench_index) == 0.0]
+        unreported = {channel.bench_index: channel for channel in unexcited if channel.bench_index not in reported}
         if not unreported:
             return
         reported.update(unreported)
         infos = chassis.bench.channels
         inputs = ", ".join(f"{channel.port.name} ({infos[index].name})" for index, channel in unreported.items())
         current = next(iter(unreported.values())).module.currents[0]
-        # A closed terminal must not cause an error in the client.
+        # A closed console must not cause an error in the client.
         with suppress(OSError):
             print(
                 f"note: no excitation for {inputs}: without it, an IEPE sensor returns only noise. Create the channel "

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: Factor by which the chart extends beyond the requested levels.
 CHART_MARGIN = 2.0
-#: Smallest ratio of the highest level to the middle level of the chart, and of the middle level to the lowest.
+#: The chart extends at least by this factor above and below its middle level.
 MIN_LEVEL_RATIO = 4.0
 #: Approximate ratio of neighboring levels of the chart.
 LEVEL_STEP_RATIO = 2.0**0.5
@@ -111,7 +111,7 @@ class Design(Result):
 
     @property
     def shortfall(self) -> list[str]:
-        """Levels without effect of the best dampers, with the reason; empty if they are effective at all levels."""
+        """Levels at which the best dampers have no effect, with the reason; empty if there are none."""
         row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
         charted = dict(zip(self.levels.tolist(), row, strict=True))
         return describe_shortfall(self.best, self.bare, self.flight, charted, self.trials)
@@ -175,9 +175,9 @@ def design(
     budget : float or str, optional
         Largest added mass: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``, which is the
         default.
-    bodies : sequence of int, optional
-        Bodies that may carry a damper, from 1; default all. A body that is named twice may carry two dampers. Two
-        dampers in one body take several times as long, because their coupled motion is simulated and averaged.
+    bodies : sequence of int or str, optional
+        Bodies that may carry a damper, by number from 1 or name; default all. A body that is given twice may carry two
+        dampers; these take several times as long, because their coupled motion is simulated and averaged.
     dampers : int
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
@@ -187,8 +187,8 @@ def design(
         Force levels, N; default half, once and twice the level of the scene's test.
     band : (float, float) or (str, str), optional
         Hz; default the range of the scene's test.
-    watched : sequence of int, optional
-        Bodies whose peaks are evaluated, from 1; default all.
+    watched : sequence of int or str, optional
+        Bodies whose peaks are evaluated, by number from 1 or name; default all.
     uncertain : (float, float) or (str, str)
         Relative uncertainty of the structure's damping and stiffness; the worst combination decides.
     cluster : str, optional

@@ -5,8 +5,8 @@ A guard is the gap of a damper in flight to a wall, or the contact force of a da
 crossing.
 
 The time in a step is tau, relative to its length. The multiplicity of a guard's zero at tau = 0 is the number of
-leading terms of its power series that are exactly zero. The magnitude of a guard is the sum of the magnitudes of its
-terms, to which its rounding errors are proportional.
+leading terms of its power series that are exactly zero (`State`: negative at the ceiling). The magnitude of a guard is
+the sum of the magnitudes of its terms, to which its rounding errors are proportional.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def bound_by_series(
     model: Model, contact: Array, state_series: Array, length: float, z: Array, end_state: Array,
     first_acceleration: int, bound: Array,
 ) -> None:  # fmt: skip
-    """Compute the bounds of the guards over the step from the series, and the accelerations of dampers at rest.
+    """Compute the bounds of the guards over a full step from the series, and the accelerations of dampers at rest.
 
     `contact`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the
-    step, relative to a full step. `z`, `end_state`: states at both ends of the step. In both, the accelerations of the
-    bodies and their derivatives are stored from the index `first_acceleration` on. `bound`: filled as by
+    step, relative to a full step. `z`, `end_state`: states at both ends of the step; the accelerations and their
+    derivatives are written into both, from the index `first_acceleration` on. `bound`: filled as by
     `bound_by_tables`.
     """
     dampers, coordinates = model.mass.shape[0], model.first_velocity
@@ -58,13 +58,13 @@ def bound_by_series(
         at_rest = contact[j] != FLIGHT
         row = model.velocity_index[j] if at_rest else model.position_index[j]
         index = first_acceleration + model.position_index[j]
-        lost_terms = 1 if at_rest else 0  # by differentiation
+        lost_terms = 1 if at_rest else 0  # differentiation of velocity to acceleration loses one term
         end_value = 0.0
         end_slope = 0.0
         fourth_derivative = 0.0
         magnitude = 0.0
         for k in range(N_COEFFICIENTS - 1 - lost_terms, -1, -1):
-            # The acceleration's series is (k + 1) state_series[k + 1] / h.
+            # The acceleration's series is (k + 1) state_series[k + 1] / model.step.
             term = state_series[k + 1, row] * (k + 1) / model.step if at_rest else state_series[k, row]
             end_slope = end_slope * length + end_value
             end_value = end_value * length + term
@@ -85,7 +85,7 @@ def _gap_series(
 ) -> tuple[int, float]:
     """Fill `workspace.guard_series` with the gap of a damper in flight to the floor or the ceiling, m.
 
-    Returns the multiplicity of the gap's zero at tau = 0, and its magnitude.
+    Returns the multiplicity of the gap's zero at tau = 0 (negative if the zero is the other wall's), and its magnitude.
     """
     series = workspace.guard_series
     row = model.position_index[j]
@@ -123,27 +123,27 @@ def _force_series(model: Model, state: State, workspace: Workspace, j: int, leng
 
 @inlined_kernel
 def first_event(
-    model: Model, state: State, workspace: Workspace, length: float, unproven: int, unproven_ceilings: int
+    model: Model, state: State, workspace: Workspace, length: float, unproven_mask: int, unproven_ceiling_mask: int
 ) -> tuple[float, int, int]:
     """Find the earliest event of the step among the guards that `screen` did not prove free of zeros.
 
-    `unproven`, `unproven_ceilings`: see `screen`; unless both are 0, `workspace.state_series` must be filled.
+    `unproven_mask`, `unproven_ceiling_mask`: see `screen`; unless both are 0, `workspace.state_series` must be filled.
 
     Returns the time of the event, relative to `length`, or NO_CROSSING; the damper from 0; the kind of its guard, or
     the change of its finite-duration contact.
     """
-    first_tau, damper, crossed = NO_CROSSING, -1, 0
+    first_tau, damper, event_guard = NO_CROSSING, -1, 0
     for j in range(model.mass.shape[0]):
-        if (unproven | unproven_ceilings) >> j & 1 == 0:
+        if (unproven_mask | unproven_ceiling_mask) >> j & 1 == 0:
             continue
         if model.gap_coordinate[j] >= 0:
             tau, guard, ambiguous = first_contact_change(model, state, workspace, j, length)
             state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
-                first_tau, damper, crossed = tau, j, guard
+                first_tau, damper, event_guard = tau, j, guard
             continue
         for ceiling in range(2):
-            if (unproven_ceilings if ceiling == 1 else unproven) >> j & 1 == 0:
+            if (unproven_ceiling_mask if ceiling == 1 else unproven_mask) >> j & 1 == 0:
                 continue
             if state.contact[j] == FLIGHT:
                 guard = CEILING_GAP if ceiling == 1 else FLOOR_GAP
@@ -154,5 +154,5 @@ def first_event(
             tau, ambiguous = find_crossing(workspace, max(multiplicity, 0), magnitude)
             state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
-                first_tau, damper, crossed = tau, j, guard
-    return first_tau, damper, crossed
+                first_tau, damper, event_guard = tau, j, guard
+    return first_tau, damper, event_guard

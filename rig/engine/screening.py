@@ -25,8 +25,8 @@ from rig.numerics.simd import affine_product
 
 #: Kinds of guard of a damper.
 CONTACT_FORCE, FLOOR_GAP, CEILING_GAP = 0, 1, 2
-#: Largest ratio of the fifth derivative with respect to tau to the bound of the fourth. Both are sums over the terms up
-#: to tau^(TERMS - 1), whose fifth derivative has the factor TERMS - 5 at most.
+#: Largest ratio of the fifth derivative with respect to tau to the bound of the fourth. Both are sums over the terms
+#: tau^k up to k = TERMS - 1; for one term the ratio at tau = 1 is k - 4, at most TERMS - 5.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
 #: Ratio of a new envelope to the magnitudes of the state.
 ENVELOPE_FACTOR = 2.0
@@ -34,8 +34,8 @@ ENVELOPE_FACTOR = 2.0
 _THIRD = 1.0 / 3.0
 # Largest error of the cubic Hermite interpolant, tau^2 (1 - tau)^2 / 24, relative to the fourth derivative's bound.
 _HERMITE_ERROR = 1.0 / 384.0
-# After division by tau^2, the error is at most (1 - tau) / 24, and the cubic is 3 c_2 (1 - tau) + c_3 tau with its last
-# two Bernstein coefficients c_2 and c_3. So c_2 must exceed 1/72.
+# After division by tau^2, it is at most (1 - tau) / 24, and the cubic is 3 c_2 (1 - tau) + c_3 tau with its last two
+# Bernstein coefficients c_2 and c_3. So c_2 must exceed 1/72 of the fourth derivative's bound.
 _DEFLATED_HERMITE_ERROR = 1.0 / 72.0
 
 
@@ -46,7 +46,7 @@ def _lower_bound(
     """Return a bound that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
 
     `value`, `slope`: at the start of the step; `value_end`, `slope_end`: at its end; `fourth_derivative`: bound of its
-    magnitude; `multiplicity`: of the guard's zero at tau = 0. All derivatives are with respect to tau.
+    magnitude; `multiplicity`: of its zero at tau = 0, negative if the other wall's. Derivatives are by tau.
 
     The smallest Bernstein coefficient of the interpolant bounds it from below. If the guard starts with a zero of
     multiplicity 2 or more, the first two coefficients are zero, and guard and interpolant are divided by tau^2.
@@ -66,7 +66,7 @@ def _recovery_may_end(
 ) -> bool:
     """Return whether a recovering damper (released, but still overlapping the wall) may touch it or become free.
 
-    `duration`: of the step, s; `fourth_derivative`: bound of that of the gap with respect to tau, m.
+    `duration`: of the step, s; `fourth_derivative`: bound of the gap's fourth derivative with respect to tau, m.
     """
     wall, z, z_end = state.recovering[j], state.z, workspace.end_state
     slope = -wall_force_rate(model, z, j, wall) * duration
@@ -86,9 +86,9 @@ def _recovery_may_end(
 def _contact_may_change(
     model: Model, state: State, workspace: Workspace, j: int, duration: float, fourth_derivative: float
 ) -> bool:
-    """Return whether a guard of a finite-duration contact is not proven free of zeros.
+    """Return whether a guard of a finite-duration contact may have a zero.
 
-    `duration`: of the step, s; `fourth_derivative`: bound of that of the guard with respect to tau.
+    `duration`: of the step, s; `fourth_derivative`: bound of the guard's fourth derivative with respect to tau.
     """
     contact, z, z_end = state.contact[j], state.z, workspace.end_state
     if contact != FLIGHT:
@@ -115,7 +115,7 @@ def _contact_may_change(
 def screen(
     model: Model, state: State, workspace: Workspace, first_acceleration: int, length: float, duration: float
 ) -> tuple[int, int]:
-    """Return the dampers whose guards are not proven free of zeros over the step.
+    """Return the dampers whose guards may have a zero over the step, as bit masks.
 
     `length`, `duration`: of the step, relative to a full step and in seconds.
 

@@ -1,7 +1,7 @@
-"""Result of a propagation: states at sample instants, events and breaks; conversion to the units and names of users.
+"""Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
 
 An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. A segment
-is a time interval under one drive, such as a sample interval (`rig.engine.propagator`).
+is a time interval in which one smooth function drives, such as a sample interval (`rig.engine.propagator`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rig.system.hybrid_system import HybridSystem
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 #: Kinds of events at which a damper comes into contact with a wall.
 CONTACT_EVENTS = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
-#: Name of each kind of event in the log (`rig.engine.state`).
+#: Name of each kind of event (`rig.engine.state`); touch and release are those of finite-duration contact.
 EVENT_NAMES = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
 
 
@@ -37,7 +37,7 @@ class Trajectory:
     table_index: NDArray[np.int64]
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Height of each damper in flight, m; undefined at rest; shape (samples, dampers)."""
+    """Position of each damper in flight, upwards, m; undefined while it rests on a wall; shape (samples, dampers)."""
     contact: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
     event_segment: NDArray[np.int64]

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from rig.errors import SceneError, SceneWarning
 from rig.scene.changes import Change, parse_changes, parse_options
 from rig.scene.matrices import FOLDER
-from rig.scene.missing_units import improbable_values
+from rig.scene.missing_units import implausible_values
 from rig.scene.scene import Scene
 from rig.scene.scene_files import find_scene, read_text
 from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
@@ -143,7 +143,7 @@ def _validate(document: Document, where: str, folder: Path | None, changes: Sequ
         ]
         invalid = [_describe(mistake, where, document, changes, mistakes_without_changes) for mistake in mistakes]
         raise SceneError("\n".join([*duplicates, *invalid]))
-    for warning in improbable_values(scene, content):
+    for warning in implausible_values(scene, content):
         warnings.warn(_describe(warning, where, document, changes, [warning]), SceneWarning, stacklevel=4)
     return scene
 

@@ -1,4 +1,4 @@
-"""Warnings for bare numbers that are valid but improbable in SI, because their unit was probably forgotten."""
+"""Warnings for bare numbers that are valid but implausible in SI, because their unit was probably forgotten."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rig.scene.settings import Mistake, Place, value_at
 _MAX_CLEARANCE_M = 0.1
 #: Damping ratio of real structures.
 _MAX_DAMPING_RATIO = 0.1
-#: Mass ratio of real beds: less than twice the modal mass.
+#: Mass ratio of real beds (damper to modal mass).
 _MAX_MASS_RATIO = 2.0
 
 
-def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mistake]:
-    """Yield a warning for each improbable bare number in the content of a valid scene."""
+def implausible_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mistake]:
+    """Yield a warning for each implausible bare number in the content of a valid scene."""
     for k, damper in enumerate(scene.dampers):
         if damper.clearance < inf:
             yield from _check_number(
@@ -36,9 +36,9 @@ def improbable_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mist
 
 
 def _check_number(
-    content: Mapping[str, Any], place: Place, value: float, max_plausible: float, meaning: str, factor: float, unit: str
+    content: Mapping[str, Any], place: Place, value: float, threshold: float, meaning: str, factor: float, unit: str
 ) -> Iterator[Mistake]:
-    if value < max_plausible:
+    if value < threshold:
         return
     number: Any = content
     for key in place:

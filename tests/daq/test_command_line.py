@@ -1,4 +1,4 @@
-"""Options of `daq` commands that are invalid, or would have no effect, are rejected; the message names the remedy."""
+"""Options of `daq` commands that are invalid, or would have no effect, are rejected; the message names the option."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rig.errors import RecordingError, SceneError
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("import run.csv --table channels.yaml", "--scene"),
-        ("import run.csv --from 1", "--scene"),
-        ("import run.csv -o run.mcap --overwrite", "--scene"),
+        ("import run.csv --table channels.yaml", "require --scene"),
+        ("import run.csv --from 1", "require --scene"),
+        ("import run.csv -o run.mcap --overwrite", "require --scene"),
         ("replay r.mcap --save x.rrd --at 1", "requires --screenshot"),
         ("replay r.mcap --at 1", "requires --screenshot"),
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
@@ -25,7 +25,7 @@ from rig.errors import RecordingError, SceneError
         ("bench --device-port 65536", "--device-port: 65536 is out of range"),
     ],
 )
-def test_error_of_ineffective_or_invalid_option_names_remedy(command, message):
+def test_error_of_ineffective_or_invalid_option_names_option(command, message):
     result = CliRunner().invoke(app, command.split())
     if not isinstance(result.exception, SceneError):
         assert result.exit_code == 2

@@ -14,35 +14,35 @@ from rig.output_files import atomic_write, create_folder
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("old")
-    with pytest.raises(ZeroDivisionError), atomic_write(path) as part:
-        part.write_text("half")
+    with pytest.raises(ZeroDivisionError), atomic_write(path) as temporary:
+        temporary.write_text("half")
         raise ZeroDivisionError
     assert path.read_text(encoding="utf-8") == "old" and list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_written_file_is_alone_in_its_folder(tmp_path: Path, overwrite: bool) -> None:
+def test_no_temporary_file_remains(tmp_path: Path, overwrite: bool) -> None:
     path = tmp_path / "table.csv"
-    with atomic_write(path, overwrite) as part:
-        part.write_text("new")
-        assert not path.exists() and part.suffix == ".csv"
+    with atomic_write(path, overwrite) as temporary:
+        temporary.write_text("new")
+        assert not path.exists() and temporary.suffix == ".csv"
     assert path.read_text(encoding="utf-8") == "new" and list(tmp_path.iterdir()) == [path]
 
 
 def test_result_gets_another_name_if_file_exists(tmp_path: Path) -> None:
     path, existing = tmp_path / "table.csv", tmp_path / "table-2.csv"
     existing.write_text("older")
-    with pytest.raises(SceneError, match=r"table-3\.csv"), atomic_write(path, overwrite=False) as part:
-        part.write_text("new")
-        path.write_text("another's")
+    with pytest.raises(SceneError, match=r"table-3\.csv"), atomic_write(path, overwrite=False) as temporary:
+        temporary.write_text("new")
+        path.write_text("of another process")
     contents = {file.name: file.read_text(encoding="utf-8") for file in tmp_path.iterdir()}
-    assert contents == {"table.csv": "another's", "table-2.csv": "older", "table-3.csv": "new"}
+    assert contents == {"table.csv": "of another process", "table-2.csv": "older", "table-3.csv": "new"}
 
 
 def test_result_gets_another_name_if_folder_exists(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    with pytest.raises(RunError, match=r"table-2\.csv"), atomic_write(path, overwrite=True) as part:
-        part.write_text("new")
+    with pytest.raises(RunError, match=r"table-2\.csv"), atomic_write(path, overwrite=True) as temporary:
+        temporary.write_text("new")
         path.mkdir()
     assert path.is_dir() and (tmp_path / "table-2.csv").read_text(encoding="utf-8") == "new"
 
@@ -52,8 +52,8 @@ def test_overwriting_a_link_replaces_its_target(tmp_path: Path) -> None:
     target.write_text("old")
     target.chmod(0o640)
     link.symlink_to(target)
-    with atomic_write(link, overwrite=True) as part:
-        part.write_text("new")
+    with atomic_write(link, overwrite=True) as temporary:
+        temporary.write_text("new")
     assert link.is_symlink() and target.read_text(encoding="utf-8") == "new" and target.stat().st_mode & 0o777 == 0o640
 
 
@@ -77,7 +77,7 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     assert path.exists() == (kind != "nowhere")
 
 
-def test_folder_named_like_a_figure_is_rejected(tmp_path: Path) -> None:
+def test_folder_named_like_a_figure_is_not_created_but_used(tmp_path: Path) -> None:
     folder = tmp_path / "two.png"
     with pytest.raises(SceneError, match=r"Give the name of a folder, such as -o .*two\.$"):
         create_folder(folder)

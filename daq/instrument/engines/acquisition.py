@@ -57,7 +57,7 @@ class Acquisition:
     at every read. The ring buffer therefore has twice the size, of which the second half is used from an overflow until
     the reader is less than half a buffer behind.
 
-    `tick_rate` is in ticks per second, `tick` the present tick, `dtype` the type of the converter's samples.
+    `tick_rate` is in ticks per second, `tick` the current tick, `dtype` the type of the converter's samples.
     """
 
     def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
@@ -65,17 +65,17 @@ class Acquisition:
         self.ring = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, dtype)
         self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # flag of each sample
         self.position = 0  # read position: number of the sample that is read next
-        self.first_instant: int | None = None  # of the present record; None before the start trigger
+        self.first_instant: int | None = None  # of the current record; None before the start trigger
         self.trigger_sample: int | None = None  # number of the sample at the reference trigger; None before it
-        self.done = False  # complete, or stopped by `error`
+        self.done = False  # complete or stopped; with `error` if stopped by one
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.bench_indices), bool)  # flag of each channel since it was last queried
         self._has_overflowed = False
-        self._first_unreported = 0  # number of the first sample that has not been reported as lost
-        self._record_start = 0  # number of the first sample of the present record
+        self._loss_reported_up_to = 0  # loss of samples before this number has been reported
+        self._record_start = 0  # number of the first sample of the current record
         # Number and instant of the first sample of each record, in temporal order.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
-        self._record_end: int | None = None  # number of the sample after the present record; None while it is unknown
+        self._record_end: int | None = None  # number of the sample after the current record; None while it is unknown
         instant = first_sample(self._per_tick, tick)
         self._arm(instant)
         if plan.start is None:
@@ -98,27 +98,27 @@ class Acquisition:
 
     @property
     def has_started(self) -> bool:
-        """Whether the start trigger of the present record has occurred."""
+        """Whether the start trigger of the current record has occurred."""
         return self.first_instant is not None
 
     @property
-    def readable(self) -> int:
-        """Number of samples that may be read; with a reference trigger, 0 until the record is complete."""
+    def readable_end(self) -> int:
+        """Number of the sample after the last readable one; with a reference trigger, 0 until it is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property
     def oldest(self) -> int:
         """Number of the oldest sample that has not been lost."""
         return max(
-            self._first_unreported, self.ring.written - self.plan.buffer_size * (2 if self._has_overflowed else 1)
+            self._loss_reported_up_to, self.ring.written - self.plan.buffer_size * (2 if self._has_overflowed else 1)
         )
 
     def skip_lost(self) -> int:
         """Move the read position past samples that have been lost, and return their number."""
-        if not self.readable or self.position >= self.oldest:
+        if not self.readable_end or self.position >= self.oldest:
             return 0
         previous, self.position = self.position, max(0, self.ring.written - self.plan.buffer_size)
-        self._has_overflowed, self._first_unreported = True, self.position
+        self._has_overflowed, self._loss_reported_up_to = True, self.position
         return self.position - previous
 
     def read_next(self, count: int) -> NDArray[Any]:
@@ -150,7 +150,7 @@ class Acquisition:
         return max(1, self.tick_at(instant + samples - 1) - tick + 1)
 
     def samples_to_wait(self, samples: int) -> int:
-        """Return a lower bound of the sample periods until `samples` samples after the read position can be read.
+        """Return the sample periods until `samples` samples after the read position may be readable.
 
         Before a trigger the number is unknown, and the sample periods in 10 ms are returned.
         """
@@ -164,7 +164,7 @@ class Acquisition:
     def start_tick(self, reference: bool, tick: int) -> int | None:
         """Return the tick of the start or, with `reference`, of the reference trigger; None if it is still unknown.
 
-        `tick` is the present tick.
+        `tick` is the current tick.
         """
         instant = self.first_instant
         if reference:
@@ -219,7 +219,7 @@ class Acquisition:
         return min((index for index in indices if index is not None), default=None)
 
     def _store(self, first: int, samples: NDArray[Any], overload: NDArray[np.bool_], event_tick: EventTick) -> int:
-        """Store samples, the first at instant `first`, up to the end of the record; return the number processed."""
+        """Store samples, the first at instant `first`, up to the end of the record; return their number, at least 1."""
         if self.plan.reference is not None and self.trigger_sample is None:
             self._find_reference_trigger(first, samples, event_tick)
         count = (

@@ -188,7 +188,7 @@ class TaskLog:
 
     def write_new(self, acquisition: Acquisition) -> None:
         """Log the samples acquired since the last call."""
-        stop = acquisition.readable
+        stop = acquisition.readable_end
         if stop == 0:
             return
         if self._next is None:

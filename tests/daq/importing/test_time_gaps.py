@@ -18,7 +18,7 @@ from rig.errors import RecordingError
 from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
 RATE = 2560.0  # Hz
-ROWS = random_samples(4000)
+SAMPLES = random_samples(4000)
 # Ranges of samples that are missing in the file.
 MISSING = [(700, 701), (2000, 2003), (2500, 3500)]
 PRESENT = np.ones(4000, bool)
@@ -27,47 +27,47 @@ for first, stop in MISSING:
 TABLE = {name: Column(name, unit=unit) for name, unit in zip(NAMES, UNITS, strict=True)}
 
 
-def write_text(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_text(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
     heading = ",".join(["time [s]", *NAMES])
-    np.savetxt(path, np.vstack([times, rows]).T, ["%.6f", *3 * ["%.9e"]], ",", header=heading, comments="")
+    np.savetxt(path, np.vstack([times, channels]).T, ["%.6f", *3 * ["%.9e"]], ",", header=heading, comments="")
 
 
-def write_labview(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_labview(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
     heading = (
         "LabVIEW Measurement\t\nSeparator\tTab\nDecimal_Separator\t.\nX_Columns\tOne\n***End_of_Header***\t\n"
         "Channels\t3\nDelta_X\t0\t0\t0\n***End_of_Header***\t\nX_Value\t" + "\t".join(NAMES) + "\n"
     )
-    lines = ["\t".join(f"{cell:.9e}" for cell in line) for line in np.vstack([times, rows]).T]
+    lines = ["\t".join(f"{cell:.9e}" for cell in line) for line in np.vstack([times, channels]).T]
     path.write_text(heading + "\n".join(lines) + "\n")
 
 
-def write_tdms(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
+def write_tdms(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
     with nptdms.TdmsWriter(str(path)) as writer:
-        columns = zip(("Time", *NAMES), np.vstack([times, rows]), strict=True)
+        columns = zip(("Time", *NAMES), np.vstack([times, channels]), strict=True)
         writer.write_segment([nptdms.ChannelObject("a", name, column) for name, column in columns])
 
 
-def write_uff(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
-    for number, (name, row) in enumerate(zip(NAMES, rows, strict=True), 1):
+def write_uff(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
+    for number, (name, channel) in enumerate(zip(NAMES, channels, strict=True), 1):
         pyuff.UFF(str(path)).write_sets(
             {
                 "type": 58, "binary": 1, "func_type": 1, "id1": name, "rsp_node": number, "rsp_dir": 3,
                 "ref_node": 0, "ref_dir": 0, "abscissa_spacing": 0, "abscissa_spec_data_type": 17,
-                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 0, "data": row, "x": times,
+                "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 0, "data": channel, "x": times,
             },
             mode="add",
         )  # fmt: skip
 
 
-def write_npz(path: Path, times: np.ndarray, rows: np.ndarray) -> None:
-    np.savez(path, time=times, **dict(zip(NAMES, rows, strict=True)))
+def write_npz(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
+    np.savez(path, time=times, **dict(zip(NAMES, channels, strict=True)))
 
 
 def import_recording(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         recording = daq.open(daq.import_files(path, make_scene(), target, table=TABLE))
-    return recording, [str(each.message) for each in caught]
+    return recording, [str(warning.message) for warning in caught]
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
@@ -77,23 +77,23 @@ def import_recording(path: Path, target: Path) -> tuple[daq.Recording, list[str]
 )
 def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path):
     path = tmp_path / f"a.{ending}"
-    write_file(path, np.arange(4000)[PRESENT] / RATE, ROWS[:, PRESENT])
+    write_file(path, np.arange(4000)[PRESENT] / RATE, SAMPLES[:, PRESENT])
     recording, messages = import_recording(path, tmp_path / "r.mcap")
     with recording:
         assert recording.rate == RATE and recording.samples == 4000
-        for name, row in zip(NAMES, ROWS * SI_PER_UNIT, strict=True):
+        for name, channel in zip(NAMES, SAMPLES * SI_PER_UNIT, strict=True):
             samples = recording.read(name)
             assert np.array_equal(np.isfinite(samples), PRESENT)
-            np.testing.assert_allclose(samples[PRESENT], row[PRESENT], rtol=1e-6)
+            np.testing.assert_allclose(samples[PRESENT], channel[PRESENT], rtol=1e-6)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
             assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
-    # 1 + 3 + 1000 samples.
-    assert any("gaps in 3 places" in each and "1004 samples are missing" in each for each in messages)
+    assert any("gaps in 3 places" in message and "1004 samples are missing" in message for message in messages)
 
 
 def test_gaps_are_detected_across_blocks():
     present = np.delete(np.arange(3 * BLOCK_LINES), [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
     blocks = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
+    # Number of the present row after a gap, and the number of missing rows.
     assert missing_rows(blocks, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
 
 
@@ -114,19 +114,19 @@ def test_no_gaps_in_unevenly_spaced_times(times):
 @pytest.mark.parametrize("cut_bytes", [1, 4, 10, 20, 40, 48])
 def test_truncated_last_line_is_omitted(cut_bytes, tmp_path):
     path = tmp_path / "a.csv"
-    write_text(path, np.arange(4000) / RATE, ROWS)
+    write_text(path, np.arange(4000) / RATE, SAMPLES)
     data = path.read_bytes()
     path.write_bytes(data[: -1 - cut_bytes])
     recording, messages = import_recording(path, tmp_path / "r.mcap")
     with recording:
         assert recording.samples == 3999
-        np.testing.assert_allclose(recording.read("force"), ROWS[2, :3999], rtol=1e-9)
-    assert any("last line is cut off and is omitted" in each for each in messages)
+        np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
+    assert any("last line is cut off and is omitted" in message for message in messages)
 
 
 def test_truncated_inner_line_is_rejected(tmp_path):
     path = tmp_path / "a.csv"
-    write_text(path, np.arange(4000) / RATE, ROWS)
+    write_text(path, np.arange(4000) / RATE, SAMPLES)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*lines[:2000], lines[2000][:9] + "\n", *lines[2001:]]))
     with pytest.raises(RecordingError, match="line 2001: 2 columns"):

@@ -95,7 +95,7 @@ def test_each_raw_topic_has_its_own_chunks(tmp_path):
         assert len(channel_ids) == 1 or not channel_ids & raw
 
 
-def test_recording_without_display_has_no_display_topics(tmp_path):
+def test_recording_without_options_has_no_optional_topics(tmp_path):
     path = write_recording(tmp_path / "a.mcap", random_volts(3000))
     topics = {channel.topic for channel in summary_of(path).channels.values()}
     assert not [topic for topic in topics if topic.startswith(("/display", "/tf", "/robot", "/truth"))]

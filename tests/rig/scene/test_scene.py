@@ -22,7 +22,7 @@ from rig.scene.scene_files import bundled_scenes, summary
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
-WHOLE_FORMAT = """
+TYPICAL_SCENE = """
 name: three dampers, no ceiling
 structure:
   masses: [0.74 kg, 0.71 kg, 0.64 kg]          # body 1 first
@@ -55,8 +55,8 @@ seed: 1
 MINIMAL = "structure: {masses: [1 kg], springs: [1 kN/m]}\n"
 
 
-def test_whole_format_loads_in_si_units() -> None:
-    scene = rig.loads(WHOLE_FORMAT)
+def test_typical_scene_loads_in_si_units() -> None:
+    scene = rig.loads(TYPICAL_SCENE)
     assert scene.name == "three dampers, no ceiling"
     assert scene.structure.masses == (0.74, 0.71, 0.64)
     assert scene.structure.springs == (24300.0, 21800.0, 19800.0)
@@ -90,7 +90,7 @@ def test_whole_format_loads_in_si_units() -> None:
     ],
 )
 def test_each_form_of_damping_is_loaded(written: str, damping: object) -> None:
-    scene = rig.loads(WHOLE_FORMAT.replace("{modal: 0.5 %}", written))
+    scene = rig.loads(TYPICAL_SCENE.replace("{modal: 0.5 %}", written))
     assert scene.structure.damping == damping
 
 
@@ -168,11 +168,11 @@ def test_names_that_yaml_misreads_stay_names(name: str) -> None:
 
 
 @pytest.mark.parametrize(("written", "value"), [("on", True), ("yes", True), ("false", False), ("off", False)])
-def test_switches_in_words_are_loaded(written: str, value: bool) -> None:
+def test_yaml_booleans_in_words_are_loaded(written: str, value: bool) -> None:
     assert rig.loads(f"{MINIMAL}recording: {{truth: {written}}}").recording.truth is value
 
 
-def test_stepped_sine_frequencies_keep_their_order() -> None:
+def test_stepped_sine_order_follows_direction_and_spacing() -> None:
     up = SteppedSine.model_validate({"from": 8, "to": 60, "points": 5, "force": [1.0, 2.0]})
     assert up.order == (8.0, 21.0, 34.0, 47.0, 60.0)
     assert up.levels == (1.0, 2.0)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import rig
 from rig.errors import SceneError
 
-# Lines of scenes. The structure is always line 1.
+# Lines of scenes. The structure is one line, usually line 1.
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"
 FORCE = "shaker: {kind: force, body: 1}\n"
 ELECTRODYNAMIC = "shaker: {kind: electrodynamic, body: 1, spring: 6.6 kN/m}\n"

@@ -57,7 +57,7 @@ def test_free_structure_may_move_as_rigid_body() -> None:
     assert rig.loads(structure_text("[[1000, -1000], [-1000, 1000]]")).structure.bodies == 2
 
 
-def test_improbable_clearance_without_unit_causes_warning() -> None:
+def test_implausible_clearance_without_unit_causes_warning() -> None:
     chain = "structure: {masses: [1 kg], springs: [1 kN/m]}\ndampers: [{body: 1, mass: 1 g, clearance: %s}]"
     with pytest.warns(
         SceneWarning, match=r"scene:2: dampers\[1\].clearance: got 0.98 .* \(980 mm\). Add .* such as 0.98 mm"

@@ -17,8 +17,8 @@ settings.load_profile("project")
 # No messages that a command is still running: on a busy machine they would appear between the lines that tests check.
 console.MAX_SILENCE_S = float("inf")
 
-# A shell starts background programs with interrupts ignored, and child processes inherit this setting: programs that
-# a test interrupts would not end.
+# A shell starts background programs with interrupts ignored, and child processes inherit this setting: then
+# programs that a test interrupts would not end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 # The same is true for nohup and the hang-up signal.
@@ -26,8 +26,8 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-# No garbage collection while pytest collects the tests: imports create almost no garbage, and it takes a fifth of the
-# time.
+# No garbage collection while pytest collects the tests: imports create almost no garbage, and garbage collection would
+# take a fifth of the time.
 gc.disable()
 
 

@@ -1,4 +1,4 @@
-"""Describe the rig for general MCAP viewers as a robot (URDF), whose parts move by transforms in the recording.
+"""Describe the rig for general MCAP viewers as a robot (URDF); FrameTransforms in the recording move its parts.
 
 The parts have the sizes and positions of `daq.drawing.stack`; springs are not drawn. Every displacement and gap is
 multiplied by a factor, the exaggeration, which is chosen before the motion is known.
@@ -58,7 +58,7 @@ TRANSFORMS_SCHEMA = Schema(
 # Size of a height (a double) in a message, bytes.
 _HEIGHT_BYTES = 8
 # Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes: fixed, so that all messages have
-# one size.
+# one size. Each follows its tag (0x08, 0x10); the Timestamp follows its own tag and its size.
 _TIME_BYTES = 5
 _TIMESTAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])
 # Translation: x = y = 0, and the tag of z, the height.
@@ -68,13 +68,13 @@ _NO_ROTATION = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 
 
 def exaggeration(scene: Scene) -> float:
-    """Return the factor on displacements and gaps: 20, or less so that finite clearances fit into the drawing."""
+    """Return the factor on displacements and gaps: at most 20, less if a finite clearance would not fit."""
     clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
     return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))
 
 
 class RobotDescription:
-    """The rig of a scene as links that move up and down; dampers are included only if their motion is known.
+    """The rig of a scene as parts (URDF links) moving up and down; dampers are included only if their motion is known.
 
     `points` names the parts in the order of `transforms`; `exaggeration` multiplies every displacement and gap.
     """
@@ -142,10 +142,10 @@ class RobotDescription:
         messages = np.empty((times_ns.size, len(self._message_template)), np.uint8)
         messages[:] = np.frombuffer(self._message_template, np.uint8)
         seconds_bytes, nanoseconds_bytes = varints(seconds, _TIME_BYTES), varints(nanoseconds, _TIME_BYTES)
-        for (stamp, height), row in zip(self._field_offsets, np.ascontiguousarray(heights, "<f8"), strict=True):
+        for (stamp, height_offset), row in zip(self._field_offsets, np.ascontiguousarray(heights, "<f8"), strict=True):
             messages[:, stamp + 3 : stamp + 3 + _TIME_BYTES] = seconds_bytes
             messages[:, stamp + 4 + _TIME_BYTES : stamp + len(_TIMESTAMP)] = nanoseconds_bytes
-            messages[:, height : height + _HEIGHT_BYTES] = row.view(np.uint8).reshape(-1, _HEIGHT_BYTES)
+            messages[:, height_offset : height_offset + _HEIGHT_BYTES] = row.view(np.uint8).reshape(-1, _HEIGHT_BYTES)
         return messages
 
 

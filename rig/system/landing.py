@@ -28,7 +28,7 @@ import math
 RECOVERY_TIME_S = 5e-3
 
 
-def _half_duration(ratio: float) -> float:
+def _half_angle(ratio: float) -> float:
     """Return w T / 2 of a contact with a damping ratio z: acos(z) / sqrt(1 - z^2), or its hyperbolic form."""
     if ratio == 1.0:
         return 1.0
@@ -46,12 +46,12 @@ def damping_ratio(duration: float, restitution: float) -> float:
     from scipy.optimize import brentq
 
     if restitution == 0.0:
-        # c / k = 2 z / w = z T / (w T / 2), which tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
+        # c / k = 2 z / w = z T / (w T / 2) tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
         target = max(RECOVERY_TIME_S / duration, 1.0)
-        return float(brentq(lambda z: z / _half_duration(z) - target, 0.5, 2.0 * target, xtol=1e-15))
+        return float(brentq(lambda z: z / _half_angle(z) - target, 0.5, 2.0 * target, xtol=1e-15))
     target = -math.log(restitution)
     # z w T tends to z pi for small z and to 2 log(2 z) for large z.
-    return float(brentq(lambda z: 2.0 * z * _half_duration(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
+    return float(brentq(lambda z: 2.0 * z * _half_angle(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
 
 
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
@@ -65,7 +65,7 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
     [0.002, 0.3]
     """
     ratio = damping_ratio(duration, restitution)
-    angular_frequency = 2.0 * _half_duration(ratio) / duration
+    angular_frequency = 2.0 * _half_angle(ratio) / duration
     return mass * angular_frequency**2, 2.0 * ratio * angular_frequency * mass
 
 
@@ -76,5 +76,5 @@ def duration_and_restitution(stiffness: float, damping: float, mass: float) -> t
     """
     angular_frequency = math.sqrt(stiffness / mass)
     ratio = damping / (2.0 * mass * angular_frequency)
-    duration = 2.0 * _half_duration(ratio) / angular_frequency
+    duration = 2.0 * _half_angle(ratio) / angular_frequency
     return duration, math.exp(-ratio * angular_frequency * duration)

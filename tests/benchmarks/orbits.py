@@ -32,7 +32,7 @@ def measure() -> Iterator[str]:
     """Yield a header, and a line for each curve: times of both methods, and errors of the orbits.
 
     The deviation from simulation is the median over the points where both methods converge. The residual is the
-    largest deviation of an orbit from periodicity.
+    largest deviation of an orbit from periodicity. At non-periodic points the motion is simulated instead.
     """
     yield (
         f"{'curve':38} {'points':>6} {'simulated':>12} {'orbits':>10} {'ratio':>6} {'deviation':>9} "
@@ -60,7 +60,7 @@ def measure() -> Iterator[str]:
 
 
 def _shortest_time(run: Callable[[], T]) -> tuple[float, T]:
-    """Return the shortest CPU time of some runs, and the result."""
+    """Return the shortest CPU time of `REPEATS` runs, and the last result."""
     times = []
     for _ in range(REPEATS):
         start = time.process_time()

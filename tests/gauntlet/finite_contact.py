@@ -20,7 +20,7 @@ TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT = "tone_finite_contact", "steps_finite
 
 
 def draw_finite_contact(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the truth is recorded."""
+    """Draw a tone, or steps, near a mode of the paper's rig with one to three dampers; the exact motion is recorded."""
     random = Draw(seed, number)
     damper_bodies = sorted({random.integer(1, 3) for _ in range(random.integer(1, 3))})
     natural_frequency = random.choice(_NATURAL_FREQUENCIES_HZ)
@@ -41,7 +41,7 @@ def draw_finite_contact(seed: int, number: int, kind: str) -> rig.Scene:
         },
         "dampers": [_damper(random, body) for body in damper_bodies],
         "shaker": {"kind": "force", "body": random.integer(1, 3)},
-        "test": {**test, "force": 1.0},
+        "test": {**test, "force": 1.0},  # replaced below by a force with which a damper flies
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in damper_bodies),
             {"name": "force", "at": "shaker"},

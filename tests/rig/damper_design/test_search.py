@@ -57,7 +57,7 @@ def search_in_this_process(objective: Objective, space: SearchSpace) -> tuple[Tr
     return search(objective, space, Evaluator(ShuffledWorkers(0), None, None, 1))  # type: ignore[arg-type]
 
 
-def test_second_level_decides_if_worst_peaks_are_equal() -> None:
+def test_equal_worst_peaks_are_ranked_by_next_level() -> None:
     objective = TwoLevels((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(objective, SearchSpace(((1,),), 0.1, (1e-4, 1e-2)))
     assert best.choice.clearances[0] == pytest.approx(2e-3, rel=0.1)
@@ -77,7 +77,7 @@ class SingleBody(Objective):
         return Peak(float(1.0 + min(deviations, default=9.0)), 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
-def test_equal_single_damper_is_chosen() -> None:
+def test_one_damper_is_chosen_if_a_second_has_no_effect() -> None:
     objective = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(objective, SearchSpace(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))
@@ -109,25 +109,25 @@ class HighCeiling(Objective):
 
 
 class ShuffledWorkers:
-    """Workers in this process that compute in a random order, and fail after `max_pieces`, as if they were killed."""
+    """Workers in this process that compute in a random order, and fail after `max_tasks` results, as if killed."""
 
-    def __init__(self, seed: int, max_pieces: float = np.inf) -> None:
-        self.random, self.pieces_left = np.random.default_rng(seed), max_pieces
+    def __init__(self, seed: int, max_tasks: float = np.inf) -> None:
+        self.random, self.tasks_left = np.random.default_rng(seed), max_tasks
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         completed: set[int] = set()
         while remaining := sorted(set(range(len(pieces))) - completed):
-            if self.pieces_left == 0:
+            if self.tasks_left == 0:
                 raise RunError("killed")
-            self.pieces_left -= 1
+            self.tasks_left -= 1
             number = int(self.random.choice(remaining))
             completed.add(number)
             yield number, function(pieces[number])
 
 
-@pytest.mark.parametrize(("dampers", "seed", "max_pieces"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
+@pytest.mark.parametrize(("dampers", "seed", "max_tasks"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
 def test_killed_search_continues_with_identical_results(
-    dampers: int, seed: int, max_pieces: int, tmp_path: Path
+    dampers: int, seed: int, max_tasks: int, tmp_path: Path
 ) -> None:
     objective = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     space = SearchSpace(SearchSpace.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
@@ -141,7 +141,7 @@ def test_killed_search_continues_with_identical_results(
     uninterrupted_table, resumed_table = tmp_path / "one.csv", tmp_path / "other.csv"
     expected = search_with(ShuffledWorkers(0), uninterrupted_table)
     with pytest.raises(RunError, match="killed"):
-        search_with(ShuffledWorkers(seed, max_pieces), resumed_table)
+        search_with(ShuffledWorkers(seed, max_tasks), resumed_table)
     assert search_with(ShuffledWorkers(seed + 1), resumed_table) == expected
     assert resumed_table.read_bytes() == uninterrupted_table.read_bytes()
 
@@ -161,7 +161,7 @@ def test_trials_of_larger_mass_are_not_reused(tmp_path: Path) -> None:
     step=st.floats(0.1, 0.9),
 )
 def test_tried_clearances_are_allowed_and_distinct(bodies: tuple[int, ...], start: int, step: float) -> None:
-    # The search computes a row of clearances at fixed ratios, then optimizes a common factor from a choice of the row.
+    # The search computes a row of clearances at fixed ratios, then optimizes their common factor from a point of it.
     def check_choice(choice: Choice) -> float:
         assert min(choice.clearances) >= 1e-4 and max(choice.clearances) <= 1e-2 * (1 + 1e-12)
         body_clearances = [*zip(choice.bodies, choice.clearances, strict=True)]

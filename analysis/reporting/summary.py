@@ -42,7 +42,8 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
         bounded = [change for change in changes_of_label if all(map(isfinite, change.decibel))]
         if not bounded:
             sentences.append(
-                f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks."
+                f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks. "
+                "Measure more densely around the peaks, upwards and downwards."
             )
             continue
         change = max(bounded, key=_initial_height)

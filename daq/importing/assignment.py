@@ -135,8 +135,8 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
         else:
             continue
         notes.append(
-            f"{choice.channel.name}: the channel table gives the unit {unit}, {signal.file} {signal.unit} for "
-            f"{signal.name!r}. The table's unit is used: {effect}. Remove unit from the table if the file is right."
+            f"{choice.channel.name}: the channel table gives unit {unit}, but {signal.file} gives {signal.unit} for "
+            f"{signal.name!r}. The unit of the table is used: {effect}. If the file is right, remove it there."
         )
     return notes
 

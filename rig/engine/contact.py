@@ -229,6 +229,10 @@ def _coupled_impact(
             if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
                 _set_flying(flow, model, state, i, work.velocity_before[a], 1)
                 log_event(log, i, SEPARATION, 0.0)
+    # The impact changes the velocities of walls: the rate of a gap that was zero need not be zero any more.
+    for i in range(model.mass.shape[0]):
+        if state.contact[i] == FLIGHT:
+            state.multiplicity[i] = min(1, max(-1, state.multiplicity[i]))
 
 
 @inlined_kernel

@@ -36,9 +36,8 @@ def _nth_name(list_names: Callable[[Task], list[str]]) -> Handler:
     def get_name(call: Call) -> ResponseFields:
         names, index = list_names(call.task), call.fields["index"]
         if not 1 <= index <= len(names):
-            raise invalid_value(
-                f"there is no name number {index}: the task has {len(names)}. Give an index from 1 to this number."
-            )
+            remedy = f"Give an index from 1 to {len(names)}." if names else "Add a channel first."
+            raise invalid_value(f"index {index} is out of range: the task has {len(names)} names. {remedy}")
         return {"buffer": names[index - 1]}
 
     return get_name

@@ -30,7 +30,7 @@ _COLUMN_NAME = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Largest relative spread of the line spacing of a discrete Fourier transform, due to the digits of a table.
+# Frequencies whose spacing varies relatively by less are lines of a DFT; the digits of a table cause such variation.
 _MAX_SPACING_SPREAD = 0.05
 # Assumed noise bandwidth in lines, that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5
@@ -55,7 +55,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     reference : str, optional
         Node and direction of the force, such as ``"1 +Z"``, if the file has several.
     unit : str, optional
-        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``, if the file does not state it. It overrides the unit
+        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``; required if the file has none. It overrides the unit
         in the file.
 
     Returns

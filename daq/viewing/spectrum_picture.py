@@ -14,7 +14,7 @@ from rig.escaping import escape_figure
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Duration of a segment: the frequency resolution is 0.25 Hz.
+# Duration of a segment: the spacing of the lines is 0.25 Hz.
 _SEGMENT_S = 4.0
 # Largest number of segments, which bounds the computing time of long recordings.
 _MAX_SEGMENTS = 200
@@ -22,13 +22,13 @@ _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
 
 
-def peak_spectrum(
+def peak_hold_spectrum(
     recording: Recording, channel: str, start: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies (Hz, without 0) and, at each, the largest amplitude over Hann-windowed segments of a channel.
 
-    The amplitude is in the unit of the channel: a tone of amplitude A gives A, a sweep its envelope over frequency.
-    Segments of up to 4 s overlap by half; in a long recording, `_MAX_SEGMENTS` are evenly spread. The amplitude is
+    The amplitude is in the unit of the channel: a tone of amplitude A gives A, a sweep its amplitude at each frequency.
+    Segments of up to 4 s overlap by half; at most `_MAX_SEGMENTS`, evenly spread, are used. The amplitude is
     NaN if every segment has lost samples.
     """
     segment_length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
@@ -60,7 +60,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
-        spectra = {name: peak_spectrum(recording, name, start, stop) for name in channels}
+        spectra = {name: peak_hold_spectrum(recording, name, start, stop) for name in channels}
         frequency = next(iter(spectra.values()))[0]
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():

@@ -1,8 +1,8 @@
-"""Faster compilation and faster kernels with the same results to the last bit; see `rig.numerics.jit`.
+"""Variant of `numba.njit` that compiles called functions without Python wrappers; see `rig.numerics.jit`.
 
-This module uses internals of numba. A compiled function that a kernel calls (a callee) gets no wrapper for Python, is
-optimized only in its callers, and is compiled once for each type, not for each constant. Kernels create no arrays, so
-they need no reference counting (`_nrt`), and are loaded without a refresh of numba's registries.
+This module uses internals of numba. Results are the same to the last bit. A compiled function that a kernel calls (a
+callee) is optimized only in its callers, and compiled once for each type, not for each constant (`unliteral`). Kernels
+create no arrays, so they need no numba runtime (`_nrt`), and are loaded without a refresh of numba's registries.
 """
 
 import functools
@@ -15,12 +15,12 @@ from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-# Without these internals, this `AttributeError` makes `rig.numerics.jit` use the public options of numba.
+# Raises AttributeError without these internals; `rig.numerics.jit` then uses the public options of numba.
 getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
 
 
 class _CalleeLibrary(JITCodeLibrary):
-    """Machine code that is not optimized; it is optimized in its callers."""
+    """Machine code that is only marked as final; it is optimized in its callers."""
 
     def _optimize_final_module(self) -> None: ...
 

@@ -28,7 +28,7 @@ TONE, STEPS, DECAY = "tone_dampers", "steps_dampers", "decay_dampers"
 
 
 def draw_instant_contact(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a tone or steps near a mode, with imperfect accelerometers, a delta-sigma converter and recorded truth."""
+    """Draw a scene: a tone or steps near a mode, imperfect accelerometers, delta-sigma converter and recorded truth."""
     random = Draw(seed, number)
     chain, natural_frequencies = draw_chain(random)
     bodies = len(chain["masses"])

@@ -40,7 +40,7 @@ def test_bed_at_ceiling_dissipates_energy() -> None:
 
 
 @pytest.mark.thorough
-def test_damaged_table_continues_with_missing_frequencies(tmp_path: Path) -> None:
+def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path) -> None:
     table, progress = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
     first = bed_response(scene, [25.0, 30.0], periods=1, table=table)

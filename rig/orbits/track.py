@@ -85,12 +85,17 @@ def _segments(
 
 
 @cached_njit
-def _sample_states(a: Array, flow: Array, start: Array, x: Array, rate: Array) -> None:
-    """Write the states (steps + 1, states + 3) at the ends of steps into `x`, and their rates A x into `rate`.
+def _sample_states(
+    equations: Equations, configuration: int, initial: Array, time: float, step: float, x: Array, rate: Array
+) -> None:
+    """Write the states (points + 1, states + 3) of a segment into `x`, and their rates A x into `rate`.
 
-    `flow`: matrix that propagates a state by one step.
+    `initial`: state at the start of the segment (the first `states` values are used); `time`: start, s; `step`: s.
     """
-    x[0] = start
+    n, a, omega = x.shape[1] - 3, equations.generator[configuration], equations.omega
+    flow = exponential(a, step, equations.norm_bound[configuration])
+    x[0, :n] = initial[:n]
+    x[0, n], x[0, n + 1], x[0, n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
     for i in range(x.shape[0]):
         for m in range(x.shape[1]):
             rate[i, m] = 0.0
@@ -166,7 +171,7 @@ def _sample_guard(
 
 
 @cached_njit
-def _first_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
+def _segment_harmonic(a: Array, omega: float, times: Array, x: Array, step: float) -> NDArray[np.complex128]:
     """Integrate exp(-i w t) x over a segment by the trapezoidal rule with Euler-Maclaurin corrections."""
     steps, size = x.shape[0] - 1, x.shape[1]
     total = np.zeros(size, dtype=np.complex128)
@@ -212,21 +217,19 @@ def track_orbit(equations: Equations, sequence: Sequence, instants: Array, state
     extremes = np.empty((nq, 2))
     extremes[:, 0], extremes[:, 1] = np.inf, -np.inf
     harmonic = np.zeros(n, dtype=np.complex128)
-    start, x, rate = np.ones(n + 3), np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
+    x, rate = np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
     for s in range(segments):
         k = s + 1 if sequence.kind.shape[0] > 0 else 0  # index of the segment in `sequence`
         configuration, step = sequence.configuration[k], durations[s] / steps
         a = equations.generator[configuration]
-        start[:n] = states[k, :n]
-        start[n], start[n + 1] = np.cos(omega * starts[s]), np.sin(omega * starts[s])
-        _sample_states(a, exponential(a, step, equations.norm_bound[configuration]), start, x, rate)
+        _sample_states(equations, configuration, states[k], starts[s], step, x, rate)
         for i in range(steps + 1):
             times[s, i] = starts[s] + i * step
             motion[s, i] = x[i, :n]
         _extend_range(extremes, x, rate, step)
         for j in range(nd):
             _sample_guard(equations, a, sequence.wall[k, j], j, states[k], x, rate, step, guards[s, :, j])
-        harmonic += _first_harmonic(a, omega, times[s], x, step)[:n]
+        harmonic += _segment_harmonic(a, omega, times[s], x, step)[:n]
     return Track(times, motion, guards, extremes, harmonic)
 
 
@@ -236,14 +239,12 @@ def first_harmonic(equations: Equations, sequence: Sequence, instants: Array, st
     n, omega = equations.generator.shape[1] - 3, equations.omega
     starts, durations, steps = _segments(equations, sequence, instants, _MAX_RATE_TIMES_HARMONIC_STEP)
     harmonic = np.zeros(n, dtype=np.complex128)
-    start, x, rate = np.ones(n + 3), np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
+    x, rate = np.empty((steps + 1, n + 3)), np.empty((steps + 1, n + 3))
     for s in range(starts.size):
         k = s + 1 if sequence.kind.shape[0] > 0 else 0  # index of the segment in `sequence`
         configuration, step = sequence.configuration[k], durations[s] / steps
         a = equations.generator[configuration]
-        start[:n] = states[k, :n]
-        start[n], start[n + 1] = np.cos(omega * starts[s]), np.sin(omega * starts[s])
-        _sample_states(a, exponential(a, step, equations.norm_bound[configuration]), start, x, rate)
+        _sample_states(equations, configuration, states[k], starts[s], step, x, rate)
         times = starts[s] + step * np.arange(steps + 1)
-        harmonic += _first_harmonic(a, omega, times, x, step)[:n]
+        harmonic += _segment_harmonic(a, omega, times, x, step)[:n]
     return harmonic

@@ -283,7 +283,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
         root = np.linalg.inv(curves.whitening)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
         remaining: dict[str, Any] = {
-            name: getattr(curves, name)[rows] for name in ("value", "line_limit", "correlated_limit")
+            name: getattr(curves, name)[rows] for name in ("value", "line_bound", "correlated_bound")
         }
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)

@@ -49,7 +49,7 @@ _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 _UNREACHED_CLEARANCE_FACTOR = 30.0
 # Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
-# Upper limit of each squared residual in the robust cost.
+# Upper bound of each squared residual in the robust cost.
 _MAX_SQUARE = 9.0
 # Squared residual assigned to a point where the model has no orbit.
 _FAILED_SQUARE = 1e6
@@ -282,7 +282,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
 def _systematic_errors(group: Group) -> Iterator[Array]:
     """Yield the residuals, in standard deviations, of errors that are correlated over all lines: gain and phase.
 
-    Each error is uniformly distributed within its limit, so that its standard deviation is limit / sqrt(3).
+    Each error is uniformly distributed within its bound, so that its standard deviation is bound / sqrt(3).
     """
     curves, is_fitted = group.curves, group.is_fitted
 
@@ -292,12 +292,12 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
         magnitude = np.maximum(abs(curves.value[k]), 1e-300)
-        errors[k] = curves.correlated_limit[k] / np.sqrt(3.0) * curves.value[k] / magnitude
+        errors[k] = curves.correlated_bound[k] / np.sqrt(3.0) * curves.value[k] / magnitude
         whitened = whiten(errors)
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
     # Noise adds to the power of the reference: all responses are too small, without a phase error.
-    whitened = whiten(curves.reference_noise_limit / np.sqrt(3.0) * curves.value)
+    whitened = whiten(curves.reference_noise_bound / np.sqrt(3.0) * curves.value)
     yield np.concatenate([whitened.real, whitened.imag])
 
 
@@ -309,7 +309,7 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     real, imaginary = jacobian.reshape(2, int(is_fitted.sum()), len(curves.sensors), -1)
     weights = np.einsum("nij,nip->njp", curves.whitening[is_fitted].conj(), real + 1j * imaginary)
-    deviation = curves.line_limit[:, is_fitted].T[..., None] / np.sqrt(3.0)
+    deviation = curves.line_bound[:, is_fitted].T[..., None] / np.sqrt(3.0)
     line_errors = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(is_fitted)
     n_shared = max(frf.uncertainty.shared for frf in curves.frfs)

@@ -294,7 +294,7 @@ def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
     """Return the largest gaps, m, of dampers in flight with undetermined clearance, by the index of the parameter."""
     deviation = estimated.deviation
     gaps = {
-        k: problem.clearance_lower_limit(estimated.x, parameter)
+        k: problem.clearance_lower_bound(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
         if parameter.quantity == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
     }

@@ -15,7 +15,7 @@ import numpy as np
 from analysis.responses.frequency_responses import annotate, frequency_responses
 from analysis.responses.measurands import reference_of, required_channels, responses
 from analysis.responses.stepped_sine import sweep_name, sweeps
-from analysis.responses.systematic import REFERENCE_NOISE, ROUGH, tolerance
+from analysis.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
@@ -35,8 +35,8 @@ _MIN_ERROR_RELATIVE_TO_MAXIMUM = 1e-7
 _REFERENCE_NOISE_ERROR = 0.5
 # Systematic errors that are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
-# Systematic errors that are not included in `Curves.correlated_limit`.
-_EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *ROUGH)
+# Systematic errors that are not included in `Curves.correlated_bound`.
+_EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
 # Smallest number of points of a fit.
 _MIN_POINTS = 8
 
@@ -55,9 +55,9 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    `line_limit` and `correlated_limit` do not include the tolerances of sensors and of the clock, because these are
+    `line_bound` and `correlated_bound` do not include the tolerances of sensors and of the clock, because these are
     unknowns of the fit. If the noise of the reference is not estimated (`errors.reference` is None),
-    `correlated_limit` includes all other systematic errors.
+    `correlated_bound` includes all other systematic errors.
     """
 
     label: str  # recording, and level or part where it has several
@@ -67,10 +67,10 @@ class Curves:
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
     whitening: ComplexArray
     errors: Covariance  # covariance of the random errors
-    line_limit: Array  # limit of the systematic errors that differ from line to line, shape (responses, n)
-    correlated_limit: Array  # limit of the systematic errors that are correlated over all lines, shape (responses, n)
-    reference_noise_limit: (
-        Array  # limit of the relative error common to all responses, from noise of their reference, shape (n,)
+    line_bound: Array  # bound of the systematic errors that differ from line to line, shape (responses, n)
+    correlated_bound: Array  # bound of the systematic errors that are correlated over all lines, shape (responses, n)
+    reference_noise_bound: (
+        Array  # bound of the relative error common to all responses, from noise of their reference, shape (n,)
     )
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
@@ -143,8 +143,8 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     notes = [f"{name} reads zero throughout: dead or not connected. It is left out." for name in zero_responses]
     frfs = [frf for frf in frfs if frf.response not in zero_responses]
     value = np.stack([frf.value for frf in frfs])
-    limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_CORRELATED), _limits(frfs, ROUGH)])
-    is_bounded = np.isfinite(limits).all(axis=0)
+    bounds = np.vstack([_bounds(frfs, without=_EXCLUDED_FROM_CORRELATED), _bounds(frfs, IRREGULAR)])
+    is_bounded = np.isfinite(bounds).all(axis=0)
     is_unsteady = np.any(
         [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_bounded.size, bool)], axis=0
     )
@@ -157,7 +157,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)
     frfs = [frf.at(is_valid) for frf in frfs]
-    relative_bias, reference_noise_limit = _reference_noise(frfs, errors)
+    relative_bias, reference_noise_bound = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
@@ -165,11 +165,11 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         value=value[:, is_valid] * (1.0 + relative_bias),
         whitening=_whitening(frfs, errors),
         errors=errors,
-        line_limit=_limits(frfs, ROUGH),
-        correlated_limit=_limits(
+        line_bound=_bounds(frfs, IRREGULAR),
+        correlated_bound=_bounds(
             frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
         ),
-        reference_noise_limit=reference_noise_limit,
+        reference_noise_bound=reference_noise_bound,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
         bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),
@@ -181,27 +181,27 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     )
 
 
-def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Return the root sum of squares of the limits of systematic errors; shape (responses, n).
+def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
+    """Return the root sum of squares of the bounds of systematic errors; shape (responses, n).
 
     `names`: included errors, by default all; `without`: excluded errors.
     """
     totals = []
     for frf in frfs:
         selected = names or frf.limits
-        included = [limit for name, limit in frf.limits.items() if name in selected and name not in without]
+        included = [bound for name, bound in frf.limits.items() if name in selected and name not in without]
         totals.append(np.linalg.norm([np.zeros(frf.value.size), *included], axis=0))
     return np.stack(totals)
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses by noise of the reference, and the limit of its error, shapes (n,)."""
+    """Return the relative bias of all responses due to reference noise, and the bound of its error, shapes (n,)."""
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
-    # A response's own noise lowers its coherence too. The smallest limit is therefore the best estimate of the
+    # A response's own noise lowers its coherence too. The smallest bound is therefore the best estimate of the
     # reference noise.
-    bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
+    bias_bound: Array = np.asarray((_bounds(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
-        return np.zeros(bias_limit.size), bias_limit
+        return np.zeros(bias_bound.size), bias_bound
     noise_ratio = np.minimum(errors.reference, 0.5)
     return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_ERROR * noise_ratio
 
@@ -219,9 +219,9 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     ) ** 2
     # A variance from few degrees of freedom is uncertain: it is multiplied by the variance of Student's t distribution,
     # but at most by 2.
-    inflation, systematic = np.ones(variance.shape), _limits(frfs, ROUGH)
+    inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
     if errors.reference is None:
-        systematic = _limits(frfs, without=_FITTED_ERRORS)
+        systematic = _bounds(frfs, without=_FITTED_ERRORS)
         freedom = np.stack([frf.degrees for frf in frfs], axis=1)
         inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))

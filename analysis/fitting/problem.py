@@ -185,8 +185,8 @@ class Problem:
         level = np.nan if curves.level is None else curves.level
         return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
 
-    def clearance_lower_limit(self, x: Array, parameter: Parameter) -> float:
-        """Return the largest gap of a damper in m, a lower limit of its clearance; 0 with ceiling impacts."""
+    def clearance_lower_bound(self, x: Array, parameter: Parameter) -> float:
+        """Return the largest gap of a damper in m, a lower bound of its clearance; 0 with ceiling impacts."""
         scene, largest = self.scene(x), 0.0
         assert parameter.damper is not None
         body = self.model.dampers[parameter.damper].body

@@ -18,7 +18,7 @@ from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systema
 from analysis.modal.pole_residue import Curves, ModalModel, fit, residual_terms
 from analysis.modal.refinement import Refinement, refine
 from analysis.modal.several_references import separate
-from analysis.responses.systematic import ALIASING, ROUGH
+from analysis.responses.systematic import ALIASING, IRREGULAR
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
@@ -40,7 +40,7 @@ _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 # Smallest number of degrees of freedom at which the error of a line is used without those of neighboring lines.
 _MIN_DEGREES = 10.0
-# Ratio of the limit of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
+# Ratio of the bound of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
 _LIMIT_FACTOR = 1.8
 
 
@@ -109,9 +109,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     else:
         included, random_errors = refinement.included, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
-    # A limit counts as an expanded uncertainty (95 %): twice the standard uncertainty.
+    # A bound counts as an expanded uncertainty (95 %): twice the standard uncertainty.
     frequency_error, damping_error = (
-        np.hypot(*errors) for errors in zip(random_errors, (0.5 * limit for limit in systematic), strict=True)
+        np.hypot(*errors) for errors in zip(random_errors, (0.5 * bound for bound in systematic), strict=True)
     )
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
@@ -295,7 +295,7 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
     curves = [frf.at(lines) for frf in frfs]
     errors = stack(curves).covariance()
     magnitude = np.stack([abs(frf.value) for frf in curves])
-    line_deviation = np.hypot(0.5 * _systematic_limit(curves, ROUGH), MIN_RELATIVE_ERROR * magnitude)
+    line_deviation = np.hypot(0.5 * _systematic_bound(curves, IRREGULAR), MIN_RELATIVE_ERROR * magnitude)
     if not (np.isfinite(errors.lines).all() and np.isfinite(line_deviation).all()):
         return None
     return refine(weighted, model, errors, line_deviation)
@@ -304,12 +304,12 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
 def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
     """Return the ratio of systematic uncertainty to peak height at each pole, in the curve with the smallest ratio."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
-    limits = [
-        limit[_nearest(frf, frequency, np.isfinite(frf.value + limit))]
-        for frf, limit in zip(frfs, _systematic_limit(frfs, (*ROUGH, ALIASING)), strict=True)
+    bounds = [
+        bound[_nearest(frf, frequency, np.isfinite(frf.value + bound))]
+        for frf, bound in zip(frfs, _systematic_bound(frfs, (*IRREGULAR, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
-    return np.asarray(np.min(limits / np.maximum(height, 1e-300), axis=0))
+    return np.asarray(np.min(bounds / np.maximum(height, 1e-300), axis=0))
 
 
 def _residual_terms(model: ModalModel, accepted: NDArray[np.bool_], frequency: Array) -> tuple[Array, Array]:
@@ -334,11 +334,11 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # The errors that a file states may be incomplete; the scatter between its lines is their lower limit.
+            # The errors that a file states may be incomplete; the scatter between its lines is their lower bound.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
     # Systematic errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
-    error = np.hypot(error, 0.5 * _systematic_limit(curves, ROUGH))
+    error = np.hypot(error, 0.5 * _systematic_bound(curves, IRREGULAR))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))
 
@@ -356,7 +356,7 @@ def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
     )
 
 
-def _systematic_limit(curves: Sequence[Response], names: Sequence[str]) -> Array:
+def _systematic_bound(curves: Sequence[Response], names: Sequence[str]) -> Array:
     """Return the root sum of squares of some systematic errors, shape (responses, lines); infinite if unknown."""
-    limits = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
-    return np.asarray(np.nan_to_num(np.linalg.norm(limits, axis=1), nan=np.inf, posinf=np.inf))
+    bounds = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
+    return np.asarray(np.nan_to_num(np.linalg.norm(bounds, axis=1), nan=np.inf, posinf=np.inf))

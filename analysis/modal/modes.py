@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 # Largest relative standard uncertainty of a determined damping ratio: a third, so that the ratio differs from zero by
-# three standard deviations. Otherwise only its upper limit is stated, and its pole counts as a mode only if it has a
+# three standard deviations. Otherwise only its upper bound is stated, and its pole counts as a mode only if it has a
 # distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
@@ -41,7 +41,7 @@ class Modes(Result):
     frequency, frequency_error : ndarray, shape (modes,)
         Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
     damping, damping_error : ndarray, shape (modes,)
-        Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper limit is
+        Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper bound is
         known: ``damping + 2 damping_error``.
     shape_error : ndarray, shape (responses, modes)
         Standard deviation of each element of `shapes`, from the uncertainty of the curves at the resonance, including
@@ -91,7 +91,7 @@ class Modes(Result):
         return f"{self.label}: {'; '.join(texts)}"
 
     def damping_text(self, mode: int) -> str:
-        """Write a damping ratio with its expanded uncertainty (95 %), or its upper limit if it is poorly determined."""
+        """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
         ratio, expanded = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
         return (
             format_quantity(ratio, expanded, "%")

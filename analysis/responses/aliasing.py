@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.systematic import ALIASING, ChannelContributions, gain_error_limit, relative_to_reading
+from analysis.responses.systematic import ALIASING, ChannelContributions, gain_error_bound, relative_to_reading
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
@@ -31,8 +31,8 @@ _MIN_IMAGE_RATIO = 0.1
 _TOP_OF_BAND = 0.8
 
 
-def aliasing_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
-    """Compute the largest deviation of a response by aliasing of components above half the sample rate.
+def aliasing_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+    """Compute the maximum error of a response due to aliasing of components above half the sample rate.
 
     The drive is interpolated linearly between samples. Its images are therefore smaller than the drive by the square of
     the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor and amplifier. The
@@ -40,7 +40,7 @@ def aliasing_limit(rec: Recording, contributions: ChannelContributions) -> dict[
     images that the structure transmits above its modes.
     """
     true_ratio, recorded_ratio = aliased_ratios(rec, contributions)
-    return {ALIASING: gain_error_limit(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
+    return {ALIASING: gain_error_bound(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
 
 
 def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple[Array, Array]:

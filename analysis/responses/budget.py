@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.aliasing import aliasing_limit
+from analysis.responses.aliasing import aliasing_bound
 from analysis.responses.systematic import (
     ChannelContributions,
+    clock_bound,
     clock_deviation,
-    clock_limit,
-    sensitivity_limit,
-    uncertain_reference_limit,
+    sensitivity_bound,
+    uncertain_reference_bound,
 )
 from rig.arrays import Array
 from rig.results.uncertainty import RandomErrors, UncertaintyBudget, coverage_factor
@@ -27,8 +27,8 @@ def assemble_budget(
     contributions: ChannelContributions,
     error: Array,
     degrees_of_freedom: Array,
-    estimator_limits: Mapping[str, Array],
-    reference_limits: Sequence[Array] = (),
+    estimator_bounds: Mapping[str, Array],
+    reference_bounds: Sequence[Array] = (),
     errors: RandomErrors | None = None,
     shared: float = 1.0,
     scale: float = 0.0,
@@ -36,18 +36,18 @@ def assemble_budget(
     """Assemble the uncertainty budget of a response.
 
     `error`, `degrees_of_freedom`: type A standard uncertainty of either quadrature component, and its degrees of
-    freedom, shape (lines,). `estimator_limits`: limits of error of the estimator, by name; those of the instrument are
-    computed here. `reference_limits`: largest relative deviations of the reference, for the additional error of
-    `uncertain_reference_limit`. `errors`: model of the random errors of several responses. `shared`: number of
+    freedom, shape (lines,). `estimator_bounds`: bounds of the estimator's errors, by name; those of the instrument are
+    computed here. `reference_bounds`: maximum relative errors of the reference, for the additional error of
+    `uncertain_reference_bound`. `errors`: model of the random errors of several responses. `shared`: number of
     neighboring lines with a common error. `scale`: from `common_scale`.
     """
-    limits = {**aliasing_limit(rec, contributions), **estimator_limits}
-    if len(reference_limits):
-        bound = np.sqrt(
-            np.sum(np.square([error * coverage_factor(0.95, degrees_of_freedom), *limits.values()]), axis=0)
+    bounds = {**aliasing_bound(rec, contributions), **estimator_bounds}
+    if len(reference_bounds):
+        first_order_error = np.sqrt(
+            np.sum(np.square([error * coverage_factor(0.95, degrees_of_freedom), *bounds.values()]), axis=0)
         )
-        limits |= uncertain_reference_limit(bound, np.sqrt(np.sum(np.square(reference_limits), axis=0)))
-    limits |= sensitivity_limit(rec, contributions) | clock_limit(rec, contributions)
+        bounds |= uncertain_reference_bound(first_order_error, np.sqrt(np.sum(np.square(reference_bounds), axis=0)))
+    bounds |= sensitivity_bound(rec, contributions) | clock_bound(rec, contributions)
     return UncertaintyBudget.of(
-        error, degrees_of_freedom, limits, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
+        error, degrees_of_freedom, bounds, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
     )

@@ -20,9 +20,9 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     ChannelContributions,
     common_scale,
-    reference_noise_limit,
-    rounding_limit,
-    shared_noise_limit,
+    reference_noise_bound,
+    rounding_bound,
+    shared_noise_bound,
     zero_safe_product,
 )
 from rig.arrays import Array, ComplexArray
@@ -68,7 +68,7 @@ class AveragedSpectra:
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
-    # largest relative change of each channel's gain by rounding, as in `rounding_limit`; shape (channels, n)
+    # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, n)
     rounding_gain_error: Array = field(default_factory=lambda: np.zeros((1, 1)))
     # local fits to the same test; their difference from the averages is the leakage. None: the averages have no leakage
     leakage_free: SegmentFits | None = None
@@ -98,29 +98,29 @@ class AveragedSpectra:
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
-        limits: dict[str, Array] = {}
+        bounds: dict[str, Array] = {}
         if self.leakage_free is not None:
             leakage_free = self.leakage_free.frf(rec, response, reference, motion)
-            limits[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
+            bounds[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         contributions = ChannelContributions(
             self.channels, self.frequency, motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
-        noise_bias = reference_noise_limit(value, coherence)
+        noise_bias = reference_noise_bound(value, coherence)
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(denominator.channels)
-            noise_bias = np.maximum(noise_bias, shared_noise_limit(noise, change_per_reading, reference_weights, sff))
-        limits[REFERENCE_NOISE] = noise_bias
-        limits |= rounding_limit(self.rounding_gain_error, contributions)
+            noise_bias = np.maximum(noise_bias, shared_noise_bound(noise, change_per_reading, reference_weights, sff))
+        bounds[REFERENCE_NOISE] = noise_bias
+        bounds |= rounding_bound(self.rounding_gain_error, contributions)
         # Weights of the channels in the incoherent part of the response, relative to the reference (Bendat and Piersol,
         # chapter 7).
         residual_weights = change_per_reading.T / np.sqrt(sff * max(n_free_averages, 1e-300))[:, None]
         degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
-        reference_limits = [
+        reference_bounds = [
             np.sum(zero_safe_product(np.abs(contributions.reference), self.rounding_gain_error), axis=0)
         ]
         budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
+            rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
             MeanErrors(residual_weights[:, None], self.cross),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
@@ -130,7 +130,7 @@ class AveragedSpectra:
         )  # fmt: skip
 
     def _incoherent_power(self, names: Sequence[str]) -> Array:
-        """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""
+        """Return an upper bound of the noise power in the two channels of a spring force: their incoherent power."""
         rows = [self.channels.index(name) for name in names]
         readings = square_root(self.cross)[:, rows]
         noise = np.zeros((len(self.channels), self.frequency.size))

@@ -40,7 +40,7 @@ from analysis.responses.systematic import (
     UNSETTLED,
     ChannelContributions,
     common_scale,
-    rounding_limit,
+    rounding_bound,
 )
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
@@ -200,7 +200,7 @@ class SpectralMatrix:
         covariance = covariance / n_free_averages
         variance = np.maximum(np.einsum("npp->np", covariance).real, 0.0).reshape(value.shape)
         residual_power = np.einsum("naa->na", residual).real[:, :, None]
-        # Upper limit of the noise power of each force: its power that is not coherent with an output.
+        # Upper bound of the noise power of each force: its power that is not coherent with an output.
         force_noise = np.minimum(
             np.min(residual_power / np.maximum(abs(value) ** 2, 1e-300), axis=1),
             np.einsum("nkk->nk", self._spectra_blocks()[2]).real,
@@ -213,8 +213,8 @@ class SpectralMatrix:
                 leakage_free = self.leakage_free[output.name, force.name]
                 leakages[:, a, k] = leakage(self.frequency, value[:, a, k], error[:, a, k], leakage_free)
         points, degrees_of_freedom = (self.outputs, self.inputs), np.full(value.shape, 2.0 * n_free_averages)
-        limits = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
-        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees_of_freedom, limits, covariance)
+        bounds = {REFERENCE_NOISE: bias, LEAKAGE: leakages}
+        budget = _matrix_budget(rec, self.frequency, value, points, error, degrees_of_freedom, bounds, covariance)
         response = Response(
             self.frequency, value, *points, budget, self.multiple_coherence(),
             label=self.spectra.label, resolution=self.spectra.resolution, warnings=self.spectra.warnings,
@@ -267,21 +267,21 @@ def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, 
 
 def _matrix_budget(
     rec: Recording, frequency: Array, value: ComplexArray, points: tuple[Sequence[Point], Sequence[Point]],
-    error: Array, degrees_of_freedom: Array, limits: dict[str, Array], covariance: ComplexArray, shared: float = 1.0,
+    error: Array, degrees_of_freedom: Array, bounds: dict[str, Array], covariance: ComplexArray, shared: float = 1.0,
 ) -> UncertaintyBudget:  # fmt: skip
     """Assemble the budget of each matrix element from the gains of its output and input channels.
 
-    `points`: outputs and inputs; `error`, `degrees_of_freedom` and `limits` as in `assemble_budget`, of the shape of
+    `points`: outputs and inputs; `error`, `degrees_of_freedom` and `bounds` as in `assemble_budget`, of the shape of
     `value`; `covariance`: of the random errors of the elements at each line, shape (n, elements, elements).
     """
     budgets = []
     for a, output in enumerate(points[0]):
         for k, force in enumerate(points[1]):
             contributions = _element_contributions(output.name, force.name, frequency, output.quantity, value[:, a, k])
-            element_limits = {name: limit[:, a, k] for name, limit in limits.items()}
+            element_bounds = {name: bound[:, a, k] for name, bound in bounds.items()}
             budgets.append(
                 assemble_budget(
-                    rec, contributions, error[:, a, k], degrees_of_freedom[:, a, k], element_limits, shared=shared,
+                    rec, contributions, error[:, a, k], degrees_of_freedom[:, a, k], element_bounds, shared=shared,
                     scale=common_scale(rec, [output.name], [force.name]),
                 )
             )  # fmt: skip
@@ -327,16 +327,16 @@ def _from_local_fits(
             degrees_of_freedom[:, a, k] = fit.degrees_of_freedom
             rows = [spectra.channels.index(channel) for channel in (name, inputs[k].name)]
             contributions = _element_contributions(name, inputs[k].name, frequency, motion, value[:, a, k])
-            rounding[:, a, k] = rounding_limit(spectra.rounding_gain_error[rows], contributions).get(RESOLUTION, 0.0)
+            rounding[:, a, k] = rounding_bound(spectra.rounding_gain_error[rows], contributions).get(RESOLUTION, 0.0)
             all_bin_weights.append(fit.bin_weights.reshape(frequency.size, -1) * channel_to_motion[:, None])
         residuals.append(fit.residual.reshape(frequency.size, -1))
         noise[:, a] = fit.noise_power * abs(reading_to_motion) ** 2
         local_power = spectra.power(reading.spectra, spectra.half_width)
         coherence[:, a] = np.clip(1.0 - fit.noise_power / np.maximum(local_power, 1e-300), 0.0, 1.0)
-    # Upper limit of the noise power of each force: its power that is not coherent with an output.
+    # Upper bound of the noise power of each force: its power that is not coherent with an output.
     force_power = np.stack([spectra.power(force, spectra.half_width) for force in forces], axis=1)
-    noise_limit = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power)
-    bias = abs(value) * (noise_limit / np.maximum(force_power, 1e-300))[:, None]
+    noise_bound = np.minimum(np.min(noise[:, :, None] / np.maximum(abs(value) ** 2, 1e-300), axis=1), force_power)
+    bias = abs(value) * (noise_bound / np.maximum(force_power, 1e-300))[:, None]
     # Covariance of the elements at each line: covariance of the residuals of the outputs, propagated through the fits.
     residual, bin_weights = np.stack(residuals, axis=1), np.stack(all_bin_weights, axis=1)
     complex_degrees = np.maximum(degrees_of_freedom[:, 0, 0] / 2.0, 0.5)
@@ -345,9 +345,9 @@ def _from_local_fits(
     propagation = np.einsum("npw,nqw->npq", bin_weights, bin_weights.conj())
     covariance = np.asarray(propagation * cross[:, elements][:, :, elements])
     points = _outputs(rec, names, motion), tuple(inputs)
-    limits = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
+    bounds = {MODEL: model_error, REFERENCE_NOISE: bias, RESOLUTION: rounding}
     budget = _matrix_budget(
-        rec, frequency, value, points, error, degrees_of_freedom, limits, covariance, spectra.shared
+        rec, frequency, value, points, error, degrees_of_freedom, bounds, covariance, spectra.shared
     )
     warnings = (*fits.warnings, *notes)
     return _add_warnings(
@@ -433,8 +433,8 @@ def _from_experiments(
             )
             error[:, a, k] = np.sqrt(moderated / 2.0)
     points = _outputs(rec, names, motion), tuple(inputs)
-    limits = {UNSETTLED: np.mean(unsettled, axis=0)}
-    budget = _matrix_budget(rec, frequency, value, points, error, degrees_of_freedom, limits, covariance)
+    bounds = {UNSETTLED: np.mean(unsettled, axis=0)}
+    budget = _matrix_budget(rec, frequency, value, points, error, degrees_of_freedom, bounds, covariance)
     coherence = np.mean(coherences, axis=0)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=tuple(notes))
@@ -461,9 +461,9 @@ def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
             a, b = places[input_k.place], places[input_m.place]
             first, second = response.value[:, a, m], response.value[:, b, k]
             valid = np.isfinite(first) & np.isfinite(second)
-            difference, limit = (abs(first - second)[valid], (uncertainty[:, a, m] + uncertainty[:, b, k])[valid])
+            difference, bound = (abs(first - second)[valid], (uncertainty[:, a, m] + uncertainty[:, b, k])[valid])
             mean = np.maximum(0.5 * abs(first + second)[valid], 1e-300)
-            within, deviation = float(np.mean(difference <= limit)), float(np.median(difference / mean))
+            within, deviation = float(np.mean(difference <= bound)), float(np.median(difference / mean))
             pairs.append(Reciprocity((input_k.place, input_m.place), within, deviation))
     return tuple(pairs)
 

@@ -92,17 +92,17 @@ class Lines:
             expected = noise.local_variance(weights, self.n_neighbors)
             variance, degrees_of_freedom = moderate(variance, degrees_of_freedom, expected, self.n_neighbors)
         error = np.sqrt(variance / 2.0)
-        limits: dict[str, Array] = {}
-        reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
+        bounds: dict[str, Array] = {}
+        reference_bounds = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
         unsettled = None if self.residual_transient is None else _TRANSIENT_FACTOR * self.residual_transient
-        for name, limit in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
-            if limit is not None:
-                limits[name] = np.sum(abs(weights) * limit, axis=0)
-                reference_limits.append(np.sum(abs(reference_weights / f) * limit, axis=0))
+        for name, bound in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
+            if bound is not None:
+                bounds[name] = np.sum(abs(weights) * bound, axis=0)
+                reference_bounds.append(np.sum(abs(reference_weights / f) * bound, axis=0))
         if self.wait is not None and self.duration is not None:
             free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
-            limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
+            bounds[UNSETTLED] = np.maximum(bounds.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + self.scatter.degrees_of_freedom / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
@@ -112,7 +112,7 @@ class Lines:
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
+            rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
             MeanErrors(weights.T[:, None], means), scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(

@@ -1,7 +1,8 @@
 """Systematic errors of a response, which averaging does not reduce.
 
-Each error has a name for display and a *limit*, its largest magnitude, like a tolerance in a data sheet. The functions
-that end in `_limit` return it in the unit of the response, shape (lines,), alone or in a dictionary with its name.
+Each error has a name for display and a *bound*, an upper bound of its magnitude, like a tolerance in a data sheet. The
+functions that end in `_bound` return it in the unit of the response, at each spectral line (shape (lines,)), alone or
+in a dictionary with its name.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ RESOLUTION = "converter's resolution"
 MODEL = "local model"
 REFERENCE = "uncertain reference"
 JITTER = "jitter of the sampling instants"
-#: Errors whose sign and size differ from line to line.
-ROUGH = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
+#: Errors that vary irregularly from one spectral line to the next.
+IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Assumed ratio of transverse to axial motion, if the data sheet states only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
-# Smallest number of lines that determine the slope of a curve.
+# Minimum number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
 # Slope that is assumed for fewer lines, as a multiple of value / frequency. Peaks with a half-power bandwidth of a
 # fifth of their frequency or more are not steeper.
@@ -58,13 +59,13 @@ class ChannelContributions:
     reference: ComplexArray  # contribution of each channel to the reference, with the sum 1; shape (channels, lines)
 
     @property
-    def change_per_gain(self) -> ComplexArray:
-        """Return the change of the response per relative change of each channel's gain, shape (channels, lines)."""
+    def gain_sensitivity(self) -> ComplexArray:
+        """Return the sensitivity of the response to each channel's relative gain error, shape (channels, lines)."""
         return self.response - self.value * self.reference
 
 
 def tolerance(info: ChannelInfo) -> float:
-    """Compute the largest relative deviation of a channel's sensitivity by its data sheet.
+    """Compute the maximum relative error of a channel's sensitivity according to its data sheet.
 
     It is the sum of calibration tolerance, temperature drift and transverse sensitivity.
 
@@ -85,43 +86,42 @@ def tolerance(info: ChannelInfo) -> float:
     return setting("sensitivity_tolerance", RATIO) + thermal + transverse
 
 
-def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
-    """Compute the largest deviation of a response by the tolerances of its channels; empty without tolerances."""
+def sensitivity_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+    """Compute the maximum error of a response due to the tolerances of its channels; empty without tolerances."""
     gain = np.array([[tolerance(rec.channels[name])] for name in contributions.names])
-    return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
+    return {SENSITIVITY: gain_error_bound(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
 
 
 def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
-    """Return the largest relative error of a single reference channel, common to all responses; 0 for several."""
+    """Return the maximum relative error of a single reference channel, common to all responses; 0 for several."""
     is_common = len(references) == 1 and references[0] not in outputs
     return tolerance(rec.channels[references[0]]) if is_common else 0.0
 
 
-def relative_to_reading(deviation: Array) -> Array:
-    """Convert largest deviations relative to true values into deviations relative to readings; infinite from 1 on.
+def relative_to_reading(error: Array) -> Array:
+    """Convert maximum errors relative to true values to maximum errors relative to readings; infinite from 1 on.
 
-    If the reading is too small, the deviation relative to the reading exceeds the deviation relative to the true
-    value.
+    If the reading is too small, its error relative to the reading exceeds its error relative to the true value.
 
     >>> relative_to_reading(np.array([0.2, 0.5, 1.0, 1e20])).tolist()
     [0.25, 1.0, inf, inf]
     """
-    return np.divide(deviation, 1.0 - deviation, out=np.full(deviation.shape, np.inf), where=deviation < 1.0)
+    return np.divide(error, 1.0 - error, out=np.full(error.shape, np.inf), where=error < 1.0)
 
 
-def gain_error_limit(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
-    """Compute the largest error of a response if the reading of each channel is 1 + e times its true value.
+def gain_error_bound(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
+    """Compute the maximum error of a response if the reading of each channel is 1 + e times its true value.
 
     The response is the ratio of two sums over the channels, with the contributions u to the numerator and l to the
-    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first limit follows directly.
-    Further limits follow if both sums are first divided by the factor 1 + e of any single channel; they are smaller
-    for a channel that is the entire denominator. All limits are valid; the smallest is returned. `true_ratio` and
-    `recorded_ratio` are upper limits of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1).
+    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first bound follows directly.
+    Further bounds follow if both sums are first divided by the factor 1 + e of any single channel; they are smaller
+    for a channel that is the entire denominator. All bounds are valid; the smallest is returned. `true_ratio` and
+    `recorded_ratio` are upper bounds of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1).
     The result is infinite if the true denominator may be zero.
     """
-    in_response: Array = np.asarray(abs(contributions.change_per_gain), dtype=float)
+    in_response: Array = np.asarray(abs(contributions.gain_sensitivity), dtype=float)
     in_reference: Array = np.asarray(abs(contributions.reference), dtype=float)
-    # Error of the numerator and relative error of the denominator, for each limit.
+    # Error of the numerator and relative error of the denominator, for each bound.
     errors = [[np.sum(zero_safe_product(size, recorded_ratio), axis=0) for size in (in_response, in_reference)]]
     with np.errstate(divide="ignore", invalid="ignore"):
         for row, channel_error in enumerate(true_ratio):
@@ -131,11 +131,11 @@ def gain_error_limit(true_ratio: Array, recorded_ratio: Array, contributions: Ch
             numerator_error = in_response[row] * channel_error
             numerator_error = numerator_error + np.sum(zero_safe_product(in_response[others], other_error), axis=0)
             errors.append([numerator_error, np.sum(zero_safe_product(in_reference[others], difference), axis=0)])
-        limits = [
+        bounds = [
             np.where(denominator_error < 1.0, numerator_error / np.maximum(1.0 - denominator_error, 1e-300), np.inf)
             for numerator_error, denominator_error in errors
         ]
-    return np.asarray(np.nanmin(limits, axis=0))
+    return np.asarray(np.nanmin(bounds, axis=0))
 
 
 def zero_safe_product(size: Array, factor: Array) -> Array:
@@ -143,18 +143,18 @@ def zero_safe_product(size: Array, factor: Array) -> Array:
     return np.asarray(np.where(size > 0.0, size * factor, 0.0))
 
 
-def reference_noise_limit(value: ComplexArray, coherence: Array) -> Array:
-    """Compute the largest bias of H1 towards zero, if all incoherent power is noise in the reference.
+def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
+    """Compute the maximum bias of H1 towards zero, if all incoherent power is noise in the reference.
 
     The true value is between H1 and H2 = H1 / coherence (Bendat and Piersol, section 6.1.4).
     """
     return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
-def shared_noise_limit(
+def shared_noise_bound(
     noise: Array, change_per_reading: ComplexArray, reference_weights: ComplexArray, reference_power: Array
 ) -> Array:
-    """Compute the largest error of H1 by noise of channels in the reference that may also be in the response.
+    """Compute the maximum error of H1 due to noise of channels in the reference that may also be in the response.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
@@ -167,31 +167,31 @@ def shared_noise_limit(
         return np.asarray(np.where(noise_free > 0.0, bias / noise_free, np.inf))
 
 
-def uncertain_reference_limit(bound: Array, deviation: Array) -> dict[str, Array]:
+def uncertain_reference_bound(first_order_error: Array, deviation: Array) -> dict[str, Array]:
     """Compute the additional error of a response whose reference may be smaller than its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
-    first-order error over ``1 - df / f``. `bound`: first-order error; `deviation`: largest ``df / f``. From 1 on the
-    error is unbounded.
+    first-order error over ``1 - df / f``. `first_order_error`: its bound; `deviation`: maximum
+    ``df / f``. From 1 on the error is unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.sqrt(1.0 / np.maximum(1.0 - deviation, 0.0) ** 2 - 1.0)
-        return {REFERENCE: np.where(deviation < 1.0, np.where(excess > 0.0, bound * excess, 0.0), np.inf)}
+        return {REFERENCE: np.where(deviation < 1.0, np.where(excess > 0.0, first_order_error * excess, 0.0), np.inf)}
 
 
-def rounding_limit(gain: Array, contributions: ChannelContributions) -> dict[str, Array]:
-    """Compute the largest deviation of a response by rounding, for readings of a few counts.
+def rounding_bound(gain: Array, contributions: ChannelContributions) -> dict[str, Array]:
+    """Compute the maximum error of a response due to rounding, for readings of a few counts.
 
-    `gain`, shape (channels, lines): largest relative change of each channel's gain by rounding, from
+    `gain`, shape (channels, lines): maximum relative change of each channel's gain due to rounding, from
     `noise_gain_error` or `tone_gain_error`.
     """
     if not gain.any():
         return {}
-    return {RESOLUTION: np.sum(gain * np.maximum(abs(contributions.change_per_gain), 1e-300), axis=0)}
+    return {RESOLUTION: np.sum(gain * np.maximum(abs(contributions.gain_sensitivity), 1e-300), axis=0)}
 
 
 def noise_gain_error(power: Array) -> Array:
-    """Compute the largest relative change of the gain by rounding to counts, for a noise signal of a power in counts².
+    """Compute the maximum relative change of the gain due to rounding to counts, for noise of a power in counts².
 
     The rounding error is random noise except for a part proportional to the signal, at most ``2 exp(-2 pi^2 s^2)`` for
     Gaussian noise of s counts (B. Widrow, I. Kollár, Quantization Noise, Cambridge University Press 2008, sections 4
@@ -202,10 +202,10 @@ def noise_gain_error(power: Array) -> Array:
 
 
 def tone_gain_error(power: Array) -> Array:
-    """Compute the largest relative change of the gain by rounding to counts, for a tone; see `noise_gain_error`.
+    """Compute the maximum relative change of the gain due to rounding to counts, for a sine; see `noise_gain_error`.
 
-    For a tone of a counts, the first term of the quantizer's series in Bessel functions is ``2 / pi^2 / a^(3/2)``;
-    the sum of all terms is at most twice that. A tone below half a count is not recorded.
+    For a sine of the amplitude A, in counts, the first term of the quantizer's series in Bessel functions is
+    ``2 / (pi^2 A^1.5)``; the sum of all terms is at most twice that. A sine below half a count is not recorded.
     """
     amplitude = np.sqrt(2.0 * np.maximum(power - 1.0 / 12.0, 0.0))
     with np.errstate(divide="ignore"):
@@ -213,7 +213,7 @@ def tone_gain_error(power: Array) -> Array:
 
 
 def reproducible_rounding(power: Array) -> Array:
-    """Compute the share of a tone's rounding error that is equal in every period, with noise of a power in counts².
+    """Compute the share of a sine's rounding error that is equal in every period, with noise of a power in counts².
 
     Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
     (Widrow and Kollár, as in `noise_gain_error`). `power` includes the rounding error, 1/12.
@@ -234,8 +234,8 @@ def quantization_steps(rec: Recording, names: Sequence[str]) -> Array:
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
-def clock_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
-    """Compute the largest deviation of a response by the error of the sample clock.
+def clock_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+    """Compute the maximum error of a response due to the error of the sample clock.
 
     A wrong frequency has two effects: the curve is shifted, and the powers of frequency that convert an acceleration to
     a displacement are wrong.
@@ -245,19 +245,19 @@ def clock_limit(rec: Recording, contributions: ChannelContributions) -> dict[str
         return {}
     frequency, value = contributions.frequency, contributions.value
     order = np.argsort(frequency, kind="stable")
-    by_slope = np.empty(frequency.size)
-    by_slope[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
+    slope_error = np.empty(frequency.size)
+    slope_error[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
     if frequency.size < _MIN_SLOPE_LINES:
-        by_slope = np.maximum(by_slope, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
+        slope_error = np.maximum(slope_error, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
     measured = [rec.channels[name].quantity for name in contributions.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
-    by_conversion = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)
-    by_conversion = by_conversion - value * np.sum(powers * contributions.reference, axis=0)
-    return {CLOCK: by_slope + deviation * abs(by_conversion)}
+    conversion_error = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)
+    conversion_error = conversion_error - value * np.sum(powers * contributions.reference, axis=0)
+    return {CLOCK: slope_error + deviation * abs(conversion_error)}
 
 
 def clock_deviation(rec: Recording) -> float:
-    """Return the largest relative error of all frequencies by the sample clock."""
+    """Return the maximum relative error of all frequencies due to the sample clock."""
     return abs(rec.scene.converter.clock_error or 0.0)
 
 

@@ -155,7 +155,7 @@ class Response(Result, Sequence["Response"]):
             Standard uncertainty of either quadrature component from the scatter (omitted: 0), and its degrees of
             freedom (omitted: unknown).
         limits : mapping of str to ndarray, optional
-            Largest deviations by name.
+            Bounds of the systematic errors by name.
         uncertainty : UncertaintyBudget, optional
             Instead of `error`, `degrees` and `limits`.
         """
@@ -249,7 +249,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def limits(self) -> dict[str, Array]:
-        """Largest systematic deviations by name."""
+        """Bounds of the systematic errors by name."""
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:

@@ -58,7 +58,7 @@ class Covariance(Protocol):
 
 
 class RandomErrors(Protocol):
-    """Random errors of a response's elements, expressed by those of the readings: elements may share readings."""
+    """Random errors of a response's elements, in terms of the readings' errors: elements may share readings."""
 
     def at(self, lines: Lines) -> RandomErrors:
         """Select some lines."""
@@ -81,7 +81,7 @@ class Contribution:
     """One cause of uncertainty.
 
     `deviation`, of the shape of the values. Type A: standard uncertainty of either quadrature component, NaN where a
-    single average has no scatter. Type B: largest deviation, infinite where it is unbounded.
+    single average has no scatter. Type B: bound of the error, infinite where it is unbounded.
     """
 
     name: str
@@ -105,27 +105,27 @@ class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
     `errors`: random errors of the elements, for their covariance; None: they are independent. `shared`: number of
-    adjacent lines that have the same error, because they are computed from the same samples. `clock`: largest relative
-    error of the sample clock, and so of all frequencies; its effect on the values is one of the contributions.
+    adjacent lines that have the same error, because they are computed from the same samples. `clock`: bound of the
+    relative error of the sample clock, and so of all frequencies; its effect on the values is one of the contributions.
     """
 
     contributions: tuple[Contribution, ...] = ()  # empty if the response is exact
     errors: RandomErrors | None = None
     shared: float = 1.0
     clock: float = 0.0
-    scale: float = 0.0  # largest relative error of the reference's sensor, common to all values
+    scale: float = 0.0  # bound of the relative error of the reference's sensor, common to all values
 
     @classmethod
     def of(
         cls, error: Array, degrees: Array, limits: Mapping[str, Array] | None = None, **fields: Any
     ) -> UncertaintyBudget:
-        """Make a budget from the scatter and from limits by name."""
-        contributions = [Contribution(name, "B", limit) for name, limit in (limits or {}).items()]
+        """Make a budget from the scatter and the bounds of systematic errors by name."""
+        contributions = [Contribution(name, "B", bound) for name, bound in (limits or {}).items()]
         return cls((Contribution(SCATTER, "A", error, degrees), *contributions), **fields)
 
     @property
     def limits(self) -> dict[str, Array]:
-        """Largest deviations of type B by name."""
+        """Bounds of the systematic errors (type B) by name."""
         return {cause.name: cause.deviation for cause in self.contributions if cause.evaluation == "B"}
 
     @property
@@ -143,19 +143,19 @@ class UncertaintyBudget:
 
     @property
     def combined_limit(self) -> Array | float:
-        """Root of the sum of squares of the limits, without the tolerances of data sheets."""
-        limits = [limit for name, limit in self.limits.items() if name not in TOLERANCES]
-        return np.asarray(np.linalg.norm(limits, axis=0)) if limits else 0.0
+        """Root of the sum of squares of the bounds of systematic errors, without the tolerances of data sheets."""
+        bounds = [bound for name, bound in self.limits.items() if name not in TOLERANCES]
+        return np.asarray(np.linalg.norm(bounds, axis=0)) if bounds else 0.0
 
     def systematic_bound(self) -> Array | float:
-        """Return the root of the sum of squares of the limits, plus the tolerances of data sheets."""
+        """Return the root of the sum of squares of these bounds, plus the tolerances of data sheets."""
         return self.combined_limit + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:
         """Return the expanded uncertainty: the radius of the circle that contains the true value.
 
-        It is the root sum of squares of the random bound and the limits, plus the tolerances of data sheets; infinite
-        where a contribution is unbounded.
+        It is the root sum of squares of the random bound and `combined_limit`, plus the tolerances of data sheets;
+        infinite where a contribution is unbounded.
         """
         without_tolerances = np.hypot(self.random_bound(confidence), self.combined_limit)
         return np.asarray(without_tolerances + self._tolerances())
@@ -193,10 +193,10 @@ class UncertaintyBudget:
         return replace(self, contributions=contributions, errors=errors)
 
     def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
-        """Add limits by name, or replace those of the same name."""
+        """Add bounds of systematic errors by name, or replace those of the same name."""
         unchanged = tuple(cause for cause in self.contributions if cause.name not in limits)
         return replace(
-            self, contributions=(*unchanged, *(Contribution(name, "B", limit) for name, limit in limits.items()))
+            self, contributions=(*unchanged, *(Contribution(name, "B", bound) for name, bound in limits.items()))
         )
 
     def without(self, *names: str) -> UncertaintyBudget:

@@ -14,7 +14,7 @@ from scipy import special
 
 from analysis.responses.budget import assemble_budget
 from analysis.responses.force_pulse import slow_and_fast
-from analysis.responses.local_models.jitter import jitter_limit
+from analysis.responses.local_models.jitter import jitter_bound
 from analysis.responses.local_models.local_rational import ORDER, POWER_RATIO_95, LocalFit, Reading, local_fit
 from analysis.responses.measurands import Measurand, reject_zero_reference
 from analysis.responses.random_errors import LocalErrors
@@ -23,9 +23,9 @@ from analysis.responses.systematic import (
     REFERENCE_NOISE,
     ChannelContributions,
     common_scale,
-    reference_noise_limit,
-    rounding_limit,
-    shared_noise_limit,
+    reference_noise_bound,
+    rounding_bound,
+    shared_noise_bound,
 )
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
@@ -49,7 +49,7 @@ class LocalSpectra:
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
     half_width: int  # bins on either side of a line that a local fit uses
     measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
-    # largest relative change of each channel's gain by rounding, as in `rounding_limit`; shape (channels, lines)
+    # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, lines)
     rounding_gain_error: Array
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
     jitter: Array  # factor of the covariance of errors by jitter, from `jitter_factor`; shape (rows, channels)
@@ -111,29 +111,29 @@ class LocalSpectra:
             names, frequency, motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
-        limits = (
-            rounding_limit(self.rounding_gain_error, contributions)
-            | jitter_limit(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
+        bounds = (
+            rounding_bound(self.rounding_gain_error, contributions)
+            | jitter_bound(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
             | {MODEL: main_fit.model_error * scale}
         )
-        reference_limits = []
+        reference_bounds = []
         if reference_noise_power.any():
             # The relative change of the value by noise in the reference is the uncertainty of the reference. If the
             # value is zero, the whole reference may be noise.
             squared = abs(main_fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)
-            reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
+            reference_bounds.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
-            noise_bias = reference_noise_limit(value, main_fit.coherence)
+            noise_bias = reference_noise_bound(value, main_fit.coherence)
             if len(denominator.channels) > 1:
                 power = np.minimum(self.power(force, 1), self.power(force, self.half_width))
                 power = power * main_fit.independent_share
                 channel_noise = self._reference_noise(rec, denominator)
                 noise_bias = np.maximum(
-                    noise_bias, shared_noise_limit(channel_noise, change_per_reading, reference_weights, power)
+                    noise_bias, shared_noise_bound(channel_noise, change_per_reading, reference_weights, power)
                 )
-            limits[REFERENCE_NOISE] = noise_bias
+            bounds[REFERENCE_NOISE] = noise_bias
             common_error = np.zeros(frequency.size, dtype=complex)
         else:
             variance, common_error = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
@@ -151,7 +151,7 @@ class LocalSpectra:
             common_error=common_error[:, None],
         )
         budget = assemble_budget(
-            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, limits, reference_limits, errors,
+            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds, errors,
             self.shared, common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
@@ -199,12 +199,12 @@ class LocalSpectra:
         return self.stored_fits[name, to]
 
     def _reference_noise(self, rec: Recording, denominator: Measurand) -> Array:
-        """Return the upper limit of the noise power in the two channels of a spring force: their incoherent power."""
-        limit = self.noise.copy()
+        """Return an upper bound of the noise power in the two channels of a spring force: their incoherent power."""
+        bound = self.noise.copy()
         for name, other in permutations(denominator.channels):
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
-            # Upper 95 % limit of the noise power for these degrees of freedom.
+            # Upper 95 % bound of the noise power for these degrees of freedom.
             n = fit.degrees_of_freedom
-            limit[row] = np.maximum(limit[row], fit.noise_power * n / special.chdtri(n, 0.95))
-        return limit
+            bound[row] = np.maximum(bound[row], fit.noise_power * n / special.chdtri(n, 0.95))
+        return bound

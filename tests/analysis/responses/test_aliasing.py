@@ -14,7 +14,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_limit
+from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
 from analysis.responses.systematic import ALIASING, ChannelContributions
 from daq.signal_chain.channel import ChannelInfo
 from rig.results.response import MOTIONS
@@ -50,7 +50,7 @@ def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_s
     in_response = np.array([[1.0 - reference_share], [reference_share]]) * np.ones(value.size)
     in_reference = in_response[::-1]
     contributions = ChannelContributions([info.name, "b"], FREQUENCY, motion, value, value * in_response, in_reference)
-    return aliasing_limit(rec, contributions)
+    return aliasing_bound(rec, contributions)
 
 
 def relative_to_reading(ratio):
@@ -193,7 +193,7 @@ def test_imported_recordings_have_no_images():
     for source, errors in (("other.uff", set()), ("", {ALIASING})):
         rec = SimpleNamespace(source=source, channels={"a": info}, scene=scene)
         contributions = ChannelContributions(["a"], FREQUENCY, "acceleration", value, in_response, 0.0 * in_response)
-        assert set(aliasing_limit(rec, contributions)) == errors
+        assert set(aliasing_bound(rec, contributions)) == errors
 
 
 IMPACTS = """
@@ -215,7 +215,7 @@ def test_error_by_impacts_between_samples_is_bounded(tmp_path):
         with daq.open(path) as rec:
             [[frf]] = analysis.frequency_responses(rec)
         error = abs(frf.value - exact) / abs(exact)
-        aliasing_limit = frf.limits[ALIASING] / abs(frf.value)
+        aliasing_bound = frf.limits[ALIASING] / abs(frf.value)
         assert (error > 0.03).all() == (sampling == "point")
         assert (error <= frf.bound(0.95) / abs(frf.value)).all()
-        assert (aliasing_limit < 1.2 * expected_limit).all()
+        assert (aliasing_bound < 1.2 * expected_limit).all()

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from analysis.responses.estimators import AveragedSpectra, square_root
-from analysis.responses.local_models.jitter import jitter_limit
+from analysis.responses.local_models.jitter import jitter_bound
 from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.recording.recording import Recording
@@ -113,7 +113,7 @@ def test_limit_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 
-    (limit,) = jitter_limit(factor, orthogonal, np.ones(5)).values()
+    (limit,) = jitter_bound(factor, orthogonal, np.ones(5)).values()
 
     assert (limit >= 0.0).all()
     assert limit.max() < 1e-12

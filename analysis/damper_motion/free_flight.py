@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from analysis.damper_motion.impact_detection import Impacts, band, impacts
+from analysis.damper_motion.impact_detection import Impacts, band, detect_impacts
 from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.damper_motion.matching_pursuit import RESIDUAL_RATIO
 from analysis.decays.sensor_correction import CorrectedMotion
@@ -62,7 +62,7 @@ class BodyMotion:
     def impacts(self) -> Impacts:
         """Impacts detected in the segment."""
         stop = self.start + self.samples.size
-        return impacts(self.rec, self.info.name, self.start, stop, self.samples)
+        return detect_impacts(self.rec, self.info.name, self.start, stop, self.samples)
 
     @cached_property
     def displacement(self) -> Array:

@@ -36,25 +36,25 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# Minimum share of a segment that must be valid.
+# Minimum fraction of valid samples in a segment.
 _MIN_VALID_RATIO = 0.5
-# Longest time from a finite-duration impact to its release, in contact durations; the weight of a bed delays it.
+# Longest time from first contact to release, in nominal contact durations; gravity on the bed delays the release.
 RELEASE_DURATIONS = 1.6
-# Largest jump that may be a release, relative to its impact.
+# A jump after an impact may be its release if it is below this fraction of the impact.
 _MAX_RELEASE_RATIO = 0.5
-# Largest jump that may be a residual of a finite-duration impact while the sensor rings, relative to the impact.
+# A jump below this fraction of a finite-duration impact may be its fit residual while the sensor still rings.
 _CONTACT_RESIDUAL_RATIO = 0.15
 # Model error of a finite-duration impact, relative to the largest impact near it.
 _CONTACT_JUMP_ERROR = 0.03
-# Error of the estimated time caused by that impact, relative to the time to 90 % of the pulse.
+# Time error due to the largest impact nearby, relative to the time to 90 % of the pulse.
 _CONTACT_TIME_ERROR = 0.04
-# Additional error of that time, relative to a sample interval.
+# Additional time error due to that impact, relative to a sample interval.
 _CONTACT_SAMPLE_ERROR = 0.05
-# Number of readings until 90 % of an impact pulse; samples at a higher rate are averaged.
-_PULSE_READINGS = 8
-# Lower limit of the frequency band in which the motion of a body is determined.
+# Number of samples until 90 % of an impact pulse; samples at a higher rate are averaged to this number.
+_PULSE_SAMPLES = 8
+# Lowest frequency of the band in which the motion of a body is determined.
 _LOW_HZ = 2.0
-# Upper limit of that band, relative to the sample rate.
+# Highest frequency of that band, relative to the sample rate.
 _HIGH_RATE_RATIO = 0.4
 # Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3
@@ -64,7 +64,7 @@ _MIN_SIDE_SAMPLES = 8
 _DECAY_TIMES = 4.0
 # Order of the polynomial.
 _SIDE_ORDER = 3
-# Largest jump, in standard deviations of noise, at which frequent impacts may have raised the noise estimate.
+# If no jump exceeds this multiple of the noise, frequent impacts may have raised the noise estimate.
 _UNCERTAIN_SIGMAS = 40.0
 # Quantile of the jump filter's output from which the noise is then estimated again.
 _LOW_NOISE_QUANTILE = 0.1
@@ -78,8 +78,8 @@ class Impacts:
     time: Array
     """Times of the impacts after sample 0, s; shape (n,)."""
     time_error: Array
-    """Standard deviation of `time`, s; shape (n,). It includes the fit and, for finite-duration contact, the
-    uncertain release and the effect of larger impacts nearby."""
+    """Standard deviation of `time`, s; shape (n,). For finite-duration contact it includes the uncertain release and
+    the effect of larger impacts nearby."""
     jump: Array
     """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). The impulse is the
     jump times the mass of the body. For finite-duration contact it is proportional to the contact duration of the
@@ -112,7 +112,7 @@ class Impacts:
 
     @property
     def masked_share(self) -> float:
-        """Ratio of two impacts during ringing below which the smaller impact may be missed."""
+        """An impact below this fraction of another may be missed while the channel rings from the other."""
         return _CONTACT_RESIDUAL_RATIO if self.contact_duration else RESIDUAL_RATIO
 
     @property
@@ -121,13 +121,13 @@ class Impacts:
         return np.where(self.jump < 0, "floor", "ceiling")
 
 
-def impacts(
+def detect_impacts(
     rec: Recording, channel: str, start: int = 0, stop: int | None = None, samples: Array | None = None
 ) -> Impacts:
     """Detect impacts in a segment of one channel.
 
-    The reading of a velocity jump is computed from the channel's data sheet, including sensor resonance, integrator,
-    averaging and decimation. At every sample, four contributions are fitted by least squares: this reading, a step and
+    The channel's response to a velocity jump is computed from its data sheet, including sensor resonance, integrator,
+    averaging and decimation. At every sample, four contributions are fitted by least squares: this response, a step and
     a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbors.
     An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
     is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
@@ -164,23 +164,23 @@ def impacts(
     if noise_floor == 0.0:
         raise RecordingError(f"{info.name}: reads zero throughout this segment. Check its sensor and cable.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
-    readings, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
-    search = MatchingPursuit(models, readings, valid, noise_floor, rate, NOISE_QUANTILE)
+    averages, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
+    search = MatchingPursuit(models, averages, valid, noise_floor, rate, NOISE_QUANTILE)
     if not search.valid.any():
         raise RecordingError(
             f"{info.name}: every part without lost or overloaded samples is shorter than {min_samples} samples. "
             "Choose another segment, or record at a lower level or with a larger converter range."
         )
     jumps = search.run()
-    largest = max((abs(jump.size) for jump in jumps), default=0.0 if pulse else np.inf)
+    largest = max((abs(jump.velocity_jump) for jump in jumps), default=0.0 if pulse else np.inf)
     if largest < _UNCERTAIN_SIGMAS * search.jump_noise:
-        second_search = MatchingPursuit(models, readings, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
+        second_search = MatchingPursuit(models, averages, valid, noise_floor, rate, _LOW_NOISE_QUANTILE)
         second_jumps = second_search.run()
         if second_search.jump_noise < NOISE_REDUCTION * search.jump_noise:
             search, jumps = second_search, second_jumps
     noise = search.jump_noise
-    fitted = [(item.time, item.time_error, item.size, item.error) for item in jumps]
-    # Times in readings of the search, until they are converted to samples below.
+    fitted = [(item.time, item.time_error, item.velocity_jump, item.error) for item in jumps]
+    # Times in averaged samples, until they are converted to samples below.
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
@@ -224,7 +224,7 @@ def impacts(
 def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | None, int]:
     """Return a channel that responds to impacts, the force pulse of a finite-duration contact, and the decimation.
 
-    The decimation is the number of samples that are averaged to one reading.
+    The decimation is the number of samples in each average.
     """
     info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:
@@ -233,7 +233,7 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
             "acceleration, velocity or displacement."
         )
     pulse = landing_pulse(rec.scene, info.at, info.rate)
-    decimation = 1 if pulse is None else max(1, int(pulse.time_to_90_percent * info.rate / _PULSE_READINGS))
+    decimation = 1 if pulse is None else max(1, int(pulse.time_to_90_percent * info.rate / _PULSE_SAMPLES))
     between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(

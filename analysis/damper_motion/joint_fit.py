@@ -1,4 +1,4 @@
-"""Joint least-squares fit of velocity jumps whose readings overlap; their times are refined by Gauss-Newton steps.
+"""Joint least-squares fit of velocity jumps whose responses overlap; their times are refined by Gauss-Newton steps.
 
 The data are the differenced readings of a channel (see `impact_model`). Steps and kinks of the acceleration have
 Gaussian priors (ridge regression), because closely spaced jumps hardly determine them.
@@ -42,7 +42,7 @@ class Jump:
     """Standard deviation of `time`, samples."""
 
     @property
-    def size(self) -> float:
+    def velocity_jump(self) -> float:
         """Jump of the velocity, m/s."""
         return float(self.amplitudes[0])
 

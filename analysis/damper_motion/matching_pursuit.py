@@ -37,14 +37,14 @@ from rig.numerics.runs import runs_of
 DETECTION_SIGMAS = 6.0
 # Distance of the detection limit above the threshold in standard deviations, because noise may reduce a jump.
 DETECTION_MARGIN_SIGMAS = 3.0
-# Model error relative to the largest jump.
+# Model error of a jump, relative to the largest jump.
 MODEL_ERROR = 3e-3
 # The same for finite-duration contact: the weight of the bed changes the pulse.
 _CONTACT_MODEL_ERROR = 2e-2
 # Residual of a subtracted jump during its ringing, relative to the jump.
 RESIDUAL_RATIO = 0.02
 # An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
-# jump. Largest such jump, relative to the velocity that the kink causes within one sample.
+# jump. Largest such jump, relative to the velocity change due to the kink within one sample.
 _KINK_JUMP_RATIO = 1.0
 # Time that replaces the sample for finite-duration contact, relative to the contact duration.
 _KINK_DURATION_RATIO = 1.0 / 6.0
@@ -72,7 +72,7 @@ _UNRESOLVED_JUMP_RATIO = 0.5
 _HIGHER_ORDERS = (2, 4, 6)
 # Factor by which a higher order must reduce the residual variance.
 _MIN_VARIANCE_REDUCTION = 2.0
-# Largest noise of a jump with a filter of higher order, relative to that of the lower order, at which it is used.
+# A filter of higher order is used if the noise of its jumps is below this fraction of that of the lower order.
 NOISE_REDUCTION = 0.7
 # Maximum number of jumps in a joint fit.
 _MAX_JOINT_JUMPS = 5
@@ -88,7 +88,7 @@ _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# Smallest detectable jump, relative to the velocity that a step of one prior standard deviation causes during contact.
+# Smallest detectable jump, relative to the velocity change due to a step of one prior standard deviation in a contact.
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed constant over this number of windows.
 _NOISE_WINDOWS = 8
@@ -161,7 +161,7 @@ class MatchingPursuit:
         for _ in range(_MAX_ROUNDS):
             if not self._subtract_jumps():
                 break
-        for jump in sorted(self.jumps, key=lambda jump: abs(jump.size)):
+        for jump in sorted(self.jumps, key=lambda jump: abs(jump.velocity_jump)):
             # An earlier refinement may have replaced the jump by a new fit of it.
             current = min(self.jumps, key=lambda other: abs(other.time - jump.time))
             self._refine(current, self.noise(self.noise_quantile))
@@ -181,13 +181,13 @@ class MatchingPursuit:
             jump
             for jump in self.jumps
             if self.searchable[self.window_of(jump)]
-            and (contact or abs(jump.size) > DETECTION_SIGMAS * jump.error)
-            and abs(jump.size) > _KINK_JUMP_RATIO * abs(jump.kink) * kink_time**2
+            and (contact or abs(jump.velocity_jump) > DETECTION_SIGMAS * jump.error)
+            and abs(jump.velocity_jump) > _KINK_JUMP_RATIO * abs(jump.kink) * kink_time**2
         ]
         noise = self.noise()[[self.window_of(jump) for jump in accepted]]
         fitted = estimate_errors(self.residual, self.model, accepted, noise, self.prior)
         # The noise of earlier fits included other finite-duration impacts, so their threshold is applied here.
-        return [jump for jump in fitted if not contact or abs(jump.size) > DETECTION_SIGMAS * jump.error]
+        return [jump for jump in fitted if not contact or abs(jump.velocity_jump) > DETECTION_SIGMAS * jump.error]
 
     def _subtract_jumps(self) -> bool:
         """Detect, fit and subtract the largest jump in each neighborhood; return whether a jump was detected."""
@@ -274,7 +274,7 @@ class MatchingPursuit:
 
     @property
     def _detection_limit(self) -> float:
-        return self.detection_limit(self.jump_noise, max((abs(jump.size) for jump in self.jumps), default=0.0))
+        return self.detection_limit(self.jump_noise, max((abs(jump.velocity_jump) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
         """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
@@ -327,14 +327,14 @@ class MatchingPursuit:
         limit, half_window = self._detection_limit, 0.5 * model.window_length
         for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):
             begin, end = first + self.window_offset - half_window, last + self.window_offset + half_window
-            inside = [abs(jump.size) for jump in self.jumps if begin <= jump.time < end]
+            inside = [abs(jump.velocity_jump) for jump in self.jumps if begin <= jump.time < end]
             residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window_length]))
             if residual_norm > _UNRESOLVED_JUMP_RATIO * max(inside, default=0.0) * model.template_norm:
                 limits.append((begin, end))
         limits += [
             (jump.time - half_window, jump.time + half_window)
             for jump in self.jumps
-            if self._step_exceeds_weight(jump) and abs(jump.size) > limit
+            if self._step_exceeds_weight(jump) and abs(jump.velocity_jump) > limit
         ]
         return np.array(limits).reshape(-1, 2)
 

@@ -334,14 +334,14 @@ class _Refit:
 
 def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
     """Fit the structure of a scene (by default the problem's) to curves."""
-    parameters = [parameter for parameter in problem.parameters if parameter.place[0] != "dampers"]
+    parameters = [parameter for parameter in problem.parameters if parameter.key_path[0] != "dampers"]
     if model is not None:
         # The values of the new form of damping are free too.
         free_keys = {parameter.key for parameter in parameters}
         parameters = [
             parameter
             for parameter in free_parameters(model)
-            if parameter.key in free_keys or parameter.place[:2] == ("structure", "damping")
+            if parameter.key in free_keys or parameter.key_path[:2] == ("structure", "damping")
         ]
     trial = Problem(model or problem.model, parameters, curves)
     x = initial_unknowns(trial, trial.groups)

@@ -171,7 +171,7 @@ def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Arr
         best = solve(problem, best, linear_groups, model_error)
     lowest_square = mean_square(problem, best, linear_groups)
     # Indices of the unknowns that start at random values.
-    active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
+    active = [k for k, parameter in enumerate(problem.parameters) if parameter.key_path[0] == "structure"]
     generator = np.random.default_rng(0)
     for number in range(_RANDOM_STARTS):
         if lowest_square < _MAX_STRUCTURE_VARIANCE:

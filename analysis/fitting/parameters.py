@@ -17,7 +17,7 @@ from rig.errors import SceneError
 from rig.scene.changes import parse_changes
 from rig.scene.damper import Landing, SpringDamper, Walls
 from rig.scene.scene import Scene
-from rig.scene.settings import Place, Settings
+from rig.scene.settings import KeyPath, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
 #: Keys that are free by default, where a scene gives them; without the coil spring, which calibrates the force.
@@ -43,13 +43,13 @@ class Parameter:
     """A positive value of a scene that can be fitted."""
 
     key: str  # as in `--set`, such as ``dampers[1].clearance``; lists count from 1
-    place: Place  # the parts of the key; lists count from 0
+    key_path: KeyPath  # the parts of the key; lists count from 0
     start: float  # value in the scene, in SI
 
     @property
     def quantity(self) -> str:
         """Name of the value: the last word of its key."""
-        return next(str(step) for step in reversed(self.place) if isinstance(step, str))
+        return next(str(step) for step in reversed(self.key_path) if isinstance(step, str))
 
     @property
     def unit(self) -> str:
@@ -64,7 +64,7 @@ class Parameter:
     @property
     def damper(self) -> int | None:
         """Index of its damper, from 0; None for other values."""
-        return int(self.place[1]) if self.place[0] == "dampers" else None
+        return int(self.key_path[1]) if self.key_path[0] == "dampers" else None
 
     @property
     def is_ratio_below_one(self) -> bool:
@@ -114,38 +114,38 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
         for k, change in enumerate(chosen):
             if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
                 # The name of a body is replaced by its position.
-                place = ("structure", "masses", names.index(str(change.steps[2])))
-                chosen[k] = change = replace(change, steps=place)
-            if not any(change.covers(candidate.place) for candidate in candidates):
+                key_path = ("structure", "masses", names.index(str(change.steps[2])))
+                chosen[k] = change = replace(change, steps=key_path)
+            if not any(change.covers(candidate.key_path) for candidate in candidates):
                 fittable_keys = (
-                    ".".join(step for step in candidate.place if isinstance(step, str)) for candidate in candidates
+                    ".".join(step for step in candidate.key_path if isinstance(step, str)) for candidate in candidates
                 )
                 offered = ", ".join(dict.fromkeys(fittable_keys))
                 raise SceneError(
                     f"free: {change.key}: nothing in scene {scene.name!r} can be fitted under this key. Use one of "
                     f"{offered} ([1] and so on selects an item of a list; values of 0 or infinity cannot be fitted)."
                 )
-    selected = [candidate for candidate in candidates if any(change.covers(candidate.place) for change in chosen)]
+    selected = [candidate for candidate in candidates if any(change.covers(candidate.key_path) for change in chosen)]
     if not selected:
         raise SceneError(f"scene {scene.name!r}: nothing to fit. Give masses, damping or dampers with values above 0.")
     return selected
 
 
-def with_values(scene: Scene, values: Mapping[Place, float]) -> Scene:
-    """Return a scene with other values at some places; the values must be valid."""
-    by_name: dict[str, dict[Place, float]] = {}
-    for place, value in values.items():
-        by_name.setdefault(str(place[0]), {})[place[1:]] = value
+def with_values(scene: Scene, values: Mapping[KeyPath, float]) -> Scene:
+    """Return a scene with other values at some key paths; the values must be valid."""
+    by_name: dict[str, dict[KeyPath, float]] = {}
+    for key_path, value in values.items():
+        by_name.setdefault(str(key_path[0]), {})[key_path[1:]] = value
     return scene.with_valid(**{name: _replace(getattr(scene, name), inner) for name, inner in by_name.items()})
 
 
-def _replace(setting: Any, values: Mapping[Place, float]) -> Any:
-    """Return a setting, such as a list of masses, with other values at places inside it."""
+def _replace(setting: Any, values: Mapping[KeyPath, float]) -> Any:
+    """Return a setting, such as a list of masses, with other values at key paths inside it."""
     if () in values:
         return values[()]
-    by_name: dict[int | str, dict[Place, float]] = {}
-    for place, value in values.items():
-        by_name.setdefault(place[0], {})[place[1:]] = value
+    by_name: dict[int | str, dict[KeyPath, float]] = {}
+    for key_path, value in values.items():
+        by_name.setdefault(key_path[0], {})[key_path[1:]] = value
     if isinstance(setting, tuple):
         return tuple(_replace(item, by_name[k]) if k in by_name else item for k, item in enumerate(setting))
     assert isinstance(setting, Settings)
@@ -156,16 +156,16 @@ def _replace(setting: Any, values: Mapping[Place, float]) -> Any:
 
 def _candidates(scene: Scene) -> Iterator[Parameter]:
     """Yield all parameters of a scene: its values that are positive and finite."""
-    for place, value in _values(scene):
+    for key_path, value in _values(scene):
         if value is not None and 0.0 < value < np.inf:
-            steps = [f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in place]
-            if place[:2] == ("structure", "masses") and scene.structure.names is not None:
-                steps[2] = f".{scene.structure.names[int(place[2])]}"
-            yield Parameter("".join(steps).removeprefix("."), place, float(value))
+            steps = [f"[{step + 1}]" if isinstance(step, int) else f".{step}" for step in key_path]
+            if key_path[:2] == ("structure", "masses") and scene.structure.names is not None:
+                steps[2] = f".{scene.structure.names[int(key_path[2])]}"
+            yield Parameter("".join(steps).removeprefix("."), key_path, float(value))
 
 
-def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
-    """Yield the values of masses, springs, damping, dampers and coil spring with their places."""
+def _values(scene: Scene) -> Iterator[tuple[KeyPath, float | None]]:
+    """Yield the values of masses, springs, damping, dampers and coil spring with their key paths."""
     structure, damping = scene.structure, scene.structure.damping
     for name, items in {"masses": structure.masses, "springs": structure.springs}.items():
         yield from ((("structure", name, k), value) for k, value in enumerate(items or ()))
@@ -189,10 +189,12 @@ def _values(scene: Scene) -> Iterator[tuple[Place, float | None]]:
         yield ("shaker", "spring"), scene.shakers[0].spring
 
 
-def _wall_values(place: Place, wall: Landing | SpringDamper | Walls | None) -> Iterator[tuple[Place, float | None]]:
+def _wall_values(
+    key_path: KeyPath, wall: Landing | SpringDamper | Walls | None
+) -> Iterator[tuple[KeyPath, float | None]]:
     names = {Landing: ("duration",), SpringDamper: ("stiffness", "damping")}
     if isinstance(wall, Walls):
-        yield from _wall_values((*place, "floor"), wall.floor)
-        yield from _wall_values((*place, "ceiling"), wall.ceiling)
+        yield from _wall_values((*key_path, "floor"), wall.floor)
+        yield from _wall_values((*key_path, "ceiling"), wall.ceiling)
     elif wall is not None:
-        yield from (((*place, name), getattr(wall, name)) for name in names[type(wall)])
+        yield from (((*key_path, name), getattr(wall, name)) for name in names[type(wall)])

@@ -163,8 +163,8 @@ class Problem:
 
     def scene(self, x: Array) -> Scene:
         """Return the model with the values of the unknowns."""
-        places = [parameter.place for parameter in self.parameters]
-        return with_values(self.model, dict(zip(places, self.values(x).tolist(), strict=True)))
+        key_paths = [parameter.key_path for parameter in self.parameters]
+        return with_values(self.model, dict(zip(key_paths, self.values(x).tolist(), strict=True)))
 
     def deviation(self, x: Array, sensor: Sensor) -> float:
         """Return the relative deviation of a sensor's sensitivity."""
@@ -337,7 +337,7 @@ class Problem:
         `scene`: the model, in which the parameter has this `value`.
         """
         changed = value * (1.0 + _PARAMETER_STEP)
-        return scene_of_test(with_values(scene, {self.parameters[k].place: changed}), curves), changed - value
+        return scene_of_test(with_values(scene, {self.parameters[k].key_path: changed}), curves), changed - value
 
 
 def _local_peaks(curves: Curves) -> Array:

@@ -52,7 +52,7 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     identified = [(group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
     modal_groups = [(group, modes) for group, modes in identified if modes is not None]
     x = problem.start.copy()
-    active = [k for k, parameter in enumerate(problem.parameters) if parameter.place[0] == "structure"]
+    active = [k for k, parameter in enumerate(problem.parameters) if parameter.key_path[0] == "structure"]
     if not modal_groups or not active:
         return x
     ranked = [_ranked_assignments(problem.scene(x), *pair) for pair in modal_groups]

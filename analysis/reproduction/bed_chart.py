@@ -1,4 +1,4 @@
-"""Charts for claim C7: deviation of beds of grains from one mass, over acceleration, clearance and depth."""
+"""Color maps for claim C7 (a granular bed moves like a single mass), over acceleration, clearance and depth."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ _COLOR_LIMIT = 40.0
 
 
 def beds(parts: Parts) -> Figure:
-    """Draw the deviation of grains at 50 Hz from one mass on instantaneous and finite-duration contact, by depth."""
+    """Draw the deviation of a granular bed at 50 Hz from the single-mass model, for both kinds of contact, by depth."""
     data = at_shaking_frequency(parts["beds"])
     layers = np.unique(data["layers"])
     contact = fit_contact(with_ceiling(data), parts["contacts"])
     columns = (
-        ("Compliance, landing at once", deviation(data, "compliance"), deviation_error(data, "compliance")),
-        ("Energy, landing at once", deviation(data, "energy"), deviation_error(data, "energy")),
+        ("Compliance, instantaneous contact", deviation(data, "compliance"), deviation_error(data, "compliance")),
+        ("Energy, instantaneous contact", deviation(data, "energy"), deviation_error(data, "energy")),
         (
-            f"Compliance, landing in {1e3 * contact.duration:g} ms",
+            f"Compliance, contact of {1e3 * contact.duration:g} ms",
             deviation_on_contact(contact, data, parts["contacts"]),
             deviation_error(data, "compliance")
             * data["mass_compliance"]
@@ -48,22 +48,22 @@ def beds(parts: Parts) -> Figure:
     with new_figure(2.3 * len(layers), 10.0) as figure:
         panels = figure.subplots(len(layers), len(columns), squeeze=False, sharex=True, sharey=True)
         for row, depth in zip(panels, layers, strict=True):
-            has_depth = data["layers"] == depth
+            at_depth = data["layers"] == depth
             for axes, (_, deviations, error) in zip(row, columns, strict=True):
-                image = _draw_panel(axes, data, has_depth, 100.0 * deviations, 100.0 * error)
+                image = _draw_panel(axes, data, at_depth, 100.0 * deviations, 100.0 * error)
             row[0].set_ylabel(f"{depth:g} layers: acceleration / g")
         for axes, (title, *_) in zip(panels[0], columns, strict=True):
             axes.set_title(title)
         for axes in panels[-1]:
             axes.set_xlabel("clearance / mm")
         figure.colorbar(
-            image, ax=list(panels.flat), label="deviation of grains from one mass / %", extend="both", aspect=40
+            image, ax=list(panels.flat), label="deviation of grains from the single mass / %", extend="both", aspect=40
         )
     return figure
 
 
 def modes(parts: Parts) -> Figure:
-    """Draw the deviation of the compliance with grains from one mass at the other resonances, by depth."""
+    """Draw the deviation of the compliance from that of the single-mass model at the other resonances, by depth."""
     other_modes = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(other_modes["frequency"]), np.unique(other_modes["layers"])
     with new_figure(2.3 * len(layers), 4.0 * len(frequencies)) as figure:
@@ -76,25 +76,25 @@ def modes(parts: Parts) -> Figure:
             axes.set(xlabel="clearance / mm" if row == len(layers) - 1 else "")
             axes.set_title(f"Compliance at {frequency:g} Hz" if row == 0 else "")
         figure.colorbar(
-            image, ax=list(panels.flat), label="deviation of grains from one mass / %", extend="both", aspect=40
+            image, ax=list(panels.flat), label="deviation of grains from the single mass / %", extend="both", aspect=40
         )
     return figure
 
 
 def _draw_panel(
-    axes: Axes, data: Columns, selected: np.ndarray, deviations: np.ndarray, error: np.ndarray
+    axes: Axes, data: Columns, at_depth: np.ndarray, deviations: np.ndarray, error: np.ndarray
 ) -> AxesImage:
-    """Draw deviations and their errors in % as colors and numbers, over clearance and acceleration."""
+    """Draw deviations in % as a color map, with values and standard errors, over clearance and acceleration."""
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
-    for k in np.flatnonzero(selected):
+    for k in np.flatnonzero(at_depth):
         i, j = np.searchsorted(levels, data["level"][k]), np.searchsorted(clearances, data["clearance"][k])
         values[i, j] = deviations[k]
         if not np.isfinite(deviations[k]):
             continue
-        scatter = f" ±{error[k]:.0f}" if np.isfinite(error[k]) else ""
+        error_label = f" ±{error[k]:.0f}" if np.isfinite(error[k]) else ""
         axes.text(
-            j, i, f"{deviations[k]:+.0f}{scatter}", ha="center", va="center", fontsize=5.6,
+            j, i, f"{deviations[k]:+.0f}{error_label}", ha="center", va="center", fontsize=5.6,
             color="white" if abs(deviations[k]) > 0.65 * _COLOR_LIMIT else BLACK,
             weight="bold" if abs(deviations[k]) <= 100.0 * MAX_DEVIATION else "normal",
         )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import daq
-from analysis.damper_motion.impact_detection import impacts
+from analysis.damper_motion.impact_detection import detect_impacts
 from analysis.decays.free_decay import decay
 from analysis.modal.identification import identify
 from analysis.reproduction.store import Arrays, partial_name
@@ -122,7 +122,7 @@ def _impact_phases(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Compute the phases [rad] of floor and ceiling impacts in a section of the recording."""
     try:
-        detected = impacts(recording, channel, first, stop)
+        detected = detect_impacts(recording, channel, first, stop)
     except RecordingError:
         return np.zeros(0), np.zeros(0)
     in_section = (detected.time >= first / recording.rate) & (detected.time < stop / recording.rate)

@@ -64,11 +64,11 @@ def choose_signals(
 ) -> tuple[list[ChosenSignal], list[str]]:
     """Choose the signal of each channel of the scene, by the table or by name; also return notes on what is left out.
 
-    Raises `SceneError` with all mistakes at once.
+    Raises `SceneError` with all problems at once.
     """
     channels = channels_of(scene)
     names = [channel.name for channel in channels]
-    mistakes = [
+    problems = [
         f"{name}: not a channel of the scene, which has {', '.join(names)}{_spelling_hint(name, names)}"
         for name in table
         if name not in names
@@ -89,7 +89,7 @@ def choose_signals(
                     f"several signals are called {name!r}: {listed}. Give column and file of one in the channel table."
                 )
         except ValueError as error:
-            mistakes.append(f"{channel.name}: {error}")
+            problems.append(f"{channel.name}: {error}")
             continue
         if not matches:
             missing.append(channel.name)
@@ -97,13 +97,13 @@ def choose_signals(
         signal = matches[0]
         chosen.append(ChosenSignal(channel, position, signal, column or Column(signal.name)))
         channels_of_signal.setdefault(id(signal), []).append(channel.name)
-    mistakes += [
+    problems += [
         f"{' and '.join(channel_names)}: the same signal. Assign a different signal to each."
         for channel_names in channels_of_signal.values()
         if len(channel_names) > 1
     ]
-    if mistakes:
-        raise SceneError("\n".join(mistakes))
+    if problems:
+        raise SceneError("\n".join(problems))
     if not chosen:
         listed = "\n".join(f"  {signal.file}, {signal.number}: {signal}" for signal in signals)
         raise SceneError(
@@ -142,17 +142,17 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
 
 
 def assign(scene: Scene, chosen: Sequence[ChosenSignal], rate: float) -> list[AssignedSignal]:
-    """Determine the factor to volts of each signal; `rate` in Hz. Raises `SceneError` with all mistakes at once."""
+    """Determine the factor to volts of each signal; `rate` in Hz. Raises `SceneError` with all problems at once."""
     skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[AssignedSignal] = []
-    mistakes: list[str] = []
+    problems: list[str] = []
     for choice in chosen:
         try:
             assigned.append(_assigned(scene, choice, rate, skews[choice.position]))
         except ValueError as error:
-            mistakes.append(f"{choice.channel.name}: {error}")
-    if mistakes:
-        raise SceneError("\n".join(mistakes))
+            problems.append(f"{choice.channel.name}: {error}")
+    if problems:
+        raise SceneError("\n".join(problems))
     return assigned
 
 

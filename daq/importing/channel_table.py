@@ -41,7 +41,7 @@ _KEYS = [field.name for field in fields(Column)]
 
 
 def read_table(path: Path) -> dict[str, Column]:
-    """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all mistakes at once."""
+    """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all problems at once."""
     try:
         text = read_file(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -50,21 +50,21 @@ def read_table(path: Path) -> dict[str, Column]:
         ) from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
     table: dict[str, Column] = {}
-    mistakes = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
+    problems = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
     for line, name, values in rows:
         try:
             if name in table:
                 raise ValueError("a second line for this channel. Remove one of them.")
             table[name] = column(values)
         except ValueError as error:
-            mistakes.append(f"{path}:{line}: {name}: {error}")
-    if mistakes:
-        raise SceneError("\n".join(mistakes))
+            problems.append(f"{path}:{line}: {name}: {error}")
+    if problems:
+        raise SceneError("\n".join(problems))
     return table
 
 
 def column(settings: Mapping[str, Any]) -> Column:
-    """Check and convert the keys of one channel; raise `ValueError` for the first mistake.
+    """Check and convert the keys of one channel; raise `ValueError` for the first problem.
 
     >>> column({"column": "ai0", "unit": "g", "sign": "-1", "delay": "2 us"})
     Column(column='ai0', file=None, unit='g', sensitivity=None, sign=-1, offset=0.0, delay=2e-06, rate=None)
@@ -102,9 +102,9 @@ def column(settings: Mapping[str, Any]) -> Column:
 
 def _from_yaml(path: Path, text: str) -> TableRows:
     document = read_yaml(text)
-    if document.mistakes:
-        line, mistake = document.mistakes[0]
-        raise SceneError(f"{path}:{line}: {mistake.message}")
+    if document.problems:
+        line, problem = document.problems[0]
+        raise SceneError(f"{path}:{line}: {problem.message}")
     content = document.content if document.content is not None else {}
     if not isinstance(content, dict):
         raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")

@@ -1,6 +1,6 @@
 """Names of bodies in a scene, and their replacement by the body numbers that the settings store.
 
-A *place* is the path of a key in the scene (`rig.scene.settings`); a *location* is a point on the bench.
+A *key path* is the position of a key in the scene (`rig.scene.settings`); a *location* is a point on the bench.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rig.errors import SceneError, suggestion
-from rig.scene.settings import Mistake, Place, value_at
+from rig.scene.settings import KeyPath, Problem, value_at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
-#: Words with another meaning where a scene names a body.
+#: Reserved words, which a body must not have as its name.
 RESERVED_NAMES = ("body", "table", "hammer", "shaker", "drive", "ground")
-# Locations without a name of a body: a body by its number, or another location on the bench.
-_UNNAMED_LOCATION = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
+# Locations that contain no body name: a body by its number, or another location on the bench.
+_LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
 
 def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield each mistake in the names: the index of the name (None: all names) and the message."""
+    """Yield the problems of the names: the index of the name (None: all names) and the message."""
     if len(names) != n_bodies:
         yield None, f"got {len(names)} names; expected {n_bodies}, one for each body"
     for k, name in enumerate(names):
         if not _NAME.fullmatch(name):
             yield (k, f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .')
         elif name in RESERVED_NAMES:
-            yield k, f'"{name}" already means another place of the bench; expected another name'
+            yield k, f'"{name}" already means another location on the bench; expected another name'
         elif name in names[:k]:
             yield k, f'"{name}" is the name of body {names.index(name) + 1}; expected each name once'
 
@@ -50,50 +50,50 @@ def body_number(body: int | str, names: Sequence[str] | None, n_bodies: int) -> 
     raise SceneError(_unknown_name(text, names, n_bodies))
 
 
-def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistake]]:
+def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
     """Replace each name of a body in a scene by its number, and check the number.
 
-    Returns the scene with body numbers, and a mistake for each name or number without a body.
+    Returns the scene with body numbers, and a problem for each name or number that matches no body.
     """
-    names, n_bodies = _names(scene.get("structure"))
-    mistakes: list[Mistake] = []
+    names, n_bodies = _names_and_count(scene.get("structure"))
+    problems: list[Problem] = []
 
-    def check_number(number: Any, place: Place) -> None:
+    def check_number(number: Any, key_path: KeyPath) -> None:
         if n_bodies and str(number).isdecimal() and int(number) > n_bodies:
-            mistakes.append(Mistake(place, missing_body_message(int(number), n_bodies)))
+            problems.append(Problem(key_path, missing_body_message(int(number), n_bodies)))
 
-    def replace_body(value: Any, place: Place) -> Any:
+    def replace_body(value: Any, key_path: KeyPath) -> Any:
         if isinstance(value, list | tuple):
-            return [replace_body(item, (*place, k)) for k, item in enumerate(value)]
+            return [replace_body(item, (*key_path, k)) for k, item in enumerate(value)]
         if not isinstance(value, str) or re.fullmatch(r"[-+\d.,\s]*", value):
-            check_number(value, place)
+            check_number(value, key_path)
             return value
         if names is not None and value in names:
             return names.index(value) + 1
         if not n_bodies:
             # The structure is invalid, which is reported elsewhere; any number avoids a second message.
             return 1
-        mistakes.append(Mistake(place, _unknown_name(value, names, n_bodies)))
+        problems.append(Problem(key_path, _unknown_name(value, names, n_bodies)))
         return value
 
-    def replace_location(value: Any, place: Place) -> Any:
-        if not isinstance(value, str) or _UNNAMED_LOCATION.fullmatch(value) or (n_bodies and names is None):
-            check_number(str(value).removeprefix("body "), place)
+    def replace_location(value: Any, key_path: KeyPath) -> Any:
+        if not isinstance(value, str) or _LOCATION_WITHOUT_NAME.fullmatch(value) or (n_bodies and names is None):
+            check_number(str(value).removeprefix("body "), key_path)
             return value
         if names is None:
-            return "body 1"
+            return "body 1"  # for the reason in `replace_body`
         name = value.removeprefix("body ")
         if name in names:
             return f"body {names.index(name) + 1}"
-        mistakes.append(Mistake(place, _unknown_name(name, names, n_bodies)))
+        problems.append(Problem(key_path, _unknown_name(name, names, n_bodies)))
         return value
 
-    def replace_value(section: Any, key: str, replace: Any, place: Place) -> Any:
+    def replace_value(section: Any, key: str, replace: Any, key_path: KeyPath) -> Any:
         if isinstance(section, list | tuple):
-            return [replace_value(item, key, replace, (*place, k)) for k, item in enumerate(section)]
+            return [replace_value(item, key, replace, (*key_path, k)) for k, item in enumerate(section)]
         if not isinstance(section, Mapping) or key not in section:
             return section
-        return {**section, key: replace(section[key], (*place, key))}
+        return {**section, key: replace(section[key], (*key_path, key))}
 
     replacements = {
         "dampers": ("body", replace_body),
@@ -105,7 +105,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Mistak
         name: replace_value(section, *replacements[name], (name,)) if name in replacements else section
         for name, section in scene.items()
     }
-    return replaced, mistakes
+    return replaced, problems
 
 
 def missing_body_message(number: int, n_bodies: int) -> str:
@@ -113,8 +113,8 @@ def missing_body_message(number: int, n_bodies: int) -> str:
     return f"body {number} does not exist; expected a body of the structure, 1 to {n_bodies}"
 
 
-def _names(structure: Any) -> tuple[list[str] | None, int]:
-    """Return the names of the bodies (None if unnamed) and their number (0 if unknown) of an unchecked structure."""
+def _names_and_count(structure: Any) -> tuple[list[str] | None, int]:
+    """Return the names (None if unnamed) and the count (0 if unknown) of the bodies of an unchecked structure."""
     masses = value_at(structure, ("masses",))
     names = list(masses) if isinstance(masses, Mapping) else value_at(structure, ("names",))
     texts = [str(name) for name in names] if isinstance(names, list | tuple) else None

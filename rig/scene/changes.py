@@ -9,7 +9,7 @@ from typing import Any
 
 from rig.errors import SceneError
 from rig.scene.quantity_field import shorten
-from rig.scene.settings import Place
+from rig.scene.settings import KeyPath
 from rig.scene.yaml_reader import read_yaml
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
@@ -20,7 +20,7 @@ class Change:
     """One change of a scene."""
 
     key: str  # as written, with items numbered from 1
-    steps: Place  # the key as keys and list positions from 0
+    steps: KeyPath  # the key as keys and list positions from 0
     value: Any  # new value
     option: str = ""  # command-line option of the change; empty from Python
 
@@ -37,7 +37,7 @@ class Change:
         """
         return self._replace(content, self.steps)
 
-    def _replace(self, node: Any, steps: Place) -> Any:
+    def _replace(self, node: Any, steps: KeyPath) -> Any:
         # Content is copied, not changed in place: an alias in the file makes two places share one object.
         if not steps:
             return self.value
@@ -60,13 +60,13 @@ class Change:
             return {key: value for key, value in mapping.items() if key != step}
         return {**mapping, step: self._replace(mapping.get(step), remaining)}
 
-    def covers(self, place: Place) -> bool:
-        """Return whether a place lies within the changed part.
+    def covers(self, key_path: KeyPath) -> bool:
+        """Return whether a key path lies within the changed part.
 
         >>> Change("dampers.mass", ("dampers", "mass"), "1").covers(("dampers", 1, "mass"))
         True
         """
-        remaining = list(place)
+        remaining = list(key_path)
         for step in self.steps:
             while isinstance(step, str) and remaining and isinstance(remaining[0], int):
                 del remaining[0]
@@ -100,21 +100,21 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
     for setting in settings:
         key, equals, value = setting.partition("=")
         document = read_yaml(value)
-        if not equals or document.mistakes:
-            reason = f" ({document.mistakes[0][1].message})" if document.mistakes else ""
+        if not equals or document.problems:
+            reason = f" ({document.problems[0][1].message})" if document.problems else ""
             raise SceneError(f"--set {setting[:60]}: expected KEY=VALUE such as test.force=5N{reason}")
         steps = _parse_key(key, f"--set {setting[:60]}: ")
         changes.append(Change(key, steps, document.content, f"--set {setting}"))
     return changes
 
 
-def _use_body_name(steps: Place, names: list[str]) -> Place:
+def _use_body_name(steps: KeyPath, names: list[str]) -> KeyPath:
     """Replace the position of a named body, the first of the steps, by its name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 
 
-def _parse_key(key: str, prefix: str = "") -> Place:
+def _parse_key(key: str, prefix: str = "") -> KeyPath:
     steps: list[int | str] = []
     for step in key.split("."):
         match = _STEP.fullmatch(step.strip())

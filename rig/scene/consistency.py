@@ -13,7 +13,7 @@ from pydantic import AfterValidator, ValidationInfo
 from rig.scene.body_names import missing_body_message
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.settings import Mistake, Place, combined_error
+from rig.scene.settings import KeyPath, Problem, combined_error
 from rig.scene.shaker import ForceShaker, Shaker, at_shaker
 
 if TYPE_CHECKING:
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 ValidSections = Mapping[str, Any]
 
 
-def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Mistake]:
+def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
     yield from _check_body(valid, damper.body, ("body",))
 
 
-def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Mistake]:
+def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
     for number, shaker in enumerate(_as_tuple(value)):
-        place: Place = (number, "body") if isinstance(value, tuple) else ("body",)
+        key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
-            yield from _check_body(valid, body, (*place, k) if isinstance(shaker.body, tuple) else place)
+            yield from _check_body(valid, body, (*key_path, k) if isinstance(shaker.body, tuple) else key_path)
 
 
-def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Mistake]:
+def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:
     if isinstance(test, Impulse):
         yield from _check_body(valid, test.body, ("body",))
     elif isinstance(test, Free):
@@ -44,112 +44,112 @@ def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Mistake]:
         yield from _check_driven_shaker(test, _as_tuple(valid["shaker"]))
 
 
-def _check_initial_state(test: Free, valid: ValidSections) -> Iterable[Mistake]:
+def _check_initial_state(test: Free, valid: ValidSections) -> Iterable[Problem]:
     if "structure" not in valid:
         return
     n_bodies = valid["structure"].bodies
     for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
         if values is not None and len(values) != n_bodies:
-            yield Mistake((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
+            yield Problem((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
     if test.mode is not None and test.mode > n_bodies:
-        yield Mistake(("mode",), f"mode {test.mode} does not exist; expected 1 to {n_bodies}")
+        yield Problem(("mode",), f"mode {test.mode} does not exist; expected 1 to {n_bodies}")
 
 
-def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Mistake]:
+def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Problem]:
     n_shakers, number, other_numbers = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
     if not shakers:
         message = f"{test.kind} requires a shaker. Add a shaker to the scene."
-        yield Mistake(("kind",), message, absent="shaker")
+        yield Problem(("kind",), message, absent="shaker")
     elif n_shakers > 1 and test.shaker is None:
-        yield Mistake((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {n_shakers}")
+        yield Problem((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {n_shakers}")
     elif number > n_shakers:
-        yield Mistake(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
+        yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
     elif any(other > n_shakers for other in other_numbers):
-        yield Mistake(("also",), f"names a shaker that does not exist; expected numbers up to {n_shakers}")
+        yield Problem(("also",), f"names a shaker that does not exist; expected numbers up to {n_shakers}")
     elif len({test.shaker, *other_numbers}) <= len(other_numbers):
-        yield Mistake(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
+        yield Problem(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
-        yield Mistake(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
+        yield Problem(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
 
 
-def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Mistake]:
+def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Problem]:
     if channel.body is not None:
         yield from _check_body(valid, channel.body, ("at",))
     elif channel.at == "hammer":
         if "test" in valid and not isinstance(valid["test"], Impulse):
             message = "there is no hammer; expected a body or the table, or a test of kind impulse"
-            yield Mistake(("at",), message, absent="" if valid["test"] else "test")
+            yield Problem(("at",), message, absent="" if valid["test"] else "test")
     elif "shaker" in valid:
         yield from _check_location_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
 
 
-def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Mistake]:
+def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Problem]:
     first_index: dict[str, int] = {}
     for k, channel in enumerate(channels or ()):
         if channel.name in first_index:
             first_number = first_index[channel.name] + 1
             message = f'"{channel.name}" is the name of channels[{first_number}]; expected each once'
-            yield Mistake((k, "name"), message)
+            yield Problem((k, "name"), message)
         first_index.setdefault(channel.name, k)
 
 
 def _check_location_at_shaker(
-    channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, place: Place
-) -> Iterable[Mistake]:
+    channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, key_path: KeyPath
+) -> Iterable[Problem]:
     """Check that the shaker at which a channel measures exists and has the measured quantity."""
     kind, n_shakers = channel.place_kind, len(shakers)
     if n_shakers > 1 and channel.number is None:
         names = ", ".join(at_shaker(kind, number, n_shakers) for number in range(1, n_shakers + 1))
-        yield Mistake(place, f"there are {n_shakers} shakers; expected one of {names}")
+        yield Problem(key_path, f"there are {n_shakers} shakers; expected one of {names}")
         return
     if channel.number is not None and (n_shakers < 2 or channel.number > n_shakers):
         names = f"{kind} 1 to {kind} {n_shakers}" if n_shakers > 1 else kind
         count_text = f"{n_shakers} shaker{'s' if n_shakers > 1 else ''}"
-        yield Mistake(place, f"got {channel.at} with {count_text} in the scene; expected {names}")
+        yield Problem(key_path, f"got {channel.at} with {count_text} in the scene; expected {names}")
         return
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
     absent = "" if shakers else "shaker"
     if kind == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
         message = "there is no table; expected a body, or a shaker of kind table or electrodynamic"
-        yield Mistake(place, message, absent)
+        yield Problem(key_path, message, absent)
     elif kind == "drive" and shaker is None:
-        yield Mistake(place, "there is no drive. Add a shaker to the scene.", absent)
+        yield Problem(key_path, "there is no drive. Add a shaker to the scene.", absent)
     elif kind == "shaker" and shaker is None:
         message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
-        yield Mistake(place, message, absent)
+        yield Problem(key_path, message, absent)
     elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
         table = at_shaker("table", channel.number or 1, n_shakers)
-        yield Mistake(
-            place,
+        yield Problem(
+            key_path,
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
             f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
         )
     elif kind == "shaker" and isinstance(test, Impulse):
-        yield Mistake(place, "the shaker rests while the hammer hits; expected at: hammer")
+        yield Problem(key_path, "the shaker rests while the hammer hits; expected at: hammer")
 
 
-def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Mistake]:
+def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Problem]:
     channels = valid.get("channels")
     if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
-        yield Mistake(("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel")
+        yield Problem(("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel")
 
 
-def _check_recording(recording: RecordingSettings, valid: ValidSections) -> Iterable[Mistake]:
+def _check_recording(recording: RecordingSettings, valid: ValidSections) -> Iterable[Problem]:
     converter = valid.get("converter")
     if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
-        yield Mistake(("samples",), "counts require a converter with bits. Add bits to converter.")
+        yield Problem(("samples",), "counts require a converter with bits. Add bits to converter.")
 
 
-Check = Callable[[Any, ValidSections], Iterable[Mistake]]
+Check = Callable[[Any, ValidSections], Iterable[Problem]]
 
 
 def _validator(check: Check) -> AfterValidator:
     """Return a pydantic validator that applies a check to a field of `Scene`, or to each item of the field."""
 
     def validate(section: Any, info: ValidationInfo) -> Any:
-        mistakes = list(check(section, info.data))
-        if mistakes:
-            raise combined_error("references", mistakes)
+        problems = list(check(section, info.data))
+        if problems:
+            raise combined_error("references", problems)
         return section
 
     return AfterValidator(validate)
@@ -164,22 +164,22 @@ CONVERTER = _validator(_check_converter)
 RECORDING = _validator(_check_recording)
 
 
-def check_frequency(test: Test | None, converter: Converter) -> Iterable[Mistake]:
+def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem]:
     """Check that the test's highest frequency is below half the sample rate of readings and drive."""
     highest = _highest_frequency(test)
     if highest is None:
         return
-    (place, frequency), rate = highest, converter.sample_rate
+    (key_path, frequency), rate = highest, converter.sample_rate
     if frequency >= rate / 2:
-        yield Mistake(
-            place,
+        yield Problem(
+            key_path,
             f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
             "Lower the frequency, or raise converter: rate.",
         )
 
 
-def _highest_frequency(test: Test | None) -> tuple[Place, float] | None:
-    """Return the highest frequency of a test and its place in the scene; None if the test has no frequency."""
+def _highest_frequency(test: Test | None) -> tuple[KeyPath, float] | None:
+    """Return the highest frequency of a test and its key path; None if the test has no frequency."""
     if test is None or isinstance(test, Impulse | Free):
         return None
     if isinstance(test, Sine):
@@ -194,8 +194,8 @@ def _as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
     return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)
 
 
-def _check_body(valid: ValidSections, body: int, place: Place) -> Iterable[Mistake]:
+def _check_body(valid: ValidSections, body: int, key_path: KeyPath) -> Iterable[Problem]:
     # `replace_names` reports most invalid numbers, but does not know the number of bodies in matrix files.
     n_bodies = valid["structure"].bodies if "structure" in valid else body
     if body > n_bodies:
-        yield Mistake(place, missing_body_message(body, n_bodies))
+        yield Problem(key_path, missing_body_message(body, n_bodies))

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from rig.scene.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
 from rig.scene.quantity_field import Quantity, unexpected_value_message
-from rig.scene.settings import Alternatives, Mistake, Settings, by_key
+from rig.scene.settings import Alternatives, Problem, Settings, by_key
 from rig.scene.shaker import Body
 
 
@@ -80,10 +80,10 @@ class Grains(Settings):
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Largest time step [s]; by default 0.03 of the smallest grain's Rayleigh time, less below restitution 0.2."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
-            yield Mistake(
+            yield Problem(
                 ("cavity",), unexpected_value_message(f"{self.cavity:g} m", "at least the largest grain's diameter")
             )
 
@@ -114,17 +114,17 @@ class Damper(Settings):
         """Return whether the bed can move in its cavity: it is not locked and has clearance."""
         return not self.locked and self.clearance > 0.0
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
-            yield Mistake(("restitution",), "given together with grains. Move it into grains.")
+            yield Problem(("restitution",), "given together with grains. Move it into grains.")
         if self.grains is not None and self.contact is not None:
-            yield Mistake(
+            yield Problem(
                 ("contact",), "given together with grains, which have their own contact. Remove one of the two."
             )
         has_landing = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
         if self.restitution and self.contact is not None and not has_landing:
-            yield Mistake(
+            yield Problem(
                 ("restitution",),
                 "given together with stiffness and damping, which determine it. Remove it, or give contact: duration.",
             )

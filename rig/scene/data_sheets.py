@@ -13,7 +13,7 @@ import yaml
 from pydantic import Field
 
 from rig.errors import SceneError
-from rig.scene.settings import Mistake
+from rig.scene.settings import Problem
 
 Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
@@ -119,10 +119,10 @@ def _normalize(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
-def check_preset(preset: str | None, kind: str) -> Iterable[Mistake]:
+def check_preset(preset: str | None, kind: str) -> Iterable[Problem]:
     """Check that a preset has a data sheet for this kind of settings."""
     if preset is not None:
         try:
             data_sheet(preset, kind)
         except SceneError as error:
-            yield Mistake(("preset",), str(error))
+            yield Problem(("preset",), str(error))

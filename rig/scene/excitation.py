@@ -10,7 +10,7 @@ from pydantic import Field
 
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VELOCITY, VOLTAGE
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Alternatives, Mistake, Settings, by_kind
+from rig.scene.settings import Alternatives, Problem, Settings, by_kind
 from rig.scene.shaker import Body
 
 Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
@@ -102,19 +102,19 @@ class SteppedSine(Settings):
     measure: Measure = Measure()
     """Measurement time of a step in steady state."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check the range or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
-                yield Mistake((), "frequencies and from/to given together. Remove one of the two.")
+                yield Problem((), "frequencies and from/to given together. Remove one of the two.")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
-                yield Mistake(
+                yield Problem(
                     ("frequencies",), "not ascending. List them from low to high; direction: down reverses them."
                 )
         elif self.from_ is None or self.to is None:
-            yield Mistake((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
+            yield Problem((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
         elif self.from_ >= self.to:
-            yield Mistake(("from",), "not below to. Give the lower end first; direction: down sweeps downward.")
+            yield Problem(("from",), "not below to. Give the lower end first; direction: down sweeps downward.")
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -167,10 +167,10 @@ class SweptSine(Settings):
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
-            yield Mistake(("to",), "equal to from. Use kind: sine for a constant frequency.")
+            yield Problem(("to",), "equal to from. Use kind: sine for a constant frequency.")
 
 
 class Random(Settings):
@@ -196,7 +196,7 @@ class Random(Settings):
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
     """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check the band."""
         return check_band(self.from_, self.to)
 
@@ -234,17 +234,17 @@ class Multisine(Settings):
         """Period of the signal [s], as given or from the number of lines."""
         return self.period if self.period is not None else (self.lines or 2) / (self.to - self.from_)
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check the band."""
         yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
-            yield Mistake(("period",), "no multiple of its reciprocal lies between from and to. Give a longer period.")
+            yield Problem(("period",), "no multiple of its reciprocal lies between from and to. Give a longer period.")
 
 
-def check_band(low: float, high: float) -> Iterable[Mistake]:
+def check_band(low: float, high: float) -> Iterable[Problem]:
     """Check that a frequency band is given with its lower end first."""
     if low >= high:
-        yield Mistake(("from",), "not below to. Give the lower end of the band first.")
+        yield Problem(("from",), "not below to. Give the lower end of the band first.")
 
 
 class DoubleHit(Settings):
@@ -276,23 +276,23 @@ class Impulse(Settings):
     double_hit: DoubleHit | None = None
     """Double hits; None: single hits only."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""
         if self.width >= self.interval:
-            yield Mistake(
+            yield Problem(
                 ("width",), "not shorter than the interval between hits. Give a shorter width or a longer interval."
             )
         if self.double_hit is None:
             return
         if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
-            yield Mistake(
+            yield Problem(
                 ("double_hit", "after"),
                 "does not lie between the end of the first pulse and the next hit. Give at least "
                 f"{self.width:g} s and less than {self.interval - self.width:g} s, or a longer interval.",
             )
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
-                yield Mistake(
+                yield Problem(
                     ("double_hit", "hits", k),
                     f"hit {hit} does not exist; expected at most {self.repeats}, the number of repeats",
                 )
@@ -314,15 +314,15 @@ class Free(Settings):
     duration: Duration = 6.0
     """Duration of the test [s]."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
             given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
-            yield Mistake((given_key,), f"given without {missing_key}. Add {missing_key}, or remove {given_key}.")
+            yield Problem((given_key,), f"given without {missing_key}. Add {missing_key}, or remove {given_key}.")
         if self.mode is not None and (self.displacement is not None or self.velocity is not None):
-            yield Mistake(("mode",), "given together with displacement or velocity. Remove one of the two.")
+            yield Problem(("mode",), "given together with displacement or velocity. Remove one of the two.")
         if self.mode is None and self.displacement is None and self.velocity is None:
-            yield Mistake((), "no initial state; expected displacement, velocity, or mode and amplitude")
+            yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")
 
 
 Test = Annotated[Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free, Alternatives(by_kind)]

@@ -1,4 +1,4 @@
-"""Loading of scenes from files, texts and mappings: search, reading and checks; all mistakes are reported together."""
+"""Loading of scenes from files, texts and mappings: search, reading and checks; all problems are reported together."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rig.scene.matrices import FOLDER
 from rig.scene.missing_units import implausible_values
 from rig.scene.scene import Scene
 from rig.scene.scene_files import find_scene, read_text
-from rig.scene.settings import Mistake, Place, describe, dotted, mistakes_of
+from rig.scene.settings import KeyPath, Problem, describe, dotted, problems_of
 from rig.scene.yaml_reader import Document, read_yaml
 
-# Line numbers of content that was not read from a file.
-_NO_LINES: dict[Place, int] = {(): 0}
+# Replaces the line numbers of content that was not read from a file.
+_NO_LINES: dict[KeyPath, int] = {(): 0}
 #: Types that a function accepts as a scene.
 SceneLike = Scene | str | Path | Mapping[str, Any]
 
@@ -39,12 +39,12 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
     Returns
     -------
     Scene
-        Its settings, in SI; without a name in the file, the scene has the name of the file.
+        The validated scene, in SI. If the file states no name, the scene has the name of the file.
 
     Raises
     ------
     SceneError
-        If the scene does not exist or has mistakes; the message has one line for each mistake.
+        If the scene does not exist or has problems; the message has one line for each problem.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
     Raises
     ------
     SceneError
-        If the scene has mistakes; the message has one line for each.
+        If the scene has problems; the message has one line for each.
     """
     if not isinstance(text, str):
         raise SceneError(f"{where}: got {text!r:.60}; expected the text of a scene file (rig.load takes files)")
@@ -116,57 +116,57 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
 def loads_si(text: str, where: str) -> Scene:
     """Load a scene from the text of `Scene.to_si_yaml`, which does not contain the user's units.
 
-    Raises `SceneError` if the scene has mistakes; the message has one line for each.
+    Raises `SceneError` if the scene has problems; the message has one line for each.
     """
     scene = loads(text, where)
-    scene.forget_spelling()
+    scene.discard_notation()
     return scene
 
 
 def _validate(document: Document, where: str, folder: Path | None, changes: Sequence[Change]) -> Scene:
-    unreadable = [mistake for _, mistake in document.mistakes if not mistake.place]
+    unreadable = [problem for _, problem in document.problems if not problem.key_path]
     if unreadable:
-        lines = [f"{where}:{line}: {mistake.message}" for line, mistake in document.mistakes]
+        lines = [f"{where}:{line}: {problem.message}" for line, problem in document.problems]
         raise SceneError("\n".join(lines))
     if not isinstance(document.content, dict):
-        problem = "is empty" if document.content is None else "has no keys"
-        raise SceneError(f"{where} {problem}; expected a scene, at least structure: with masses and springs")
+        reason = "is empty" if document.content is None else "has no keys"
+        raise SceneError(f"{where} {reason}; expected a scene, at least structure: with masses and springs")
     content = document.content
     for change in changes:
         content = change.apply_to(content)
-    scene, mistakes = _try_validation(content, folder)
-    if scene is None or document.mistakes:
-        mistakes.sort(key=lambda mistake: document.line(mistake.place))
-        mistakes_without_changes = _try_validation(document.content, folder)[1] if changes else mistakes
+    scene, problems = _try_validation(content, folder)
+    if scene is None or document.problems:
+        problems.sort(key=lambda problem: document.line(problem.key_path))
+        problems_without_changes = _try_validation(document.content, folder)[1] if changes else problems
         duplicates = [
-            f"{where}:{line}: {dotted(mistake.place)}: {mistake.message}" for line, mistake in document.mistakes
+            f"{where}:{line}: {dotted(problem.key_path)}: {problem.message}" for line, problem in document.problems
         ]
-        invalid = [_describe(mistake, where, document, changes, mistakes_without_changes) for mistake in mistakes]
+        invalid = [_describe(problem, where, document, changes, problems_without_changes) for problem in problems]
         raise SceneError("\n".join([*duplicates, *invalid]))
     for warning in implausible_values(scene, content):
         warnings.warn(_describe(warning, where, document, changes, [warning]), SceneWarning, stacklevel=4)
     return scene
 
 
-def _try_validation(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None, list[Mistake]]:
-    """Return the settings, or all mistakes in them."""
+def _try_validation(content: dict[str, Any], folder: Path | None) -> tuple[Scene | None, list[Problem]]:
+    """Return the settings, or all problems in them."""
     try:
         return Scene.model_validate(content, context={FOLDER: folder}), []
     except ValidationError as error:
-        return None, mistakes_of(error)
+        return None, problems_of(error)
 
 
 def _describe(
-    mistake: Mistake,
+    problem: Problem,
     where: str,
     document: Document,
     changes: Sequence[Change],
-    mistakes_without_changes: Sequence[Mistake],
+    problems_without_changes: Sequence[Problem],
 ) -> str:
-    """Describe a mistake at its line of the file or, if a change caused it, at the change."""
-    causes = [change for change in changes if change.covers(mistake.place)]
-    if not causes and mistake not in mistakes_without_changes:
+    """Describe a problem at its line of the file or, if a change caused it, at the change."""
+    causes = [change for change in changes if change.covers(problem.key_path)]
+    if not causes and problem not in problems_without_changes:
         causes = list(changes)
     if causes:
-        return describe([mistake], f"{where} with {', '.join(map(str, causes))}")
-    return describe([mistake], where, None if document.lines == _NO_LINES else document.line)
+        return describe([problem], f"{where} with {', '.join(map(str, causes))}")
+    return describe([problem], where, None if document.lines == _NO_LINES else document.line)

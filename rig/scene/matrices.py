@@ -12,7 +12,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 from rig.scene.quantity_field import format_value, validation_error
-from rig.scene.settings import Mistake, Settings
+from rig.scene.settings import Problem, Settings
 
 # Largest number of bodies of a structure.
 MAX_BODIES = 2000
@@ -68,35 +68,35 @@ class Matrices(Settings):
     damping: Matrix | None = None
     """Matrix of the same size with which no free motion grows [N s/m]."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check sizes, symmetry and energies: positive kinetic, no negative elastic energy, no growth."""
-        mistakes = list(self._check_shapes())
-        yield from mistakes
-        if not mistakes:
+        problems = list(self._check_shapes())
+        yield from problems
+        if not problems:
             yield from self._check_definiteness()
 
-    def _check_shapes(self) -> Iterable[Mistake]:
+    def _check_shapes(self) -> Iterable[Problem]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
-                yield Mistake((key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix")
+                yield Problem((key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix")
         for key, matrix in (("mass", mass), ("stiffness", stiffness)):
-            place = asymmetry(matrix)
-            if place is not None:
-                row, column = place
+            indices = asymmetry(matrix)
+            if indices is not None:
+                row, column = indices
                 values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
                 location = f"rows and columns {row + 1} and {column + 1}"
-                yield Mistake((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
+                yield Problem((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
         if not positive_definite(mass):
-            yield Mistake(
+            yield Problem(
                 ("mass",), "not positive definite; expected a mass matrix with kinetic energy in every motion"
             )
 
-    def _check_definiteness(self) -> Iterable[Mistake]:
+    def _check_definiteness(self) -> Iterable[Problem]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         squared_frequency = lowest_squared_frequency(mass, stiffness)
         if squared_frequency < 0.0:
-            yield Mistake(
+            yield Problem(
                 ("stiffness",),
                 f"not positive semidefinite (squared frequency {squared_frequency:.3g} 1/s^2), so that the structure "
                 "is unstable; expected a stiffness matrix without negative eigenvalues",
@@ -104,7 +104,7 @@ class Matrices(Settings):
         elif self.damping is not None:
             growth, frequency = fastest_growth(mass, stiffness, np.array(self.damping))
             if growth > 0.0:
-                yield Mistake(
+                yield Problem(
                     ("damping",),
                     f"negative damping: at {frequency:.3g} Hz the free motion grows by {growth:.3g} 1/s; expected "
                     "damping that dissipates energy",

@@ -33,7 +33,7 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Mistake, Place, Settings, value_at
+from rig.scene.settings import KeyPath, Problem, Settings, value_at
 
 Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]
@@ -96,12 +96,12 @@ class Accelerometer(Settings):
         "temperature_drift": "temperature_change",
     }
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that every key on which a given key depends is given too, unless a preset may supply it."""
         yield from check_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
             if self.preset is None and getattr(self, key) is not None and getattr(self, other) is None:
-                yield Mistake((key,), f"given without {other}. Add {other}, or remove {key}.")
+                yield Problem((key,), f"given without {other}. Add {other}, or remove {key}.")
 
 
 class Integrator(Settings):
@@ -141,7 +141,7 @@ class Hammer(Settings):
     iepe: bool | None = None
     """Whether the sensor's amplifier needs a supply current from the converter (`excitation`)."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the part is known."""
         return check_preset(self.preset, "hammer")
 
@@ -182,25 +182,25 @@ class Channel(Settings):
     """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
     @classmethod
-    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
         """Return the kind of the limits `alarm` and `abort`, which is that of the measured quantity."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(value_at(content, ("integrator", "order"))), ACCELERATION)
         location = str(content.get("at")).partition(" ")[0]
         kind = FORCE if location in FORCE_LOCATIONS else VOLTAGE if location == VOLTAGE_LOCATION else kind
         return {("alarm",): kind, ("abort",): kind}
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the sensor suits the location."""
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
-                    yield Mistake((key,), "given at the drive, where the signal is a voltage. Remove it.")
+                    yield Problem((key,), "given at the drive, where the signal is a voltage. Remove it.")
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
-                    yield Mistake((key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor")
+                    yield Problem((key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor")
         elif self.hammer is not None:
-            yield Mistake(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
+            yield Problem(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
 
     @property
     def place_kind(self) -> str:
@@ -277,35 +277,35 @@ class Converter(Settings):
     dropped_blocks: tuple[DroppedBlock, ...] = ()
     """Lost samples."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that every key on which a given key depends is given too, and that the module supports the values."""
-        preset_mistakes = list(check_preset(self.preset, "converter"))
-        yield from preset_mistakes
-        if not preset_mistakes:
+        preset_problems = list(check_preset(self.preset, "converter"))
+        yield from preset_problems
+        if not preset_problems:
             yield from self._check_rate()
             yield from self._check_sampling()
         if self.bits is not None and self.range is None and self.preset is None:
-            yield Mistake(("bits",), "given without range. Add range, the voltage at full scale, such as 5 V.")
+            yield Problem(("bits",), "given without range. Add range, the voltage at full scale, such as 5 V.")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
-            yield Mistake(("ac_corner",), "given without coupling: AC. Add coupling: AC, or remove ac_corner.")
+            yield Problem(("ac_corner",), "given without coupling: AC. Add coupling: AC, or remove ac_corner.")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
-            yield Mistake(("clock_error",), f"got {self.clock_error}; expected less than 10 %, such as 20 ppm")
+            yield Problem(("clock_error",), f"got {self.clock_error}; expected less than 10 %, such as 20 ppm")
 
-    def _check_sampling(self) -> Iterable[Mistake]:
+    def _check_sampling(self) -> Iterable[Problem]:
         preset_values = {} if self.preset is None else data_sheet(self.preset, "converter").settings["converter"]
         filter_name = self.filter or preset_values.get("filter")
         if self.sampling is not None and filter_name is not None:
-            yield Mistake(
+            yield Problem(
                 ("sampling",),
                 f"{self.sampling} with the filter {filter_name}{'' if self.filter else f' of {self.preset}'}, which "
                 f"determines the sample. Remove sampling{' or filter' if self.filter else ''}.",
             )
 
-    def _check_rate(self) -> Iterable[Mistake]:
+    def _check_rate(self) -> Iterable[Problem]:
         try:
             _ = self.sample_rate
         except SceneError as error:
-            yield Mistake(("rate",), str(error))
+            yield Problem(("rate",), str(error))
 
     @property
     def sample_rate(self) -> float:

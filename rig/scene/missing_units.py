@@ -7,7 +7,7 @@ from math import inf
 from typing import Any
 
 from rig.scene.scene import Scene
-from rig.scene.settings import Mistake, Place, value_at
+from rig.scene.settings import KeyPath, Problem, value_at
 
 # A bare number at or above one of these limits causes a warning.
 #: Clearance of real cavities [m].
@@ -18,7 +18,7 @@ _MAX_DAMPING_RATIO = 0.1
 _MAX_MASS_RATIO = 2.0
 
 
-def implausible_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mistake]:
+def implausible_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
     """Yield a warning for each implausible bare number in the content of a valid scene."""
     for k, damper in enumerate(scene.dampers):
         if damper.clearance < inf:
@@ -26,26 +26,32 @@ def implausible_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Mis
                 content, ("dampers", k, "clearance"), damper.clearance, _MAX_CLEARANCE_M, "meters", 1e3, "mm"
             )
         if damper.mass_ratio is not None:
-            place: Place = ("dampers", k, "mass_ratio")
-            yield from _check_number(content, place, damper.mass_ratio, _MAX_MASS_RATIO, "a ratio", 1e2, "%")
+            key_path: KeyPath = ("dampers", k, "mass_ratio")
+            yield from _check_number(content, key_path, damper.mass_ratio, _MAX_MASS_RATIO, "a ratio", 1e2, "%")
     modal = value_at(scene.structure.damping, ("modal",))
     is_list = isinstance(modal, tuple)
     for k, ratio in enumerate(modal if is_list else (modal or 0.0,)):
-        place = ("structure", "damping", "modal", *((k,) if is_list else ()))
-        yield from _check_number(content, place, ratio, _MAX_DAMPING_RATIO, "a ratio to critical damping", 1e2, "%")
+        key_path = ("structure", "damping", "modal", *((k,) if is_list else ()))
+        yield from _check_number(content, key_path, ratio, _MAX_DAMPING_RATIO, "a ratio to critical damping", 1e2, "%")
 
 
 def _check_number(
-    content: Mapping[str, Any], place: Place, value: float, threshold: float, meaning: str, factor: float, unit: str
-) -> Iterator[Mistake]:
+    content: Mapping[str, Any],
+    key_path: KeyPath,
+    value: float,
+    threshold: float,
+    meaning: str,
+    factor: float,
+    unit: str,
+) -> Iterator[Problem]:
     if value < threshold:
         return
     number: Any = content
-    for key in place:
+    for key in key_path:
         number = number[key]
     if str(number)[-1] in ".0123456789":  # no unit
-        yield Mistake(
-            place,
+        yield Problem(
+            key_path,
             f"got {number} without a unit, read as {meaning} ({factor * value:g} {unit}). Add the intended unit, "
             f"such as {number} {unit}.",
         )

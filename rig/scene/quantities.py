@@ -280,28 +280,28 @@ def si_text(value: float, kind: Kind) -> str:
     return f"{number} {kind.si}".rstrip()
 
 
-def shortest_spelling(value: float, kind: Kind, previous: str | None = None) -> str:
+def shortest_notation(value: float, kind: Kind, previous: str | None = None) -> str:
     """Write a quantity with the fewest digits from which `parse` returns the identical double.
 
-    `previous`: the user's spelling. It is returned unchanged if its value is the same; otherwise its unit is used.
+    `previous`: the user's notation. It is returned unchanged if its value is the same; otherwise its unit is used.
 
-    >>> shortest_spelling(0.000133, LENGTH), shortest_spelling(0.00125, LENGTH, "5e-4 m")
+    >>> shortest_notation(0.000133, LENGTH), shortest_notation(0.00125, LENGTH, "5e-4 m")
     ('0.133 mm', '0.00125 m')
-    >>> shortest_spelling(0.00125, LENGTH, "1.25 mm")
+    >>> shortest_notation(0.00125, LENGTH, "1.25 mm")
     '1.25 mm'
-    >>> shortest_spelling(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
+    >>> shortest_notation(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
     '100 mV/g'
     """
     units = [kind.si, *(unit for unit, si in COMMON_FACTORS if si == kind.si)]
     if previous is not None:
-        spelling = previous.strip()
+        notation = previous.strip()
         try:
-            if parse(spelling, kind) == value:
-                return spelling
+            if parse(notation, kind) == value:
+                return notation
         except ValueError:  # the previous quantity was of another kind, because another key has changed
             pass
         else:
-            match = _NUMBER.fullmatch(spelling)
+            match = _NUMBER.fullmatch(notation)
             units = [match.group(2).strip()] if match else units
     if not math.isfinite(value):
         return si_text(value, kind).split(" ")[0]
@@ -322,12 +322,12 @@ def _shortest_decimal(value: float, unit: str, kind: Kind) -> str:
     return f"{decimal} {unit}".rstrip()
 
 
-# Numbers with at least this many digits are equally long spellings: they were computed, and no unit makes them short.
+# Numbers with at least this many digits are equally long notations: they were computed, and no unit makes them short.
 _MAX_DIGITS = 13
 
 
 def _spelling_rank(written: str) -> tuple[int, bool, int]:
-    """Return the sort key of spellings: significant digits, whether the number is tiny or huge, and length."""
+    """Return the sort key of notations: significant digits, whether the number is tiny or huge, and length."""
     number = Decimal(written.split(" ")[0]).normalize()
     digits = min(len(number.as_tuple().digits), _MAX_DIGITS)
     return digits, number != 0 and not -2 <= number.adjusted() < 4, len(written)

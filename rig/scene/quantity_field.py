@@ -75,7 +75,7 @@ class Quantity:
             if not kind.supports(number):
                 raise unexpected_value_error(value, f"{kind.noun} {kind.range}")
             if self._is_within_bounds(number):
-                # Convert minus zero to zero: the two are equal but have different spellings.
+                # Convert minus zero to zero: the two are equal but have different notations.
                 return number + 0.0
             raise unexpected_value_error(value, self.bounded_description)
         raise unexpected_value_error(value, suggest_decimal_point(value, self.kinds) or self.description)
@@ -139,7 +139,7 @@ def unexpected_value_message(value: Any, expected: str) -> str:
 
 def validation_error(message: str, absent: str = "") -> PydanticCustomError:
     """Return a pydantic error with a message and the key of the absent part that caused it."""
-    return PydanticCustomError("mistake", "{message}", {"message": message, "absent": absent})
+    return PydanticCustomError("problem", "{message}", {"message": message, "absent": absent})
 
 
 def printable(text: str) -> str:

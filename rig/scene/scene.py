@@ -14,7 +14,7 @@ from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
 from rig.scene.quantity_field import Quantity, printable
-from rig.scene.settings import Mistake, Place, Settings, value_at
+from rig.scene.settings import KeyPath, Problem, Settings, value_at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure
 
@@ -41,7 +41,7 @@ class Scene(Settings):
     channels: Annotated[tuple[Annotated[Channel, consistency.CHANNEL], ...] | None, consistency.CHANNELS] = Field(
         None, min_length=1, max_length=MAX_CHANNELS
     )
-    """Measured signals and their places. None: ideal acceleration of every body and the table."""
+    """Measured signals and their locations. None: ideal acceleration of every body and the table."""
     converter: Annotated[Converter, consistency.CONVERTER] = Converter()
     """The analog-to-digital converter and its clock; by default ideal, at 5120 Hz."""
     recording: Annotated[RecordingSettings, consistency.RECORDING] = RecordingSettings()
@@ -50,12 +50,12 @@ class Scene(Settings):
     """Seed of all random numbers of a run."""
 
     @classmethod
-    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
         """Replace names of bodies by their numbers."""
         return replace_names(content)
 
     @classmethod
-    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
         """Return the kind of the drive, which depends on the kind of the driven shaker."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
         shaker, number = content.get("shaker"), str(value_at(content, ("test", "shaker")))
@@ -100,11 +100,11 @@ class Scene(Settings):
             return (self.test.body,)
         return () if self.driven_shaker is None else self.driven_shaker.bodies
 
-    def at_driven(self, place: str) -> str:
-        """Name an input or a place ("shaker", "table" or "drive") at the driven shaker, with its number if needed."""
-        return at_shaker(place, self.driven or 1, len(self.shakers) or 1)
+    def at_driven(self, name: str) -> str:
+        """Name an input or a location ("shaker", "table" or "drive") at the driven shaker, numbered if needed."""
+        return at_shaker(name, self.driven or 1, len(self.shakers) or 1)
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check the frequencies of the test against the sample rate."""
         return consistency.check_frequency(self.test, self.converter)
 

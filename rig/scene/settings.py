@@ -1,7 +1,7 @@
-"""Base classes of a scene's settings: frozen pydantic models that report all their mistakes together.
+"""Base classes of a scene's settings: frozen pydantic models that report all their problems together.
 
-A mistake has a place and a message. The place is a tuple of keys and positions from 0, such as ("dampers", 1,
-"clearance"). The message states the given value and the expected value. `rig.scene.loading` converts the place to a
+A problem has a key path and a message. The key path is a tuple of keys and positions from 0, such as ("dampers", 1,
+"clearance"). The message states the given value and the expected value. `rig.scene.loading` converts the key path to a
 line of the file.
 """
 
@@ -39,50 +39,50 @@ from rig.scene.quantity_field import (
     validation_error,
 )
 
-Place = tuple[int | str, ...]
+KeyPath = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
-class Mistake:
-    """A mistake in a scene: its place and its message."""
+class Problem:
+    """A problem in a scene: its key path and its message."""
 
-    place: Place
+    key_path: KeyPath
     message: str
-    absent: str = ""  # missing key that causes the mistake, which is not reported if that key is only misspelt
+    absent: str = ""  # missing key that causes the problem, which is not reported if that key is only misspelt
 
 
-def mistakes_of(error: ValidationError) -> list[Mistake]:
-    """Return the mistakes in a pydantic error, with the messages of this package."""
-    return [Mistake(item["loc"], _message(item)) for item in error.errors(include_url=False)]
+def problems_of(error: ValidationError) -> list[Problem]:
+    """Return the problems in a pydantic error, with the messages of this package."""
+    return [Problem(item["loc"], _message(item)) for item in error.errors(include_url=False)]
 
 
-def describe(mistakes: Iterable[Mistake], where: str, line: Callable[[Place], int] | None = None) -> str:
-    """Write one line for each mistake: file, line, place and message.
+def describe(problems: Iterable[Problem], where: str, line: Callable[[KeyPath], int] | None = None) -> str:
+    """Write one line for each problem: file, line, key path and message.
 
-    >>> describe([Mistake(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda place: 12)
+    >>> describe([Problem(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda path: 12)
     'a.yaml:12: dampers[2].clearance: missing'
     """
     lines = []
-    for mistake in mistakes:
-        location = where if line is None else f"{where}:{line(mistake.place)}"
-        lines.append(": ".join(filter(None, [location, dotted(mistake.place), mistake.message])))
+    for problem in problems:
+        location = where if line is None else f"{where}:{line(problem.key_path)}"
+        lines.append(": ".join(filter(None, [location, dotted(problem.key_path), problem.message])))
     return "\n".join(lines)
 
 
-def dotted(place: Place) -> str:
-    """Write a place with positions counted from 1.
+def dotted(key_path: KeyPath) -> str:
+    """Write a key path with positions counted from 1.
 
     >>> dotted(("dampers", 1, "clearance"))
     'dampers[2].clearance'
     """
-    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in place).lstrip(".")
+    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in key_path).lstrip(".")
 
 
-def combined_error(title: str, mistakes: Iterable[Mistake]) -> ValidationError:
-    """Combine several mistakes into one pydantic error."""
+def combined_error(title: str, problems: Iterable[Problem]) -> ValidationError:
+    """Combine several problems into one pydantic error."""
     details = [
-        InitErrorDetails(type=validation_error(item.message, item.absent), loc=item.place, input=None)
-        for item in mistakes
+        InitErrorDetails(type=validation_error(item.message, item.absent), loc=item.key_path, input=None)
+        for item in problems
     ]
     return ValidationError.from_exception_data(title, details)
 
@@ -98,14 +98,14 @@ else:
             try:
                 return super().__call__(*args, **fields)
             except ValidationError as error:
-                raise SceneError(describe(mistakes_of(error), cls.__name__)) from None
+                raise SceneError(describe(problems_of(error), cls.__name__)) from None
 
     class _Model(BaseModel, metaclass=_RaisesSceneError):
         """Base class that type checkers treat as a pydantic model."""
 
 
 class Settings(_Model):
-    """Base class of all settings: frozen, without unknown keys, with all mistakes reported together."""
+    """Base class of all settings: frozen, without unknown keys, with all problems reported together."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
 
@@ -118,13 +118,13 @@ class Settings(_Model):
         Raises
         ------
         SceneError
-            If the changed settings are invalid; the message has one line for each mistake.
+            If the changed settings are invalid; the message has one line for each problem.
         """
         fields = {name: getattr(self, name) for name in self.model_fields_set}
         try:
             variant = type(self).model_validate({**fields, **changes})
         except ValidationError as error:
-            raise SceneError(describe(mistakes_of(error), type(self).__name__)) from None
+            raise SceneError(describe(problems_of(error), type(self).__name__)) from None
         variant.__dict__["written"] = {**self.written, **variant.written}
         return variant
 
@@ -136,20 +136,20 @@ class Settings(_Model):
 
     @cached_property
     def written(self) -> Mapping[str, Any]:
-        """The user's spelling of quantities, by field; it affects only how the settings are written."""
+        """Quantities as the user wrote them, by field; they affect only how the settings are written."""
         return {}
 
-    def relations(self) -> Iterable[Mistake]:
-        """Return the mistakes in combinations of fields whose values are valid individually."""
+    def relations(self) -> Iterable[Problem]:
+        """Return the problems in combinations of fields whose values are valid individually."""
         return ()
 
     @classmethod
-    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
-        """Return the required kind of the quantities whose kind depends on other keys, by place."""
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
+        """Return the required kind of the quantities whose kind depends on other keys, by key path."""
         return {}
 
-    def forget_spelling(self) -> None:
-        """Discard the user's spelling, and treat values equal to their defaults as not given.
+    def discard_notation(self) -> None:
+        """Discard the user's notation, and treat values equal to their defaults as not given.
 
         This is for scenes from recordings, which contain every value in SI.
         """
@@ -160,17 +160,17 @@ class Settings(_Model):
                 self.model_fields_set.discard(name)
             for part in value if isinstance(value, tuple) else (value,):
                 if isinstance(part, Settings):
-                    part.forget_spelling()
+                    part.discard_notation()
 
     @classmethod
-    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
-        """Convert short forms in a file to the form of the fields; return the content, and mistakes in short forms."""
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
+        """Convert short forms in a file to the form of the fields; return the content, and problems in short forms."""
         return content, []
 
     @classmethod
-    def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
-        """Convert a place in the prepared content to the place in the given content; the inverse of `prepare`."""
-        return place
+    def key_path_as_given(cls, key_path: KeyPath, content: Mapping[str, Any]) -> KeyPath:
+        """Convert a key path in the prepared content to that in the given content; the inverse of `prepare`."""
+        return key_path
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -198,35 +198,35 @@ class Settings(_Model):
     def _report_together(cls, data: Any, handler: Callable[[Any], Self]) -> Self:
         if not isinstance(data, Mapping):
             return cls._validate_all(data, handler, [])
-        prepared, mistakes = cls.prepare(data)
+        prepared, problems = cls.prepare(data)
         try:
-            settings = cls._validate_all(prepared, handler, mistakes)
+            settings = cls._validate_all(prepared, handler, problems)
         except ValidationError as error:
-            mistakes = mistakes_of(error)
+            problems = problems_of(error)
             raise combined_error(
-                cls.__name__, [Mistake(cls.place_as_given(item.place, data), item.message) for item in mistakes]
+                cls.__name__, [Problem(cls.key_path_as_given(item.key_path, data), item.message) for item in problems]
             ) from None
         texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
         settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_text(text)}
         return settings
 
     @classmethod
-    def _validate_all(cls, data: Any, handler: Callable[[Any], Self], mistakes: list[Mistake]) -> Self:
-        known_places = {item.place for item in mistakes}
+    def _validate_all(cls, data: Any, handler: Callable[[Any], Self], problems: list[Problem]) -> Self:
+        known_paths = {item.key_path for item in problems}
         settings = None
         try:
             settings = handler(data)
         except ValidationError as error:
             items = [item for item in error.errors(include_url=False) if not _is_consequence(item)]
-            new_mistakes = [cls._explain(item) for item in items if not cls._is_misspelt(item, items)]
-            mistakes = mistakes + [item for item in new_mistakes if item.place not in known_places]
+            new_problems = [cls._explain(item) for item in items if not cls._is_misspelt(item, items)]
+            problems = problems + [item for item in new_problems if item.key_path not in known_paths]
         if isinstance(data, Mapping):
-            mistakes = mistakes + list(cls._check_groups(data))
-            mistakes = mistakes + list(cls._check_kinds(data, {item.place for item in mistakes}))
-        if settings is not None and not mistakes:
-            mistakes = list(settings.relations())
-        if mistakes or settings is None:
-            raise combined_error(cls.__name__, mistakes)
+            problems = problems + list(cls._check_groups(data))
+            problems = problems + list(cls._check_kinds(data, {item.key_path for item in problems}))
+        if settings is not None and not problems:
+            problems = list(settings.relations())
+        if problems or settings is None:
+            raise combined_error(cls.__name__, problems)
         return settings
 
     @classmethod
@@ -244,18 +244,18 @@ class Settings(_Model):
         return item.get("ctx", {}).get("absent", "") in intended
 
     @classmethod
-    def _explain(cls, item: Any) -> Mistake:
-        """Convert a pydantic error to a mistake with this package's message."""
-        place, value = item["loc"], item["input"]
-        if item["type"] == "extra_forbidden" and len(place) == 1:
-            return Mistake(place, unknown_key_message(str(place[0]), cls.keys()))
-        if item["type"] == "missing" and len(place) == 1:
-            return Mistake(place, f"missing; expected {cls._expected_value(str(place[0]))}")
-        if item["type"] == "model_type" and not place:
-            return Mistake(place, unexpected_value_message(value, f"keys such as {', '.join(cls.keys()[:4])}"))
-        if item["type"] == "string_pattern_mismatch" and len(place) == 1:
-            return Mistake(place, unexpected_value_message(value, cls._expected_value(str(place[0]))))
-        return Mistake(place, _message(item))
+    def _explain(cls, item: Any) -> Problem:
+        """Convert a pydantic error to a problem with this package's message."""
+        key_path, value = item["loc"], item["input"]
+        if item["type"] == "extra_forbidden" and len(key_path) == 1:
+            return Problem(key_path, unknown_key_message(str(key_path[0]), cls.keys()))
+        if item["type"] == "missing" and len(key_path) == 1:
+            return Problem(key_path, f"missing; expected {cls._expected_value(str(key_path[0]))}")
+        if item["type"] == "model_type" and not key_path:
+            return Problem(key_path, unexpected_value_message(value, f"keys such as {', '.join(cls.keys()[:4])}"))
+        if item["type"] == "string_pattern_mismatch" and len(key_path) == 1:
+            return Problem(key_path, unexpected_value_message(value, cls._expected_value(str(key_path[0]))))
+        return Problem(key_path, _message(item))
 
     @classmethod
     def _expected_value(cls, key: str) -> str:
@@ -267,26 +267,26 @@ class Settings(_Model):
         return description[0].lower() + description[1:]
 
     @classmethod
-    def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Mistake]:
+    def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Problem]:
         for group in cls.one_of:
             given_keys = [key for key in group if data.get(key) is not None]
             misspelt = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
             if len(given_keys) != 1 and not (not given_keys and misspelt.intersection(group)):
                 alternatives = " or ".join(group)
-                problem = f"{' and '.join(given_keys)} given together" if given_keys else f"{alternatives} missing"
-                yield Mistake((), f"{problem}; expected exactly one of {alternatives}")
+                reason = f"{' and '.join(given_keys)} given together" if given_keys else f"{alternatives} missing"
+                yield Problem((), f"{reason}; expected exactly one of {alternatives}")
 
     @classmethod
-    def _check_kinds(cls, data: Mapping[str, Any], known_places: set[Place]) -> Iterable[Mistake]:
-        for place, kind in cls.kinds_from_other_keys(data).items():
-            values = value_at(data, place)
+    def _check_kinds(cls, data: Mapping[str, Any], known_paths: set[KeyPath]) -> Iterable[Problem]:
+        for key_path, kind in cls.kinds_from_other_keys(data).items():
+            values = value_at(data, key_path)
             for value in values if isinstance(values, list | tuple) else [values]:
-                if not isinstance(value, str) or place in known_places:
+                if not isinstance(value, str) or key_path in known_paths:
                     continue
                 try:
                     parse(value, kind)
                 except ValueError:
-                    yield Mistake(place, unexpected_value_message(value, f"{kind.noun} such as {kind.example}"))
+                    yield Problem(key_path, unexpected_value_message(value, f"{kind.noun} such as {kind.example}"))
 
 
 @cache
@@ -303,9 +303,9 @@ def descriptions(cls: type[Settings]) -> dict[str, str]:
     return texts
 
 
-def value_at(data: Any, place: Place) -> Any:
-    """Return the value at a place, in settings or plain mappings; None if there is no value."""
-    for key in place:
+def value_at(data: Any, key_path: KeyPath) -> Any:
+    """Return the value at a key path, in settings or plain mappings; None if there is no value."""
+    for key in key_path:
         data = data.get(key) if isinstance(data, Mapping) else getattr(data, str(key), None)
     return data
 
@@ -377,7 +377,7 @@ Classes = tuple[type[Settings], ...]
 class Alternatives:
     """Annotation `Annotated[A | B, Alternatives(by_kind)]`: settings of the class that matches the given keys.
 
-    Unlike with a plain union, mistakes are reported only for the matching class.
+    Unlike with a plain union, problems are reported only for the matching class.
     """
 
     def __init__(self, choose: Callable[[Mapping[str, Any], Classes], type[Settings]]) -> None:
@@ -395,25 +395,25 @@ class Alternatives:
             try:
                 return chosen.model_validate(value)
             except ValidationError as error:
-                mistakes = [_name_other_kinds(mistake, chosen, classes) for mistake in mistakes_of(error)]
-                raise combined_error(chosen.__name__, mistakes) from None
+                problems = [_name_other_kinds(problem, chosen, classes) for problem in problems_of(error)]
+                raise combined_error(chosen.__name__, problems) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
 
 
-def _name_other_kinds(mistake: Mistake, chosen: type[Settings], classes: Classes) -> Mistake:
-    """Add to the mistake of an unknown key the other kinds that have this key."""
-    key, own_keys = str(mistake.place[0]) if len(mistake.place) == 1 else "", list(chosen.keys())
+def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:
+    """Add to the problem of an unknown key the other kinds that have this key."""
+    key, own_keys = str(problem.key_path[0]) if len(problem.key_path) == 1 else "", list(chosen.keys())
     kinds = [
         str(kind.default)
         for other in classes
         if key in other.keys() and (kind := other.model_fields.get("kind"))  # noqa: SIM118
     ]
     if key in own_keys or not kinds:
-        return mistake
+        return problem
     given_kind = chosen.model_fields["kind"].default
-    return Mistake(
-        mistake.place,
+    return Problem(
+        problem.key_path,
         f"unknown key {key!r} for kind {given_kind}, which has {', '.join(own_keys)}. Remove the key, or give kind: "
         f"{' or '.join(kinds)}.",
     )
@@ -422,7 +422,7 @@ def _name_other_kinds(mistake: Mistake, chosen: type[Settings], classes: Classes
 class OneOrSeveral:
     """Annotation `Annotated[A | tuple[A, ...], OneOrSeveral(A)]`: settings, or a list of settings.
 
-    Unlike with a plain union, mistakes are reported only for the form that was given.
+    Unlike with a plain union, problems are reported only for the form that was given.
     """
 
     def __init__(self, item_type: Any) -> None:
@@ -436,14 +436,14 @@ class OneOrSeveral:
             return self.adapter.validate_python(value)
         if not value:
             raise unexpected_value_error(value, "keys and values, or a list with at least one item")
-        settings, mistakes = [], []
+        settings, problems = [], []
         for k, item in enumerate(value):
             try:
                 settings.append(self.adapter.validate_python(item))
             except ValidationError as error:
-                mistakes += [Mistake((k, *item.place), item.message) for item in mistakes_of(error)]
-        if mistakes:
-            raise combined_error("list", mistakes)
+                problems += [Problem((k, *item.key_path), item.message) for item in problems_of(error)]
+        if problems:
+            raise combined_error("list", problems)
         return tuple(settings)
 
 
@@ -458,7 +458,7 @@ def by_kind(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
     message = (
         f"missing; expected {names}" if kind is None else unexpected_value_message(kind, names) + (hint and f". {hint}")
     )
-    raise combined_error("kind", [Mistake(("kind",), message)])
+    raise combined_error("kind", [Problem(("kind",), message)])
 
 
 def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:

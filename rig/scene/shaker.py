@@ -24,7 +24,7 @@ from rig.scene.quantities import (
     Kind,
 )
 from rig.scene.quantity_field import Quantity, unexpected_value_error
-from rig.scene.settings import Alternatives, Mistake, OneOrSeveral, Place, Settings, by_kind
+from rig.scene.settings import Alternatives, KeyPath, OneOrSeveral, Problem, Settings, by_kind
 
 # The schema also allows names of bodies, which `Scene` replaces by their numbers.
 _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
@@ -36,13 +36,13 @@ CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
 
-def at_shaker(place: str, number: int, shakers: int) -> str:
-    """Name an input or a place at a shaker, with the shaker's number if there are several.
+def at_shaker(name: str, number: int, shakers: int) -> str:
+    """Name an input or a location at a shaker, with the shaker's number if there are several.
 
     >>> at_shaker("table", 1, shakers=1), at_shaker("table", 2, shakers=3)
     ('table', 'table 2')
     """
-    return place if shakers == 1 else f"{place} {number}"
+    return name if shakers == 1 else f"{name} {number}"
 
 
 class Output(Settings):
@@ -55,11 +55,11 @@ class Output(Settings):
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
     """Resolution, a whole number such as 16, over twice the range; needs `range`."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the part is known, and that a resolution has a range."""
         yield from check_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
-            yield Mistake(("bits",), "given without range. Add range, the largest voltage, such as 10 V.")
+            yield Problem(("bits",), "given without range. Add range, the largest voltage, such as 10 V.")
 
 
 class _BodyOrBodies:
@@ -157,7 +157,7 @@ class Amplifier(Settings):
     """Largest output [V or A]; infinite: no clipping."""
 
     @classmethod
-    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[Place, Kind]:
+    def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
         """Return the unit of the output, V or A, according to the mode."""
         if content.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}
@@ -194,7 +194,7 @@ class ElectrodynamicShaker(Settings):
         }
         return {**content, **parts}
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the part is known."""
         return check_preset(self.preset, "shaker")
 

@@ -12,7 +12,7 @@ from rig.scene.body_names import check_names
 from rig.scene.matrices import MAX_BODIES, Matrices
 from rig.scene.quantities import DASHPOT, MASS, RATE, RATIO, STIFFNESS, TIME
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Alternatives, Mistake, Place, Settings, by_key
+from rig.scene.settings import Alternatives, KeyPath, Problem, Settings, by_key
 
 
 class ModalDamping(Settings):
@@ -21,14 +21,14 @@ class ModalDamping(Settings):
     modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)]
     """One damping ratio for all modes, or a list with one for each (0.005 = 0.5 %); 1 is critical damping."""
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that no mode is damped more than critically."""
         ratios = self.modal if isinstance(self.modal, tuple) else (self.modal,)
         for k, ratio in enumerate(ratios):
             if ratio > 1.0:
-                place = ("modal", k) if isinstance(self.modal, tuple) else ("modal",)
-                yield Mistake(
-                    place,
+                key_path = ("modal", k) if isinstance(self.modal, tuple) else ("modal",)
+                yield Problem(
+                    key_path,
                     f"got {ratio:g}, which is {100 * ratio:g} % of critical; expected at most 100 %, such as {ratio:g} "
                     "%. For more damping, use dashpots or a damping matrix.",
                 )
@@ -83,34 +83,34 @@ class Structure(Settings):
     """Names of the bodies of `matrices`, body 1 first, which can replace body numbers. None: numbers only."""
 
     @classmethod
-    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Mistake]]:
+    def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
         """Split masses with names into masses and names."""
         masses = content.get("masses")
         if not isinstance(masses, Mapping):
             return content, []
         has_names = content.get("names") is not None
-        mistakes = [Mistake(("names",), "given next to masses that have names. Remove names.")] * has_names
-        return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, mistakes
+        problems = [Problem(("names",), "given next to masses that have names. Remove names.")] * has_names
+        return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, problems
 
     @classmethod
-    def place_as_given(cls, place: Place, content: Mapping[str, Any]) -> Place:
-        """Return the place of a mass or name under the body's name, if the masses are given by names."""
+    def key_path_as_given(cls, key_path: KeyPath, content: Mapping[str, Any]) -> KeyPath:
+        """Return the key path of a mass or name under the body's name, if the masses are given by names."""
         masses = content.get("masses")
-        if not isinstance(masses, Mapping) or place[:1] not in (("masses",), ("names",)) or content.get("names"):
-            return place
-        return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in place[1:]))
+        if not isinstance(masses, Mapping) or key_path[:1] not in (("masses",), ("names",)) or content.get("names"):
+            return key_path
+        return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in key_path[1:]))
 
-    def label(self, place: str | int) -> str:
-        """Return the display name of a body, given its number or a channel's place: its own name if it has one.
+    def label(self, location: str | int) -> str:
+        """Return the display name of a body, given its number or a channel's location: its own name if it has one.
 
         >>> Structure(masses={"base": 4.2, "arm": 1.1}, springs=[1e3, 1e3]).label("body 2")
         'arm'
         """
-        place = f"body {place}" if isinstance(place, int) else place
-        if self.names is None or not place.startswith("body "):
-            return place
-        number = int(place.removeprefix("body "))
-        return self.names[number - 1] if 1 <= number <= len(self.names) else place
+        location = f"body {location}" if isinstance(location, int) else location
+        if self.names is None or not location.startswith("body "):
+            return location
+        number = int(location.removeprefix("body "))
+        return self.names[number - 1] if 1 <= number <= len(self.names) else location
 
     def listed(self, numbers: Iterable[int]) -> str:
         """Return the display names of several bodies: `base, arm`, or `body 1, 2`."""
@@ -134,28 +134,28 @@ class Structure(Settings):
             return len(self.masses)
         return len(self.matrices.mass) if self.matrices is not None else 0
 
-    def relations(self) -> Iterable[Mistake]:
+    def relations(self) -> Iterable[Problem]:
         """Check that the lists have one value for each body, and that nothing is given twice."""
         n_bodies = self.bodies
         for k, message in check_names(self.names, n_bodies) if self.names is not None else ():
-            yield Mistake(("names",) if k is None else ("names", k), message)
+            yield Problem(("names",) if k is None else ("names", k), message)
         if self.masses is not None and self.springs is None:
-            yield Mistake((), f"springs missing; expected {n_bodies}, one for each mass")
+            yield Problem((), f"springs missing; expected {n_bodies}, one for each mass")
         if self.masses is not None and self.springs is not None and len(self.springs) != n_bodies:
-            yield Mistake(("springs",), f"got {len(self.springs)} springs; expected {n_bodies}, one for each mass")
+            yield Problem(("springs",), f"got {len(self.springs)} springs; expected {n_bodies}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
-                yield Mistake(
+                yield Problem(
                     ("springs",), "given together with matrices, which contain the stiffness. Remove springs."
                 )
             if self.damping is not None and self.matrices.damping is not None:
-                yield Mistake(("damping",), "given together with the damping matrix. Remove one of the two.")
+                yield Problem(("damping",), "given together with the damping matrix. Remove one of the two.")
             if isinstance(self.damping, Dashpots):
-                yield Mistake(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
+                yield Problem(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
         damping_values = {
             "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
             "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,
         }
         for key, values in damping_values.items():
             if isinstance(values, tuple) and len(values) != n_bodies:
-                yield Mistake(("damping", key), f"got {len(values)} values; expected {n_bodies}, one for each body")
+                yield Problem(("damping", key), f"got {len(values)} values; expected {n_bodies}, one for each body")

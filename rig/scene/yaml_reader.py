@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from rig.scene.settings import Mistake, Place
+from rig.scene.settings import KeyPath, Problem
 
 # Text after a decimal comma. In a list, where a comma may also separate two numbers, it must have a unit.
 _FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")
@@ -32,17 +32,17 @@ _NULLS = ("", "~", "null", "Null", "NULL")
 
 @dataclass
 class Document:
-    """Content of a file as dicts, lists, strings and None, with the line of each place."""
+    """Content of a file as dicts, lists, strings and None, with the line of each key path."""
 
     content: Any = None
-    lines: dict[Place, int] = field(default_factory=dict)
-    mistakes: list[tuple[int, Mistake]] = field(default_factory=list)
+    lines: dict[KeyPath, int] = field(default_factory=dict)
+    problems: list[tuple[int, Problem]] = field(default_factory=list)
 
-    def line(self, place: Place) -> int:
-        """Return the line of a place, or of the innermost enclosing place in the file; from 1."""
-        while place and place not in self.lines:
-            place = place[:-1]
-        return self.lines.get(place, 1)
+    def line(self, key_path: KeyPath) -> int:
+        """Return the line of a key path, or of the innermost enclosing key in the file; from 1."""
+        while key_path and key_path not in self.lines:
+            key_path = key_path[:-1]
+        return self.lines.get(key_path, 1)
 
 
 class _Unreadable(Exception):
@@ -56,7 +56,7 @@ class _Unreadable(Exception):
 def read_yaml(text: str) -> Document:
     """Read a YAML text.
 
-    Returns the content; its `mistakes` list duplicate keys and invalid YAML.
+    Returns the content; its `problems` list duplicate keys and invalid YAML.
     """
     document = Document()
     try:
@@ -65,21 +65,21 @@ def read_yaml(text: str) -> Document:
         _Reader(text, document).run()
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
-        document.mistakes.append(
+        document.problems.append(
             (
                 line,
-                Mistake(
+                Problem(
                     (), "invalid YAML: an incomplete character, or bytes that are not UTF-8. Save the file as UTF-8."
                 ),
             )
         )
     except _Unreadable as error:
-        document.mistakes.append((error.line, Mistake((), str(error))))
+        document.problems.append((error.line, Problem((), str(error))))
     except yaml.MarkedYAMLError as error:
         line, message = _parser_message(error, text.splitlines())
-        document.mistakes.append((line, Mistake((), message)))
+        document.problems.append((line, Problem((), message)))
     except yaml.YAMLError as error:
-        document.mistakes.append((1, Mistake((), f"invalid YAML: {str(error).splitlines()[0]}")))
+        document.problems.append((1, Problem((), f"invalid YAML: {str(error).splitlines()[0]}")))
     return document
 
 
@@ -89,25 +89,25 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
     line = 1 if mark is None else mark.line + 1
     start_line = line if error.context_mark is None else error.context_mark.line + 1
     line_text = lines[line - 1] if line <= len(lines) else ""
-    problem, context = str(error.problem), str(error.context or "")
+    detail, context = str(error.problem), str(error.context or "")
     if "\t" in line_text[: len(line_text) - len(line_text.lstrip())]:
         return line, "a tab in the indentation; expected spaces"
-    if "mapping values are not allowed" in problem:
+    if "mapping values are not allowed" in detail:
         return (line, 'a second ": " in one value. Put "..." around text with a colon, or correct the indentation.')
-    if "expected ':'" in problem:
+    if "expected ':'" in detail:
         return start_line, 'a line without ": " after its key; expected key: value'
-    if "expected ',' or" in problem:
+    if "expected ',' or" in detail:
         return (
             start_line,
-            f"the list or mapping has no closing {problem[-2]}; expected items with commas between, then {problem[-2]}",
+            f"the list or mapping has no closing {detail[-2]}; expected items with commas between, then {detail[-2]}",
         )
-    if "expected key" in problem or "expected <block end>" in problem or "'-' indicator" in problem:
+    if "expected key" in detail or "expected <block end>" in detail or "'-' indicator" in detail:
         return (line, "the indentation does not match any line above. Align the keys of one section.")
-    if "nesting depth" in problem:
+    if "nesting depth" in detail:
         return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
-    if "unexpected end of stream" in problem:
+    if "unexpected end of stream" in detail:
         return start_line, "a quotation mark is not closed; expected another one at the end of the text"
-    return line, f"invalid YAML: {problem}{f' ({context})' if context else ''}"
+    return line, f"invalid YAML: {detail}{f' ({context})' if context else ''}"
 
 
 class _Reader:
@@ -129,12 +129,12 @@ class _Reader:
                     raise _Unreadable(line, "a second document; expected one scene in a file")
                 self.document.content = self._node(next(self.events), ())
 
-    def _node(self, event: Any, place: Place) -> Any:
+    def _node(self, event: Any, key_path: KeyPath) -> Any:
         line = _line(event)
-        # Only lines that differ from the enclosing place are stored: a matrix has a million places.
-        if line != self.document.line(place):
-            self.document.lines[place] = line
-        if len(place) > MAX_DEPTH:
+        # Only lines that differ from that of the enclosing key are stored: a matrix has a million entries.
+        if line != self.document.line(key_path):
+            self.document.lines[key_path] = line
+        if len(key_path) > MAX_DEPTH:
             raise _Unreadable(line, _TOO_DEEP)
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
@@ -143,9 +143,9 @@ class _Reader:
         if isinstance(event, yaml.ScalarEvent):
             value: Any = None if event.implicit[0] and event.value in _NULLS else event.value
         elif isinstance(event, yaml.SequenceStartEvent):
-            value = self._sequence(place)
+            value = self._sequence(key_path)
         else:
-            value = self._mapping(place)
+            value = self._mapping(key_path)
         if event.anchor is not None:
             self.anchors[event.anchor] = value
         return value
@@ -159,7 +159,7 @@ class _Reader:
             raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values. Write the values out.")
         return value
 
-    def _sequence(self, place: Place) -> list[Any]:
+    def _sequence(self, key_path: KeyPath) -> list[Any]:
         values: list[Any] = []
         previous: Any = None
         for event in self.events:
@@ -168,11 +168,11 @@ class _Reader:
             if _is_decimal_part(previous, event, _FRACTION_WITH_UNIT):
                 values[-1] = f"{values[-1]},{event.value}"
             else:
-                values.append(self._node(event, (*place, len(values))))
+                values.append(self._node(event, (*key_path, len(values))))
             previous = event
         return values
 
-    def _mapping(self, place: Place) -> dict[str, Any]:
+    def _mapping(self, key_path: KeyPath) -> dict[str, Any]:
         values: dict[str, Any] = {}
         key, value = "", None
         for event in self.events:
@@ -185,15 +185,15 @@ class _Reader:
             if getattr(value, "value", None) == "" and _is_decimal_part(previous, event, _FRACTION):
                 values[key] = f"{values[key]},{event.value}"
                 continue
-            key, key_place = event.value, (*place, event.value)
+            key, item_path = event.value, (*key_path, event.value)
             if key in values:
-                message = f"given twice, first on line {self.document.line(key_place)}; expected each key once"
-                self.document.mistakes.append((line, Mistake(key_place, message)))
-                self._node(value, key_place)
+                message = f"given twice, first on line {self.document.line(item_path)}; expected each key once"
+                self.document.problems.append((line, Problem(item_path, message)))
+                self._node(value, item_path)
                 continue
-            if line != self.document.line(key_place):
-                self.document.lines[key_place] = line
-            values[key] = self._node(value, key_place)
+            if line != self.document.line(item_path):
+                self.document.lines[item_path] = line
+            values[key] = self._node(value, item_path)
         return values
 
 

@@ -1,4 +1,4 @@
-"""Writing of a scene as a scene file that loads as an equal scene: with the user's spelling, or in SI."""
+"""Writing of a scene as a scene file that loads as an equal scene: in the user's notation, or in SI."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import yaml
 
 from rig.scene.matrices import Matrices
 from rig.scene.measurement_chain import Channel
-from rig.scene.quantities import Kind, shortest_spelling, si_text
+from rig.scene.quantities import Kind, shortest_notation, si_text
 from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Place, Settings, quantity_at
+from rig.scene.settings import KeyPath, Settings, quantity_at
 from rig.scene.structure import Structure
 
 
 def write(settings: Settings, structure: Structure | None = None) -> str:
     """Write the given values in the units in which they were given, with the structure's names of bodies.
 
-    A computed quantity has the unit of the value that it replaces, otherwise the unit with the fewest digits. Every
-    written value loads as the identical double.
+    A computed quantity has the unit of the value that it replaces, otherwise the unit in which it needs the fewest
+    digits. Every written value loads as the identical double.
     """
     return _dump(_given_values(settings, structure, {}))
 
@@ -27,7 +27,7 @@ def write(settings: Settings, structure: Structure | None = None) -> str:
 def write_in_si(settings: Settings) -> str:
     """Write every value (defaults too) in SI, as the shortest decimal that loads as the identical double.
 
-    Equal scenes have equal text, regardless of the user's spelling; recordings and the identity of stored results
+    Equal scenes have equal text, regardless of the user's notation; recordings and the identity of stored results
     require this.
     """
     return _dump(_si_values(settings))
@@ -43,11 +43,11 @@ def _dump(content: Any) -> str:
 _BASE: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
-class _Text(str):
+class _QuotedString(str):
     """Free text, quoted so that no reader converts it to another type."""
 
 
-class _Written(str):
+class _PlainScalar(str):
     """A quantity, written without quotes even if it is only a number."""
 
 
@@ -57,10 +57,10 @@ class _Dumper(_BASE):
 
 
 _Dumper.add_representer(
-    _Text, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", str(value), style='"')
+    _QuotedString, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", str(value), style='"')
 )
 _Dumper.add_representer(
-    _Written,
+    _PlainScalar,
     lambda dumper, value: dumper.represent_scalar(
         dumper.resolve(yaml.ScalarNode, str(value), (True, False)), str(value)
     ),
@@ -69,7 +69,8 @@ _Dumper.add_representer(
 _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:yaml.org,2002:str", value))
 
 
-def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[Place, Kind]) -> dict[str, Any]:
+def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[KeyPath, Kind]) -> dict[str, Any]:
+    """Return the explicitly set values by key; `kinds`: those of the quantities whose kind depends on another key."""
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
     kinds = {**kinds, **type(settings).kinds_from_other_keys(values)}
     result: dict[str, Any] = {}
@@ -77,14 +78,14 @@ def _given_values(settings: Settings, structure: Structure | None, kinds: Mappin
         value, quantity = values[name], quantity_at(field)
         if value is None or value == () or (name not in settings.model_fields_set and name != "kind"):
             continue
-        inner_kinds = {place[1:]: kind for place, kind in kinds.items() if place[0] == name and place[1:]}
+        inner_kinds = {path[1:]: kind for path, kind in kinds.items() if path[0] == name and path[1:]}
         if quantity is not None:
             kind = kinds.get((name,), quantity.kinds[0])
-            content: Any = _spell(value, kind, settings.written.get(name))
+            content: Any = _format(value, kind, settings.written.get(name))
         elif isinstance(settings, Matrices):
             content = [list(row) for row in value]
         elif name == "body" or (name == "at" and isinstance(settings, Channel)):
-            content = _label(value, structure)
+            content = _body_name(value, structure)
         elif isinstance(value, tuple):
             content = [_given_values(item, structure, {}) if isinstance(item, Settings) else item for item in value]
         else:
@@ -95,19 +96,19 @@ def _given_values(settings: Settings, structure: Structure | None, kinds: Mappin
     return result
 
 
-def _spell(value: Any, kind: Kind, previous: Any) -> Any:
+def _format(value: Any, kind: Kind, previous: Any) -> Any:
     if isinstance(value, tuple):
-        spellings = (
+        notations = (
             previous if isinstance(previous, list | tuple) and len(previous) == len(value) else (None,) * len(value)
         )
-        return [_spell(number, kind, spelling) for number, spelling in zip(value, spellings, strict=True)]
-    return _Written(shortest_spelling(value, kind, previous if isinstance(previous, str) else None))
+        return [_format(number, kind, notation) for number, notation in zip(value, notations, strict=True)]
+    return _PlainScalar(shortest_notation(value, kind, previous if isinstance(previous, str) else None))
 
 
-def _label(place: Any, structure: Structure | None) -> Any:
+def _body_name(body: Any, structure: Structure | None) -> Any:
     if structure is None or structure.names is None:
-        return list(place) if isinstance(place, tuple) else place
-    return [structure.label(body) for body in place] if isinstance(place, tuple) else structure.label(place)
+        return list(body) if isinstance(body, tuple) else body
+    return [structure.label(number) for number in body] if isinstance(body, tuple) else structure.label(body)
 
 
 def _si_values(settings: Settings) -> dict[str, Any]:
@@ -120,7 +121,7 @@ def _si_values(settings: Settings) -> dict[str, Any]:
         if isinstance(settings, Matrices):
             content: Any = [list(row) for row in value]
         elif name == "name":
-            content = _Text(value)
+            content = _QuotedString(value)
         else:
             content = _si_value(value, quantity)
         result[field.alias or name] = content
@@ -133,6 +134,6 @@ def _si_value(value: Any, quantity: Quantity | None) -> Any:
     if isinstance(value, tuple):
         return [_si_value(item, quantity) for item in value]
     if isinstance(value, float) and quantity is not None:
-        # With several kinds another key decides; a bare number is in the SI unit of that kind.
+        # If another key decides the kind of the quantity, a number without a unit is read in SI.
         return si_text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value
     return value

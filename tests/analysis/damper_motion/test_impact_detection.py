@@ -7,7 +7,7 @@ import pytest
 
 import daq
 import rig
-from analysis.damper_motion.impact_detection import impacts
+from analysis.damper_motion.impact_detection import detect_impacts
 from analysis.damper_motion.landing_pulse import landing_pulse
 from analysis.damper_motion.matching_pursuit import DETECTION_MARGIN_SIGMAS, DETECTION_SIGMAS
 from analysis.responses.systematic import tolerance
@@ -48,7 +48,7 @@ def record_jumps(path, quantity="displacement", noise=2e-8, count=300):
 def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
     path, times, jumps = record_jumps(tmp_path / "a.mcap", quantity)
     with daq.open(path) as rec:
-        detected = impacts(rec, "body1")
+        detected = detect_impacts(rec, "body1")
     detectable_jumps = abs(jumps) > detected.threshold
     f1, _, matched = score(detected.time, times, 2.0 / RATE)
     assert f1 > 0.98 and matched[detectable_jumps].mean() > 0.98
@@ -63,7 +63,7 @@ def test_point_samples_of_acceleration_are_rejected(tmp_path):
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE)]
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.zeros((1, 4000)), [])
     with daq.open(path) as rec, pytest.raises(RecordingError, match="at instants"):
-        impacts(rec, "body1")
+        detect_impacts(rec, "body1")
 
 
 SENSOR = {"sensitivity": 0.0102, "noise": 1.96e-4, "resonance": 30e3, "low_cutoff": 0.5}
@@ -106,7 +106,7 @@ def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
         assert rec.channels["body1"].quantity == quantity
         for body in (1, 2, 3):
             start = rec.samples - int(3 * rec.rate)
-            detected = impacts(rec, f"body{body}", start)
+            detected = detect_impacts(rec, f"body{body}", start)
             times, jumps = true_impacts(rec, body)
             inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
             expected = inner & (jumps > detected.threshold)
@@ -127,7 +127,7 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         start = rec.samples // 2
-        detected = impacts(rec, "body1", start)
+        detected = detect_impacts(rec, "body1", start)
         times, jumps = true_impacts(rec, 1)
         inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
         expected = inner & (jumps > detected.threshold)
@@ -151,7 +151,7 @@ def test_integrated_channels_give_body_acceleration(tmp_path):
         recording={"display": False},
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        direct, integrated = (impacts(rec, name, rec.samples // 2) for name in ("direct", "integrated"))
+        direct, integrated = (detect_impacts(rec, name, rec.samples // 2) for name in ("direct", "integrated"))
     _, direct_matched, integrated_matched = score(direct.time, integrated.time, 1.0 / RATE)
     assert direct_matched.sum() > 10
     difference = direct.acceleration[direct_matched] - integrated.acceleration[integrated_matched]
@@ -171,7 +171,7 @@ def test_threshold_is_proportional_to_noise(tmp_path):
             recording={"display": False},
         )
         with daq.open(daq.record(scene, tmp_path / f"{noise}.mcap")) as rec:
-            thresholds.append(impacts(rec, "body1").threshold)
+            thresholds.append(detect_impacts(rec, "body1").threshold)
     assert thresholds[1] / thresholds[0] == pytest.approx(10.0, rel=0.15)
 
 
@@ -180,7 +180,7 @@ def test_noise_alone_gives_no_impact(tmp_path):
     for noise in (1e-8, 1e-7):
         path, _, _ = record_jumps(tmp_path / "a.mcap", noise=noise, count=0)
         with daq.open(path) as rec:
-            detected = impacts(rec, "body1")
+            detected = detect_impacts(rec, "body1")
         assert detected.time.size == 0
         assert detected.threshold == pytest.approx((DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS) * detected.noise)
         thresholds.append(detected.threshold)
@@ -194,7 +194,7 @@ def test_slow_motion_gives_no_impact(tmp_path):
     delta_sigma = {"rate": RATE, "delay": 38.0, "cutoff": 0.5, "beta": 11.0}
     infos = [ChannelInfo("body1", "body 1", "acceleration", 1.0, RATE, filter=delta_sigma)]
     with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples[None], [])) as rec:
-        detected = impacts(rec, "body1")
+        detected = detect_impacts(rec, "body1")
     assert detected.time.size == 0 and not len(detected.unsearched)
 
 
@@ -210,7 +210,7 @@ def record_zeros(path, quantity, count):
 def test_constant_reading_gives_no_impact(tmp_path, quantity):
     # The motion is below the resolution of the converter.
     with daq.open(record_zeros(tmp_path / "a.mcap", quantity, count=3)) as rec:
-        assert not impacts(rec, "body1").time.size
+        assert not detect_impacts(rec, "body1").time.size
 
 
 def test_empty_channel_is_reported(tmp_path):
@@ -218,13 +218,13 @@ def test_empty_channel_is_reported(tmp_path):
         daq.open(record_zeros(tmp_path / "a.mcap", "displacement", count=0)) as rec,
         pytest.raises(RecordingError, match="body1: reads zero throughout"),
     ):
-        impacts(rec, "body1")
+        detect_impacts(rec, "body1")
 
 
 def test_too_few_samples_are_reported(tmp_path):
     path, _, _ = record_jumps(tmp_path / "a.mcap", count=0)
     with daq.open(path) as rec, pytest.raises(RecordingError, match="Take at least 96"):
-        impacts(rec, "body1", 0, 50)
+        detect_impacts(rec, "body1", 0, 50)
 
 
 def record_tone(path, chain, converter, dampers, frequency=49.0):
@@ -259,7 +259,7 @@ def test_finite_duration_impacts_lie_within_errors(tmp_path, chain, converter, d
     damper = {"clearance": 0.98e-3, "restitution": restitution, "contact": {"duration": duration}}
     with daq.open(record_tone(tmp_path / "a.mcap", chain, converter, [damper], frequency)) as rec:
         [window] = [marker for marker in rec.markers if marker.kind == "measure"]
-        detected = impacts(rec, "body2", window.first_sample, window.stop)
+        detected = detect_impacts(rec, "body2", window.first_sample, window.stop)
         touches = rec.events[rec.events["kind"] == "touch"]
         gap = rec.truth("gap")[0, (touches["time"] * rec.rate).astype(int)]
         sensitivity_tolerance = tolerance(rec.channels["body2"])
@@ -287,16 +287,16 @@ def test_too_coarse_samples_are_reported(tmp_path):
         daq.open(record_tone(tmp_path / "a.mcap", {}, {"rate": 5120.0, **converter}, [damper])) as rec,
         pytest.raises(RecordingError, match="at instants"),
     ):
-        impacts(rec, "body2")
+        detect_impacts(rec, "body2")
     with daq.open(record_tone(tmp_path / "b.mcap", {}, {"rate": 51200.0, **converter}, [damper])) as rec:
-        assert impacts(rec, "body2", rec.samples // 2).time.size > 10
+        assert detect_impacts(rec, "body2", rec.samples // 2).time.size > 10
 
 
 def test_equal_dampers_in_body_are_both_detected(tmp_path):
     contact = {"restitution": 0.0, "contact": {"duration": 1e-3}}
     dampers = [{"clearance": np.inf, **contact}, {"clearance": 0.4e-3, **contact}]
     with daq.open(record_tone(tmp_path / "a.mcap", {}, {"rate": 51200.0}, dampers)) as rec:
-        detected = impacts(rec, "body2", rec.samples // 2)
+        detected = detect_impacts(rec, "body2", rec.samples // 2)
         touches = rec.events[rec.events["kind"] == "touch"]
     f1, matched, _ = score(detected.time, touches["time"][touches["time"] > detected.time[0] - 1e-3], 2e-4)
     assert matched.all() and f1 > 0.9
@@ -311,13 +311,13 @@ def test_different_contacts_in_body_are_reported(tmp_path):
             RecordingError, match="body 2: contact durations or restitutions of floor, ceiling or dampers differ"
         ),
     ):
-        impacts(rec, "body2")
+        detect_impacts(rec, "body2")
 
 
 def test_long_contact_gives_no_false_impact(tmp_path):
     damper = {"clearance": np.inf, "restitution": 0.0, "contact": {"duration": 12e-3}}
     with daq.open(record_tone(tmp_path / "a.mcap", {}, {"rate": 5120.0}, [damper])) as rec:
-        detected = impacts(rec, "body2", rec.samples // 2)
+        detected = detect_impacts(rec, "body2", rec.samples // 2)
         touches = rec.events[rec.events["kind"] == "touch"]["time"]
     assert score(detected.time, touches, 3e-3)[1].all()
 
@@ -331,13 +331,13 @@ def test_every_time_is_matched_once():
 def test_overloaded_channel_gives_no_impact(tmp_path):
     scene = rig.load("fig9", {"test": {"kind": "sine", "frequency": "49 Hz", "force": "3.3 N", "duration": "1 s"}})
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        without_overload = impacts(rec, "body2")
+        without_overload = detect_impacts(rec, "body2")
         end = int(0.2 * rec.samples)
         rec.markers.append(Marker("overload", 0, end, {"channel": "body2"}))
-        with_overload = impacts(rec, "body2")
+        with_overload = detect_impacts(rec, "body2")
         rec.markers.append(Marker("overload", 0, int(0.7 * rec.samples), {"channel": "body2"}))
         with pytest.raises(RecordingError, match="lost or overloaded"):
-            impacts(rec, "body2")
+            detect_impacts(rec, "body2")
     assert without_overload.unsearched.shape == (0, 2)
     assert with_overload.unsearched[0, 0] == 0.0 and with_overload.unsearched[0, 1] > end / rec.rate
     assert not ((with_overload.time > 0.0) & (with_overload.time < end / rec.rate)).any()

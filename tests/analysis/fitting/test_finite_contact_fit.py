@@ -31,7 +31,7 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
     initial_scene = with_values(
         scene,
         {
-            parameter.place: parameter.start * deviation
+            parameter.key_path: parameter.start * deviation
             for parameter, deviation in zip(parameters, deviations, strict=True)
         },
     )

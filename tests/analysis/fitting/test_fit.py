@@ -200,7 +200,7 @@ def test_inserted_values_leave_other_values_unchanged():
     scene = with_ratio_per_mode(rig.load("fig9"))
     parameters = free_parameters(scene)
     changed = with_values(
-        scene, {parameter.place: 2.0 * parameter.start for parameter in parameters if parameter.quantity != "modal"}
+        scene, {parameter.key_path: 2.0 * parameter.start for parameter in parameters if parameter.quantity != "modal"}
     )
     assert changed.structure.masses == tuple(2.0 * m for m in scene.structure.masses)
     assert changed.dampers[0].clearance == 2.0 * scene.dampers[0].clearance

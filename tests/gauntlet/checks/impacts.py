@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import Impacts, impacts
+from analysis.damper_motion.impact_detection import Impacts, detect_impacts
 from analysis.responses.systematic import tolerance
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array
@@ -38,7 +38,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     [window] = [marker for marker in recording.markers if marker.kind == "measure"]
     low, high = window.first_sample / recording.rate + _MARGIN_S, window.stop / recording.rate - _MARGIN_S
     for number, damper in enumerate(case.scene.dampers, 1):
-        detected = impacts(recording, f"a{damper.body}", window.first_sample, window.stop)
+        detected = detect_impacts(recording, f"a{damper.body}", window.first_sample, window.stop)
         time, jump = true_impacts(case, number)
         is_compared = (time > low) & (time < high) & detectable(time, jump, detected)
         is_compared &= ~_is_in_excluded_interval(time, detected.unsearched)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import impacts
+from analysis.damper_motion.impact_detection import detect_impacts
 from analysis.damper_motion.motion_types import damper_motion
 from analysis.responses.stepped_sine import sweeps
 from rig.numerics.runs import runs_of
@@ -61,7 +61,7 @@ def _true_type(case: Case, number: int, frequency: float, first: int, stop: int)
         return "riding"
     time, jump = true_impacts(case, number)
     is_counted = (time >= first / recording.rate) & (time < stop / recording.rate)
-    detected = impacts(recording, f"a{case.scene.dampers[number - 1].body}", first, stop)
+    detected = detect_impacts(recording, f"a{case.scene.dampers[number - 1].body}", first, stop)
     # A detection next to a larger impact belongs to that impact.
     matched = score(detected.time, time, MAX_DISTANCE_SAMPLES / recording.rate)[2]
     matched[matched] = [

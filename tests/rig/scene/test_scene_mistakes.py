@@ -249,7 +249,7 @@ MISTAKES = [
      ":2: dampers[1].body: no body has the name 'amr'. Did"),
     (NAMED_BODIES + "channels: [{name: a, at: body wing}]",
      ":2: channels[1].at: no body has the name 'wing'; expected one of base, arm"),
-    (NAMED_BODIES.replace("arm", "table"), ':1: structure.masses.table: "table" already means another place'),
+    (NAMED_BODIES.replace("arm", "table"), ':1: structure.masses.table: "table" already means another location'),
     (NAMED_BODIES.replace("arm", "a b"), ':1: structure.masses.a b: "a b" is not a name for a body'),
     (NAMED_BODIES.replace("1 kg", "1 kN"), ':1: structure.masses.arm: got "1 kN"; expected a mass such as 74 g'),
     ("structure: {names: [a, a], matrices: {mass: [[1, 0], [0, 1]], stiffness: [[1, 0], [0, 1]]}}",

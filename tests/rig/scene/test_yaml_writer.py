@@ -24,7 +24,7 @@ from rig.scene.quantities import (
     STIFFNESS,
     Kind,
     parse,
-    shortest_spelling,
+    shortest_notation,
 )
 from rig.scene.scene import Scene
 from rig.scene.scene_files import SCENES, bundled_scenes
@@ -188,13 +188,13 @@ def test_recorded_text_is_written_in_customary_units() -> None:
 
 
 def test_computed_frequency_stays_in_hertz() -> None:
-    assert shortest_spelling(60.50019366377975, FREQUENCY) == "60.50019366377975 Hz"
+    assert shortest_notation(60.50019366377975, FREQUENCY) == "60.50019366377975 Hz"
 
 
 @given(positive, st.sampled_from(KINDS))
 def test_written_quantity_is_parsed_without_loss(value: float, kind: Kind) -> None:
-    assert parse(shortest_spelling(value, kind), kind) == value
-    assert parse(shortest_spelling(value, kind, f"1 {kind.si}"), kind) == value
+    assert parse(shortest_notation(value, kind), kind) == value
+    assert parse(shortest_notation(value, kind, f"1 {kind.si}"), kind) == value
 
 
 def test_packaged_schema_is_current() -> None:

@@ -1,4 +1,4 @@
-"""Channels of a task: the settings that a script gives to a terminal, and their checks."""
+"""Channels of a task: their settings and the validation of these settings."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from daq.instrument.errors import Code, DaqError, invalid_value, unsupported
 from daq.instrument.settings.properties import coerce
 from daq.instrument.values import FROM_CUSTOM_SCALE, Coupling, Excitation, TerminalConfiguration
 
-# NI's numbers of values that scripts can only read.
+# Values of read-only properties, with the numbers of NI-DAQmx.
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
 _RIGHT_JUSTIFIED, _BITS = 10279, 10109
-# Errors of the query of limits that a script has reset, because limits have no default.
+# Values of settings that no other module uses.
+_CURRENT, _DC, _SECONDS, _VOLTS, _MAINTAIN_EXISTING_VALUE = 10134, 10050, 10364, 10348, 12528
+# Error codes for reading a limit after it was reset: limits have no default.
 _LIMIT_ERRORS = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}
 
 # Settings of every input, with their defaults; the numbers of named values are those of NI-DAQmx.
@@ -31,8 +33,8 @@ _INPUT: dict[str, Any] = {
     "ai_custom_scale_name": "",
     "ai_excit_src": Excitation.NONE,
     "ai_excit_val": 0.0,
-    "ai_excit_voltage_or_current": 10134,
-    "ai_excit_d_cor_ac": 10050,
+    "ai_excit_voltage_or_current": _CURRENT,
+    "ai_excit_d_cor_ac": _DC,
     "ai_excit_use_for_scaling": False,
     "ai_excit_use_multiplexed": False,
     "ai_is_teds": False,
@@ -43,7 +45,7 @@ _INPUT: dict[str, Any] = {
     "ai_chan_cal_enable_cal": False,
     "ai_chan_cal_has_valid_cal_info": False,
     "ai_filter_delay_adjustment": 0.0,
-    "ai_filter_delay_units": 10364,
+    "ai_filter_delay_units": _SECONDS,
     "ai_dc_offset": 0.0,
     "chan_descr": "",
     "chan_is_global": False,
@@ -52,12 +54,12 @@ _INPUT: dict[str, Any] = {
 _OUTPUT: dict[str, Any] = {
     "ao_min": -10.0,
     "ao_max": 10.0,
-    "ao_voltage_units": 10348,
+    "ao_voltage_units": _VOLTS,
     "ao_custom_scale_name": "",
     "ao_term_cfg": TerminalConfiguration.DEFAULT,
     "ao_output_type": VOLTAGE,
     "ao_resolution_units": _BITS,
-    "ao_idle_output_behavior": 10164,
+    "ao_idle_output_behavior": _MAINTAIN_EXISTING_VALUE,
     "ao_dac_ref_allow_conn_to_gnd": False,
     "ao_use_only_on_brd_mem": False,
     "chan_descr": "",
@@ -74,8 +76,8 @@ class Channel:
     module: Module
     bench_index: int  # index of the bench's channel or output at the terminal
     measurement: Measurement | None  # None for an output
-    defaults: dict[str, Any]  # by NI's names of the properties
-    settings: dict[str, Any]  # by NI's names of the properties
+    defaults: dict[str, Any]  # by NI-DAQmx property name
+    settings: dict[str, Any]  # by NI-DAQmx property name
     unset_limits: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
@@ -89,7 +91,7 @@ class Channel:
         bench_index, defaults = module.bench_index("ao" if measurement is None else "ai", port.number), dict(_OUTPUT)
         if measurement is not None:
             defaults = _INPUT | measurement.defaults()
-            # AC coupling is the default if the module supplies the sensor and its supply requires AC coupling.
+            # AC coupling is the default if the module provides IEPE excitation, which requires AC coupling.
             requires_ac = given.get("ai_excit_src") == Excitation.INTERNAL and module.supply_coupling == "AC"
             defaults["ai_coupling"] = Coupling.AC if requires_ac else module.couplings[0]
         if measurement is not None and measurement.type == MICROPHONE:

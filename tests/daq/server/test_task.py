@@ -13,6 +13,7 @@ from nidaqmx.constants import (
     READ_ALL_AVAILABLE,
     AccelUnits,
     AcquisitionType,
+    AOIdleOutputBehavior,
     EveryNSamplesEventType,
     ReadRelativeTo,
     RegenerationMode,
@@ -218,7 +219,8 @@ def test_samples_without_regeneration_are_generated_once(chassis):
 
 def test_last_output_value_is_held(chassis):
     with Task() as output_task, Task() as input_task:
-        output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        output = output_task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        assert output.ao_idle_output_behavior == AOIdleOutputBehavior.MAINTAIN_EXISTING_VALUE
         assert output_task.write(1.1) == 1
         add_inputs(input_task, "Dev1/ai3", samps_per_chan=400)
         assert np.ptp(input_task.read(READ_ALL_AVAILABLE)) > 1.0

@@ -11,13 +11,13 @@ from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solve
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
 
-# Smallest relative half width of a 95 % interval along a principal axis that is reported.
+# A combination of values is reported if the relative half-width of its 95 % interval is at least this.
 _MIN_HALF_WIDTH = 0.02
-# Smallest component of a principal axis whose value is named, relative to the largest component.
+# A value is listed in a combination if its component is at least this fraction of the largest component.
 _MIN_COMPONENT_RATIO = 0.3
-# Smallest correlation of the errors of a value and a sensor at which the sensor is named.
+# A sensor is named if its error correlates with that of a value at least this strongly.
 _MIN_CORRELATION = 0.7
-# Largest relative half width of a 95 % interval of damping that is determined.
+# Damping is determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5
 
 
@@ -30,7 +30,7 @@ class LevelDamping:
     acceleration: float  # largest acceleration of a measured body, m/s²
     keys: tuple[str, ...]  # keys of the damping in the scene
     value: Array  # in SI; NaN where the sweep does not determine it, shape (keys,)
-    bound: Array  # half width of the 95 % interval, shape (keys,)
+    bound: Array  # half-width of the 95 % interval, shape (keys,)
 
 
 def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDamping, ...]:
@@ -48,8 +48,9 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         jacobian = problem.jacobian(x, [group], 0.0, active)
         residuals = problem.residual(x, [group])[: -problem.size]
         variance = max(float(np.mean(residuals**2)), 1.0)
-        root = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
-        half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(root, axis=1)
+        # The covariance is inverse_r inverse_r^T, with the factor R of the QR decomposition.
+        inverse_r = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
+        half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(inverse_r, axis=1)
         value, is_determined = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
         acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
         value, bound = np.where(is_determined, value, np.nan), np.where(is_determined, value * half_width, np.nan)
@@ -62,11 +63,11 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
 def coupled_values(
     problem: Problem, estimated: Estimate, statuses: Sequence[str], largest_gaps: Mapping[int, float]
 ) -> tuple[str, ...]:
-    """Describe the values that the data do not determine, then the combinations, widest interval first.
+    """Describe the values that the data do not determine, then the poorly determined combinations, worst first.
 
     The combinations are the principal axes of the covariance of the parameters' unknowns (see `problem`). `statuses`:
-    as in `Fitted`. `largest_gaps`: lower limits [m] of clearances without ceiling impacts, by the index of the
-    parameter.
+    as in `Fitted`. `largest_gaps`: by parameter, the largest gap [m] of a damper that never hit its ceiling, which is a
+    lower bound of its clearance.
     """
     count, moving = len(problem.parameters), any(group.orbits is not None for group in problem.groups)
     determined = [k for k in range(count) if statuses[k] != "undetermined"]

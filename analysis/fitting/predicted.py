@@ -1,4 +1,7 @@
-"""Response that a scene predicts for the test of a recording with all dampers at rest, in closed form."""
+"""Response that a scene predicts for the test of a recording, in closed form, with all dampers *riding*.
+
+Riding dampers rest on the floors of their cavities and move with their bodies.
+"""
 
 from __future__ import annotations
 
@@ -45,11 +48,11 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
 def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return displacement / reference of the bodies and of the beds (the masses of dampers) that could lift off.
 
-    A bed with finite-duration contact moves on the spring of its floor, so that it lifts off at another acceleration.
+    A bed with finite-duration contact moves on the spring of its floor: its own motion, not its body's, lifts it off.
     The shapes are (bodies, frequencies) and (beds, frequencies).
     """
     system = assemble(test_scene)
-    states = riding_response(system, _driven_place(test_scene), 2.0 * np.pi * frequency)
+    states = riding_response(system, _excitation_point(test_scene), 2.0 * np.pi * frequency)
     if curves.reference == "table":
         states = states / states[system.points.index(test_scene.at_driven("table"))]
     beds = states[system.damper_coordinate]
@@ -69,44 +72,44 @@ def linear_derivatives(
     are (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
     """
     system = assemble(test_scene)
-    equations = riding_equations(system, _driven_place(test_scene))
-    inertia, matrix, _ = equations
+    equations = riding_equations(system, _excitation_point(test_scene))
+    descriptor_matrix, state_matrix, _ = equations
     omega = 2.0 * np.pi * frequency
-    states = riding_response(system, _driven_place(test_scene), omega)
-    # Derivative of the equations (j omega inertia - matrix) states = inflow: by omega first, then by each value.
-    right_sides = [-1j * (inertia @ states)]
+    states = riding_response(system, _excitation_point(test_scene), omega)
+    # Derivative of the equations (j omega E - G) x = b with respect to omega first, then to each value.
+    right_sides = [-1j * (descriptor_matrix @ states)]
     if not test_scene.dampers:
         equations = _structure_equations(test_scene, system.states)
     for changed_scene, change in changed_scenes:
         if test_scene.dampers:
-            changed_equations = riding_equations(assemble(changed_scene), _driven_place(changed_scene))
+            changed_equations = riding_equations(assemble(changed_scene), _excitation_point(changed_scene))
         else:
             changed_equations = _structure_equations(changed_scene, system.states)
         pairs = zip(equations, changed_equations, strict=True)
-        by_inertia, by_matrix, by_inflow = ((new - old) / change for old, new in pairs)
-        right_sides.append(by_matrix @ states + by_inflow[:, None] - 1j * omega * (by_inertia @ states))
-    dynamic_stiffness = 1j * omega[:, None, None] * inertia - matrix
-    solution = np.linalg.solve(dynamic_stiffness, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
+        d_descriptor, d_state, d_input = ((new - old) / change for old, new in pairs)
+        right_sides.append(d_state @ states + d_input[:, None] - 1j * omega * (d_descriptor @ states))
+    system_matrix = 1j * omega[:, None, None] * descriptor_matrix - state_matrix
+    solution = np.linalg.solve(system_matrix, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
     bodies = test_scene.structure.bodies
     derivatives = solution[:, :bodies]
     if curves.reference == "table":
         table = system.points.index(test_scene.at_driven("table"))
-        ratio = states[:bodies] / states[table]
-        derivatives = (derivatives - ratio * solution[:, table, None]) / states[table]
+        transmissibility = states[:bodies] / states[table]
+        derivatives = (derivatives - transmissibility * solution[:, table, None]) / states[table]
     return np.asarray(derivatives[1:]), np.asarray(2.0 * np.pi * derivatives[0])
 
 
 def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, Array]:
-    """Return `riding_equations` without dampers, with zeros where fitted values have no effect; this is faster."""
+    """Return `riding_equations` without dampers; only blocks with fitted values are filled, which is faster."""
     mass, damping, stiffness = matrices_without_free_beds(test_scene)
     n = len(mass)
-    inertia, matrix = np.zeros((2, states, states))
-    inertia[n : 2 * n, n : 2 * n] = mass
-    matrix[n : 2 * n, :n], matrix[n : 2 * n, n : 2 * n] = -stiffness, -damping
-    return inertia, matrix, np.zeros(states)
+    descriptor_matrix, state_matrix = np.zeros((2, states, states))
+    descriptor_matrix[n : 2 * n, n : 2 * n] = mass
+    state_matrix[n : 2 * n, :n], state_matrix[n : 2 * n, n : 2 * n] = -stiffness, -damping
+    return descriptor_matrix, state_matrix, np.zeros(states)
 
 
-def _driven_place(test_scene: Scene) -> str:
-    """Return the place that is driven: the hammer, or the shaker of the test."""
+def _excitation_point(test_scene: Scene) -> str:
+    """Return the excitation point: the hammer, or the driven shaker of the test."""
     has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
     return "hammer" if has_hammer else test_scene.at_driven("shaker")

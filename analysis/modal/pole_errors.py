@@ -1,4 +1,4 @@
-"""Uncertainty of identified poles: random errors from the residuals of the model, and limits of systematic errors.
+"""Uncertainty of identified poles: random errors from the residuals of the model, and bounds of systematic errors.
 
 The parameters of a pole are the logarithm of its decay rate, and its damped frequency in units of the decay rate.
 """
@@ -22,18 +22,18 @@ _STIFFNESS_ERRORS = (SENSITIVITY, CLOCK)
 _PHASE_ERRORS = (ALIASING,)
 # Systematic errors that may change the width of a peak.
 _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
-# Largest distance from a pole at which systematic errors are evaluated, in halves of the half-power bandwidth
-# (half-widths).
+# Systematic errors are evaluated up to this distance from a pole, in half-widths (halves of the half-power bandwidth).
 _FLANK_HALF_WIDTHS = 10.0
-# Increase of a fitted half-width by leakage of a Hann window, in units of the squared resolution over the half-width.
+# Increase of a fitted half-width due to leakage of a Hann window, in units of the squared resolution over the
+# half-width.
 LEAKAGE_FACTOR = 0.16
-# Largest increase of a half-width by leakage, as a multiple of the resolution.
+# Largest increase of a half-width due to leakage, as a multiple of the resolution.
 _MAX_WIDENING = 0.5
 # Largest frequency error of a peak that is narrower than the resolution, as a multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0
-# Largest distance of lines that may have common errors, in correlation lengths of the residual.
+# Lines may have common errors up to this distance, in correlation lengths of the residual.
 _CORRELATION_LENGTHS = 3.0
-# Smallest misfit, relative to its expected value, at which the residual shows the correlation of the curves' errors.
+# If the misfit is below this fraction of its expected value, the residual does not show the correlation of the errors.
 _MIN_NOISE_RATIO = 0.3
 # Smallest relative uncertainty of a damping ratio, and of a frequency relative to the half-width. Errors of a curve
 # that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
@@ -89,16 +89,16 @@ def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Arr
 
 
 def systematic_pole_errors(
-    frfs: Sequence[Response], poles: ComplexArray, included: Sequence[str] = ()
+    frfs: Sequence[Response], poles: ComplexArray, already_counted: Sequence[str] = ()
 ) -> tuple[Array, Array]:
-    """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
+    """Return bounds of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
-    A relative error d of the curve at s, of which the constant part has no effect, shifts the pole p by ``d |s - p|``.
-    Gain errors of the two readings of a spring force cause such a shift, like a stiffness error. An error at the peak
-    alone, and the leakage of a window, may also change its width. The errors `included` are omitted, because the random
-    errors already contain them.
+    A relative error d(s) of a curve shifts the pole p by up to ``d |s - p|``; a constant error only scales the curve.
+    For example, unequal gains at the two ends of a spring act like an error of its stiffness. An error at the peak
+    alone, and the leakage of a window, may also change the width of the peak. The errors `already_counted` are left
+    out, because the random errors contain them.
     """
-    width_errors = tuple(name for name in _WIDTH_ERRORS if name not in included)
+    width_errors = tuple(name for name in _WIDTH_ERRORS if name not in already_counted)
     half_width_hz = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
     frequency_error = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
@@ -121,14 +121,14 @@ def systematic_pole_errors(
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:
     """Return the root sum of squares of some systematic errors, relative to the curve; shape (n,)."""
-    limits = [curve.limits[name] for name in names if name in curve.limits]
+    bounds = [curve.limits[name] for name in names if name in curve.limits]
     return np.asarray(
-        np.linalg.norm([np.zeros(curve.value.size), *limits], axis=0) / np.maximum(abs(curve.value), 1e-300)
+        np.linalg.norm([np.zeros(curve.value.size), *bounds], axis=0) / np.maximum(abs(curve.value), 1e-300)
     )
 
 
 def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
-    """Compute the shift of a pole, Hz, by relative errors of a curve at lines of given distances from the pole, Hz."""
+    """Compute the shift of a pole, Hz, due to relative errors of a curve at given distances [Hz] from the pole."""
     bounded = np.isfinite(error)
     if not bounded.any():
         return float("inf")
@@ -141,9 +141,9 @@ def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
 def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array, Array]:
     """Return factors F of the covariance ``F F^T`` of the parameters for the three estimates of `pole_errors`.
 
-    Errors of the reference cause equal relative errors of all responses at a line. The poles follow them, so that the
-    misfit hardly increases. They are at most the errors of the most precise response. The factors have the shape
-    (parameters, columns).
+    Errors of the reference cause equal relative errors of all responses at a line. The fitted poles adapt to them, so
+    that the misfit hardly increases. These errors are at most those of the most precise response. The factors have the
+    shape (parameters, columns).
     """
     parameters = model.jacobian.shape[0]
     jacobian = model.jacobian.reshape(parameters, -1)
@@ -175,6 +175,6 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     relative = np.divide(1.0, precision, out=np.zeros_like(precision), where=precision > 0.0)
     gradient = np.einsum("pmn,mn->pn", model.jacobian.conj(), curves.weight * curves.value) * relative
     # If the residual is due to the errors of the curves, both have the same correlation between lines.
-    n_lines = length if variance > _MIN_NOISE_RATIO else curves.shared
-    common = inverse @ np.concatenate([gradient.real, gradient.imag], axis=1) * np.sqrt(n_lines)
+    correlated_lines = length if variance > _MIN_NOISE_RATIO else curves.shared
+    common = inverse @ np.concatenate([gradient.real, gradient.imag], axis=1) * np.sqrt(correlated_lines)
     return independent, correlated, np.asarray(common, dtype=float)

@@ -1,11 +1,11 @@
-"""Connects scripts without gRPC options to the rig, through changed defaults of NI's client.
+"""Connects scripts without gRPC options to the rig, by monkey-patching NI's client.
 
-When Python starts, `prepare` changes public names: the client's classes with a parameter `grpc_options` receive default
+When Python starts, `prepare` patches public names: the client's classes with a parameter `grpc_options` receive default
 options, and `System.local` returns `System.remote`. This also applies to child processes of the script, whether forked
 or spawned.
 
-On the fast clock, bench time passes only during calls to the server. `time.sleep` and `input` are therefore replaced by
-such calls; Python has no other public way to do this.
+With the fast clock, simulated time (*bench time*) advances only during calls to the server. `time.sleep` and `input`
+are therefore replaced by such calls; Python has no other public way to do this.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-# Environment variables of the script's process: address of the server; set if the clock is the fast clock; set if the
-# run has a time limit.
-SERVER, FAST, LIMITED = "SHOTRIG_SERVER", "SHOTRIG_FAST", "SHOTRIG_LIMITED"
-# API key of clients that do not share sessions: for them a duplicate name of a task is an error, as in NI's driver.
+# Environment variables of the script's process.
+SERVER = "SHOTRIG_SERVER"  # address of the server
+FAST, LIMITED = "SHOTRIG_FAST", "SHOTRIG_LIMITED"  # set for the fast clock, and for a run with a time limit
+# API key that disables session sharing: a duplicate task name is then an error, as in NI's driver.
 STRICT = "shotrig: no sessions"
-# Connection of each process, by its id.
-_channels: dict[int, Any] = {}
+# Connection (gRPC channel) of each process, by process id.
+_connections: dict[int, Any] = {}
 
 
 def prepare() -> None:
-    """Connect the client to the rig; let bench time pass while the script sleeps (fast clock) or waits for Enter."""
+    """Connect the client to the rig; let bench time advance while the script sleeps (fast clock) or waits for Enter."""
     _set_default_connection()
     if os.environ.get(FAST):
         time.sleep = functools.partial(_pass_bench_time, "Pass")
@@ -71,14 +71,14 @@ def _options() -> Any:
     """Return session options of this process; a duplicate name of a task is an error, as with a local driver."""
     from nidaqmx import GrpcSessionOptions
 
-    return GrpcSessionOptions(_channel(), "", api_key=STRICT)
+    return GrpcSessionOptions(_connection(), "", api_key=STRICT)
 
 
-def _channel() -> Any:
+def _connection() -> Any:
     """Return the connection of this process: a connection opened before a fork belongs to the parent process."""
-    if os.getpid() not in _channels:
-        _channels[os.getpid()] = open_channel(os.environ[SERVER])
-    return _channels[os.getpid()]
+    if os.getpid() not in _connections:
+        _connections[os.getpid()] = open_channel(os.environ[SERVER])
+    return _connections[os.getpid()]
 
 
 def open_channel(address: str) -> Any:
@@ -96,12 +96,12 @@ def open_channel(address: str) -> Any:
 
 
 def _pass_bench_time(call: str, seconds: float = 0.0) -> None:
-    """Send a call, "Pass" or "Prompt", that waits in bench time; see `daq.server.bench_time.BenchTime`."""
-    _channel().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
+    """Send "Pass" (a pause) or "Prompt" (wait for Enter), which end in bench time; see `daq.server.bench_time`."""
+    _connection().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
 
 
 def _wait_for_enter(text: object = "", /) -> str:
-    """Replace `input`: print the prompt, let bench time pass, and return an empty line."""
+    """Replace `input`: print the prompt, let bench time advance, and return an empty line."""
     print(text, end="", flush=True)
     _pass_bench_time("Prompt")
     return ""

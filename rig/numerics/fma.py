@@ -47,29 +47,29 @@ def _fused_lanes(builder: Any) -> Any:
     return cgutils.get_or_insert_function(builder.module, function_type, f"llvm.fma.v{LANES}f64")
 
 
-def _sums(same_rows: bool) -> Any:
+def _sums(shared_rows: bool) -> Any:
     """Return an intrinsic for sums in several registers at a time.
 
-    out[position + 8 c + i] = sum_e rows[row + e stride + 8 c + i] factors[factor + e step] for the lanes i of all
-    registers c; or with `same_rows` sum_e rows[row + e stride + i] factors[factor + e step + c sum_stride].
-    The indices are those of flat arrays.
+    Lane i of register c adds up over the entries e, with indices of flat arrays and L = LANES: out[out_start + L c + i]
+    = sum_e rows[row_start + e stride + L c + i] factors[factor_start + e step]. With `shared_rows`, all registers use
+    the same rows: sum_e rows[row_start + e stride + i] factors[factor_start + e step + c sum_stride].
     """
 
     @intrinsic
     def sums(
-        typing_context: Any, rows: Any, row: Any, stride: Any, factors: Any, factor: Any, step: Any, sum_stride: Any,
-        count: Any, out: Any, position: Any,
+        typing_context: Any, rows: Any, row_start: Any, stride: Any, factors: Any, factor_start: Any, step: Any,
+        sum_stride: Any, count: Any, out: Any, out_start: Any,
     ) -> Any:  # fmt: skip
         integer = types.intp
         signature = types.void(rows, integer, integer, factors, integer, integer, integer, integer, out, integer)
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            rows, row, stride, factors, factor, step, sum_stride, count, out, position = arguments
+            rows, row_start, stride, factors, factor_start, step, sum_stride, count, out, out_start = arguments
             types_of_arguments, index_type = signature.args, count.type
             data = context.make_array(types_of_arguments[3])(context, builder, factors).data
             fma = _fused_lanes(builder)
 
-            def along(begin: Any, c: int, distance: Any) -> Any:
+            def offset_by(begin: Any, c: int, distance: Any) -> Any:
                 """Return the index begin + c distance."""
                 return builder.add(begin, builder.mul(ir.Constant(index_type, c), distance))
 
@@ -81,14 +81,14 @@ def _sums(same_rows: bool) -> Any:
 
             def entries(entry: Any) -> list[tuple[Any, Any]]:
                 """Return for each of the sums the pair of registers (rows, factors) of an entry e."""
-                first = builder.add(row, builder.mul(entry, stride))
-                start = builder.add(factor, builder.mul(entry, step))
-                if same_rows:
+                first = builder.add(row_start, builder.mul(entry, stride))
+                start = builder.add(factor_start, builder.mul(entry, step))
+                if shared_rows:
                     shared = rows_at(first)
-                    return [(shared, factors_at(along(start, c, sum_stride))) for c in range(SUMS_AT_ONCE)]
+                    return [(shared, factors_at(offset_by(start, c, sum_stride))) for c in range(SUMS_AT_ONCE)]
                 shared = factors_at(start)
                 lanes = ir.Constant(index_type, LANES)
-                return [(rows_at(along(first, c, lanes)), shared) for c in range(SUMS_AT_ONCE)]
+                return [(rows_at(offset_by(first, c, lanes)), shared) for c in range(SUMS_AT_ONCE)]
 
             zero = ir.Constant(WIDE, [0.0] * LANES)
             totals = [cgutils.alloca_once_value(builder, zero) for _ in range(SUMS_AT_ONCE)]
@@ -97,8 +97,8 @@ def _sums(same_rows: bool) -> Any:
                 for total, pair in zip(totals, entries(entry), strict=True):
                     builder.store(builder.call(fma, [*pair, builder.load(total)]), total)
             for c, total in enumerate(totals):
-                end = builder.add(position, ir.Constant(index_type, c * LANES))
-                store(context, builder, types_of_arguments[8], out, end, builder.load(total))
+                index = builder.add(out_start, ir.Constant(index_type, c * LANES))
+                store(context, builder, types_of_arguments[8], out, index, builder.load(total))
             return context.get_dummy_value()
 
         return signature, generate
@@ -106,7 +106,7 @@ def _sums(same_rows: bool) -> Any:
     return sums
 
 
-_weighted_sums, _factored_sums = _sums(same_rows=False), _sums(same_rows=True)
+_weighted_sums, _factored_sums = _sums(shared_rows=False), _sums(shared_rows=True)
 
 
 @kernel
@@ -127,12 +127,12 @@ def factored_sums(
 ) -> None:
     """Compute sums of the same rows with different factors.
 
-    out[8 (first + b) + i] = sum_e rows[e, i] factors[start + e step + b sum_stride] for all lanes i and b < count;
-    flat indices of `factors` and `out`. The count is rounded up to a multiple of `SUMS_AT_ONCE`, for which
+    out[LANES (first + b) + i] = sum_e rows[e, i] factors[start + e step + b sum_stride] for all lanes i and b < count;
+    `factors` and `out` are indexed as flat arrays. The count is rounded up to a multiple of `SUMS_AT_ONCE`, for which
     factors and `out` must have room.
 
     `start`: index of the first factor; `step`, `sum_stride`: distances to the factor of the next entry and of the next
-    sum; `first`, `count`: number of the first sum, and number of sums.
+    sum; `first`, `count`: index of the first sum, and number of sums.
     """
     entries = rows.shape[0]
     for first_sum in range(0, count, SUMS_AT_ONCE):

@@ -1,4 +1,4 @@
-"""Motion of the rig's points over a block of drive samples, and the instants of impacts and separations (breaks)."""
+"""Motion of the rig's points over a block of drive samples, and its discontinuities: impacts and separations."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from rig.arrays import Array
 class Motion:
     """Motion of all points at the samples of a block, and at the breaks between them.
 
-    A break is an instant at which a velocity or an acceleration jumps: an impact or a separation.
+    A *break* is a discontinuity of velocity or acceleration.
 
     Attributes
     ----------
     first : int
         Number of the first sample, counted from the start of the run.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
-        m, m/s and m/s^2; at a sample that coincides with a break, the value after it.
+        m, m/s and m/s^2; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper of the scene above its floor, m: 0 if it cannot move; for a bed of grains as in
-        `rig.simulation.simulate.Run`.
+        Height of each damper of the scene above its floor, m: 0 if it cannot move; for a bed of grains, rise of its
+        center of mass.
     contact : ndarray of int8, shape (dampers, samples)
         0 in flight, 1 on the floor (always, if it cannot move), 2 at the ceiling.
     break_sample : ndarray of int64, shape (breaks,)
@@ -37,7 +37,7 @@ class Motion:
     break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
         Before and after the break, m/s and m/s^2.
     events : structured ndarray
-        The impacts and separations among the breaks, as `rig.simulate` lists them.
+        Impacts and separations, as `rig.simulate` lists them.
     """
 
     first: int
@@ -59,7 +59,8 @@ class Motion:
         The block must end at a multiple of `step`. `interval`: sample interval of this motion, s.
         """
         selected = slice(-self.first % step, None, step)
-        # Number of the last retained sample before each break, and the time from it to the last original sample.
+        # Number of the last retained sample before each break (-(-a // b) rounds up), and the time from it to the last
+        # original sample.
         last_before = -(-self.break_sample // step) - 1
         skipped = (self.break_sample - 1 - last_before * step) * interval
         return replace(

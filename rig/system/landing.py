@@ -2,15 +2,16 @@
 
 A damper's bed is its particles, modeled as one mass. A bed of mass m_d hits a wall of a body of mass m_b at the
 relative speed v; no other force acts on either. The wall has the stiffness k and the damping c. With the reduced mass
-m = m_d m_b / (m_d + m_b), w^2 = k / m and the damping ratio z = c / (2 m w), the wall's force is
+m = m_d m_b / (m_d + m_b), omega^2 = k / m and the damping ratio zeta = c / (2 m omega), the wall's force is
 
-    F(t) = m v w e^{-z w t} sin(w_d t + 2 b) / cos b,     sin b = z,  w_d = w cos b
+    F(t) = m v omega exp(-zeta omega t) sin(omega_d t + 2 b) / cos b,   sin b = zeta,  omega_d = omega cos b
 
-(hyperbolic functions above critical damping). It starts with a step to c v at first contact, and is zero again after
+(hyperbolic functions above critical damping). It steps to c v at first contact, and returns to zero after
 
-    T = 2 acos(z) / (w sqrt(1 - z^2)),     acosh and sqrt(z^2 - 1) for z > 1,
+    T = 2 acos(zeta) / (omega sqrt(1 - zeta^2)),     for zeta > 1 with acosh(zeta) and sqrt(zeta^2 - 1),
 
-before the overlap is zero. Then the bed separates at e = exp(-z w T) times its approach speed.
+while the wall is still compressed. There the bed separates. The coefficient of restitution, the ratio of separation to
+approach speed, is exp(-zeta omega T).
 
 References
 ----------
@@ -22,18 +23,18 @@ from __future__ import annotations
 
 import math
 
-#: Time constant c / k of a wall of restitution 0, s, at least the contact duration: the overlap left at separation
+#: Time constant c / k of a wall of restitution 0, s, but at least the contact duration: the remaining compression
 #: decays with it. A contact without adhesion cannot reach restitution 0 exactly, because its dashpot would be
 #: infinitely strong. With 5 ms the restitution is 5 % for a contact of 2 ms, and 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
-def _half_angle(ratio: float) -> float:
-    """Return w T / 2 of a contact with a damping ratio z: acos(z) / sqrt(1 - z^2), or its hyperbolic form."""
-    if ratio == 1.0:
+def _half_phase(zeta: float) -> float:
+    """Return omega T / 2 of a contact: acos(zeta) / sqrt(1 - zeta^2), or its hyperbolic form."""
+    if zeta == 1.0:
         return 1.0
-    root = math.sqrt(abs((1.0 - ratio) * (1.0 + ratio)))
-    return (math.acos(ratio) if ratio < 1.0 else math.acosh(ratio)) / root
+    root = math.sqrt(abs((1.0 - zeta) * (1.0 + zeta)))
+    return (math.acos(zeta) if zeta < 1.0 else math.acosh(zeta)) / root
 
 
 def damping_ratio(duration: float, restitution: float) -> float:
@@ -46,12 +47,12 @@ def damping_ratio(duration: float, restitution: float) -> float:
     from scipy.optimize import brentq
 
     if restitution == 0.0:
-        # c / k = 2 z / w = z T / (w T / 2) tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
+        # With z for zeta, c / k = 2 z / omega tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
         target = max(RECOVERY_TIME_S / duration, 1.0)
-        return float(brentq(lambda z: z / _half_angle(z) - target, 0.5, 2.0 * target, xtol=1e-15))
+        return float(brentq(lambda z: z / _half_phase(z) - target, 0.5, 2.0 * target, xtol=1e-15))
     target = -math.log(restitution)
-    # z w T tends to z pi for small z and to 2 log(2 z) for large z.
-    return float(brentq(lambda z: 2.0 * z * _half_angle(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
+    # zeta omega T tends to z pi for small z and to 2 log(2 z) for large z.
+    return float(brentq(lambda z: 2.0 * z * _half_phase(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
 
 
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
@@ -64,9 +65,9 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
     >>> [round(value, 9) for value in duration_and_restitution(stiffness, damping, mass=0.04)]
     [0.002, 0.3]
     """
-    ratio = damping_ratio(duration, restitution)
-    angular_frequency = 2.0 * _half_angle(ratio) / duration
-    return mass * angular_frequency**2, 2.0 * ratio * angular_frequency * mass
+    zeta = damping_ratio(duration, restitution)
+    angular_frequency = 2.0 * _half_phase(zeta) / duration
+    return mass * angular_frequency**2, 2.0 * zeta * angular_frequency * mass
 
 
 def duration_and_restitution(stiffness: float, damping: float, mass: float) -> tuple[float, float]:
@@ -75,6 +76,6 @@ def duration_and_restitution(stiffness: float, damping: float, mass: float) -> t
     `stiffness`: N/m; `damping`: N s/m; `mass`: reduced mass of damper and body, kg.
     """
     angular_frequency = math.sqrt(stiffness / mass)
-    ratio = damping / (2.0 * mass * angular_frequency)
-    duration = 2.0 * _half_angle(ratio) / angular_frequency
-    return duration, math.exp(-ratio * angular_frequency * duration)
+    zeta = damping / (2.0 * mass * angular_frequency)
+    duration = 2.0 * _half_phase(zeta) / angular_frequency
+    return duration, math.exp(-zeta * angular_frequency * duration)

@@ -141,19 +141,19 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     rows of the velocities.
     """
     n, ns = system.coordinates, system.states
-    inertia, matrix, input_column = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
+    descriptor_matrix, state_matrix, input_vector = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
     riding = system.damper_coordinate[~system.finite_contact]
     np.add.at(mass, (riding, riding), system.damper_mass[~system.finite_contact])
-    inertia[n : 2 * n, n : 2 * n] = mass
-    matrix[:n, n : 2 * n] = np.eye(n)
+    descriptor_matrix[n : 2 * n, n : 2 * n] = mass
+    state_matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.all_on_floor)
-    matrix[n : 2 * n] = system.force_state + force
-    matrix[2 * n :] = system.rate_state
+    state_matrix[n : 2 * n] = system.force_state + force
+    state_matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)
-    input_column[n : 2 * n] = system.force_drive[:, column]
-    input_column[2 * n :] = system.rate_drive[:, column]
-    return inertia, matrix, input_column
+    input_vector[n : 2 * n] = system.force_drive[:, column]
+    input_vector[2 * n :] = system.rate_drive[:, column]
+    return descriptor_matrix, state_matrix, input_vector
 
 
 def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
@@ -162,14 +162,14 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
     `name`: of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
     """
     n, ns = system.coordinates, system.states
-    inertia, matrix, input_column = riding_equations(system, name)
-    mass = inertia[n : 2 * n, n : 2 * n]
-    matrix[n : 2 * n] = np.linalg.solve(mass, matrix[n : 2 * n])
-    right_side = input_column[:, None].astype(complex)
-    right_side[n : 2 * n, 0] = np.linalg.solve(mass, input_column[n : 2 * n])
+    descriptor_matrix, state_matrix, input_vector = riding_equations(system, name)
+    mass = descriptor_matrix[n : 2 * n, n : 2 * n]
+    state_matrix[n : 2 * n] = np.linalg.solve(mass, state_matrix[n : 2 * n])
+    right_side = input_vector[:, None].astype(complex)
+    right_side[n : 2 * n, 0] = np.linalg.solve(mass, input_vector[n : 2 * n])
     j_omega = 1j * np.asarray(omega)[..., None, None]
     try:
-        states = np.linalg.solve(j_omega * np.eye(ns) - matrix, right_side).astype(np.complex128, copy=False)
+        states = np.linalg.solve(j_omega * np.eye(ns) - state_matrix, right_side).astype(np.complex128, copy=False)
     except np.linalg.LinAlgError:
         raise SceneError(
             f"the undamped rig has no steady state at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its "

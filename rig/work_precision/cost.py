@@ -1,4 +1,4 @@
-"""Cost study of a scene, of methods or of models of its beds of grains: result, table and figure."""
+"""Work-precision study of a scene, of methods or of models of its granular beds: result, table and figure."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ STYLE_OF_METHOD = {
     "scipy LSODA": ("#8bbf6a", "d"),
     "CVODE": ("#6b4fa0", "P"),
     "shooting": ("#c1272d", "*"),
-    "waiting": ("#e8853d", "o"),
+    "waiting": ("#e8853d", "o"),  # time integration to steady state
     "approximate": ("#6b4fa0", "P"),
     "linear": ("#808080", "x"),
     "one mass": ("#c1272d", "*"),
@@ -95,7 +95,7 @@ class Cost(Result):
         study = self.motion
         if study is None:
             return f"{self.scene.name}: models of its beds of grains\n\n{_steady_table(self.steady)}"
-        rows = [("method", "setting", "ms a period", "relative error", "event times / s", "events", "note")]
+        rows = [("method", "setting", "ms per period", "relative error", "event times / s", "events", "note")]
         for point in study.points:
             times = f"{point.event_error:.0e}" if np.isfinite(point.event_error) else ""
             events = ("right" if point.is_correct else "wrong") if np.isfinite(point.error) else "-"
@@ -135,7 +135,7 @@ class Cost(Result):
         return save_with_table(figure, folder / file_stem("cost", self.scene.name), rows)
 
 
-def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str], None] | None = None) -> Cost:
+def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[str], None] | None = None) -> Cost:
     """Measure error and CPU time of every method for a scene, or of every model of its moving beds of grains.
 
     Parameters
@@ -144,18 +144,18 @@ def cost(scene: Scene, frequency: float | None, periods: int, say: Callable[[str
         Drive frequency, Hz; None: see `rig.work_precision.motion_study.default_frequency`.
     periods : int
         Length of the motion; grains are simulated until their motion is steady.
-    say : callable, optional
+    report : callable, optional
         Called with the name of the next computation.
     """
-    say = say or (lambda text: None)
+    report = report or (lambda text: None)
     if spheres_of(scene):
         # Imported here because LAMMPS is optional; scenes with single masses do not need it.
         from rig.work_precision.bed_models import bed_models
 
         tone = default_frequency(scene, assemble(scene)) if frequency is None else frequency
-        return Cost(scene, None, bed_models(scene, tone, say))
-    motion = motion_study(scene, frequency, periods, say)
-    return Cost(scene, motion, steady_study(scene, motion.frequency, say))
+        return Cost(scene, None, bed_models(scene, tone, report))
+    motion = motion_study(scene, frequency, periods, report)
+    return Cost(scene, motion, steady_study(scene, motion.frequency, report))
 
 
 def _compare_methods(points: Sequence[Point]) -> list[str]:
@@ -166,14 +166,14 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
     if not engine:
         return []
     engine_point = min(engine, key=lambda point: point.cpu)
-    lines = [f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms a period."]
+    lines = [f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms per period."]
     if others:
         smallest_error = min(point.error for point in others)
         fastest = min((point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu)
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
             f"Best of the other methods, {fastest.method} ({fastest.setting}): relative error {fastest.error:.0e} in "
-            f"{1e3 * fastest.cpu:.2g} ms a period, {ratio} times as long as the engine."
+            f"{1e3 * fastest.cpu:.2g} ms per period, {ratio} times as long as the engine."
         )
     wrong = sum(np.isfinite(point.error) and not point.is_correct for point in points)
     if wrong:
@@ -198,8 +198,8 @@ def _steady_title(steady: SteadyStudy) -> str:
 def _cells(point: Point) -> tuple[str, str, str, str]:
     """Return method, setting, CPU time in ms and relative error of a point; "-" without a result."""
     has_result = np.isfinite(point.error)
-    cost = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if has_result else ("-", "-")
-    return point.method, point.setting, *cost
+    cost_and_error = (f"{1e3 * point.cpu:.4g}", f"{point.error:.0e}") if has_result else ("-", "-")
+    return point.method, point.setting, *cost_and_error
 
 
 def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
@@ -220,7 +220,8 @@ def _draw_models(cost: Cost) -> Figure:
     with new_figure(5.2, 6.8) as figure:
         axes = figure.subplots()
         draw_points(axes, cost.steady.points, "total CPU time / s")
-        axes.set(ylabel="relative deviation of the compliance from that with grains", title=_steady_title(cost.steady))
+        label = "relative deviation of the compliance from the grain simulation"
+        axes.set(ylabel=label, title=_steady_title(cost.steady))
         for point in cost.steady.points:
             if not np.isfinite(point.error):
                 continue
@@ -256,6 +257,7 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
             marker_size = 12 if marker == "*" else 6
             face = color if point.is_correct else "white"
             axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=marker_size, zorder=3, mfc=face, mew=1.3)
+            # "as called" includes setup, "warm" does not; see `motion_study`.
             if point.setting in (SHORT_STEP_SETTING, "as called", "warm"):
                 text = "guard pause" if point.setting == SHORT_STEP_SETTING else point.setting
                 axes.annotate(

@@ -1,4 +1,4 @@
-"""Work-precision study of a scene's motion: error against CPU time of every method, measured on this machine.
+"""Work-precision study of a scene's motion: error and CPU time of every method, measured on this machine.
 
 The methods are the engine, general solvers, time stepping and penalty springs. The reference is a motion in decimal
 arithmetic.
@@ -35,19 +35,19 @@ from rig.work_precision.high_precision import DIGITS, ExactMotion, events_of, ex
 PERIODS = 20
 #: CPU time after which a method is stopped, s.
 MAX_CPU_S = 10.0
-#: Total CPU time to which fast methods are repeated, s; the fastest repetition counts.
+#: Fast methods are repeated until their total CPU time exceeds this, s; the fastest run counts.
 MIN_MEASURED_CPU_S = 0.05
-#: Contact durations in a period of the drive, for the springs of the penalty method; more for stiffer springs.
+#: Stiffness of the penalty springs, as the ratio of drive period to contact duration.
 CONTACTS_PER_PERIOD = (30, 300, 3000)
 #: Steps per period of time stepping; multiples of the samples per period.
 STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
 #: Samples per period of the engine's sampled drives.
 DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
-#: Longest step of a general solver, in periods of the drive, with the setting that avoids missed events.
+#: Maximum step of a general solver that misses no events, in periods of the drive.
 SHORT_STEP_RATIO = 1 / 40
-#: Label of this setting; it also disables the guard of a wall for a time after a damper leaves it (guard pause).
+#: Label of this setting; it also suspends event detection at a wall after a separation (guard pause).
 SHORT_STEP_SETTING = "rtol 1e-12, step T/40, guard pause"
-#: Smallest ratio of the error of the best method to the error of the reference.
+#: The reference must be this many times as accurate as the best method.
 MIN_REFERENCE_MARGIN = 1e3
 
 T = TypeVar("T")
@@ -64,7 +64,7 @@ class Point:
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
     event_error: float  # largest error of an event's time, s; NaN if there are no events to compare
     is_correct: bool
-    """Whether events and their order are correct for each damper; for the steady state, whether it converged."""
+    """Whether the result is valid: events in the correct order for each damper; for the steady state, convergence."""
     note: str = ""  # remarks, or the reason for a failure
 
 
@@ -148,6 +148,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     frequency = tone.frequency
     duration, rate = periods / frequency, SAMPLES_PER_PERIOD * frequency
 
+    # "as called" includes the setup of a run; "warm" is the propagation with precomputed tables alone.
     def simulate_as_called() -> ComputedMotion:
         return _motion_of(simulate(scene, duration, rate, frequency=frequency), system)
 
@@ -212,7 +213,7 @@ def _motion_of(run: Run, system: HybridSystem, sample_stride: int = 1) -> Comput
 
 
 def _with_prepared_tables(system: HybridSystem, tone: ToneDrive, periods: int) -> Callable[[], ComputedMotion]:
-    """Return a run of the engine whose tables are prepared, so that its time per period is that of a long run."""
+    """Return a run of the engine with precomputed tables, to time the propagation alone, as in a long run."""
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
     initial_state = propagator.snapshot()

@@ -1,4 +1,4 @@
-"""Work-precision study of the steady state: waiting in time integration, shooting, and the approximate method."""
+"""Work-precision study of the steady state: time integration to steady state, shooting, approximate method."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import MIN_REFERENCE_MARGIN, Point, failure_reason, timed
 
-#: Name of the model with another packing of the grains; its deviation is the smallest error that can be resolved.
+#: Name of the model with another packing of the grains; its deviation is the resolution of the errors.
 OTHER_PACKING = "grains, other packing"
-#: Tolerances of the steady state in time integration.
+#: Tolerances of time integration to steady state (method "waiting").
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 #: Relative frequency offsets at which periodic motion is searched if the motion is irregular.
 FREQUENCY_OFFSETS = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
@@ -63,7 +63,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     newton_error = reference.error(orbit.compliance)
     points = [Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type)]
     for tolerance in TOLERANCES:
-        report(f"waiting, {tolerance:.0e}")
+        report(f"time integration to steady state, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
         points.append(
             Point(

@@ -49,7 +49,7 @@ def test_random_force_has_band_and_level() -> None:
 
 
 def test_random_spring_force_has_its_level() -> None:
-    test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "16 s"}
+    test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "8 s"}
     bench_run = run(scene_with(test))
     first, stop, _ = bench_run.marks_of("measure")[0]
     force = force_history(bench_run, first, stop)

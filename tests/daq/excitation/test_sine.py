@@ -165,13 +165,13 @@ def test_controlled_tone_has_its_duration() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "sweep", [{"from": 15.0, "to": 32.0, "spacing": "log"}, {"from": 32.0, "to": 15.0, "spacing": "linear"}]
+    "sweep", [{"from": 15.0, "to": 23.0, "spacing": "log"}, {"from": 32.0, "to": 23.0, "spacing": "linear"}]
 )
 def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
-    bench_run = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "20 s", **sweep}))
+    bench_run = run(scene_with({"kind": "swept_sine", "force": "2.6 N", "duration": "10 s", **sweep}))
     first, stop, fields = bench_run.marks_of("measure")[0]
-    assert stop - first == 20 * RATE
-    assert (fields["from"], fields["to"], fields["duration"]) == (sweep["from"], sweep["to"], 20.0)
+    assert stop - first == 10 * RATE
+    assert (fields["from"], fields["to"], fields["duration"]) == (sweep["from"], sweep["to"], 10.0)
     for fraction in (0.1, 0.5, 0.9):
         middle = first + round(fraction * (stop - first))
         logarithmic = sweep["from"] * (sweep["to"] / sweep["from"]) ** fraction

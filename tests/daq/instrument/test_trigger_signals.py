@@ -57,16 +57,17 @@ def test_edge_before_pretrigger_is_ignored(chassis):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("read_size", [1, 7, 128, 600])
-def test_triggered_record_does_not_depend_on_reads(read_size):
+@pytest.mark.parametrize(("read_size", "samples"), [(1, 100), (7, 100), (128, 600), (600, 600)])
+def test_triggered_record_does_not_depend_on_reads(read_size, samples):
+    pretrigger = samples // 3
     connect("bare-structure", "fast")
     with Task() as input_task, Task() as output_task:
-        add_inputs(input_task, "Dev1/ai3", samps_per_chan=600)
-        input_task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", 200, Slope.RISING, 0.5)
+        add_inputs(input_task, "Dev1/ai3", samps_per_chan=samples)
+        input_task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai3", pretrigger, Slope.RISING, 0.5)
         add_output(output_task, pulse(1000), samps_per_chan=4000)
         output_task.start()
         input_task.start()
-        pieces = [input_task.read(min(read_size, 600 - start)) for start in range(0, 600, read_size)]
+        pieces = [input_task.read(min(read_size, samples - start)) for start in range(0, samples, read_size)]
     table = np.concatenate(pieces)
     connect("bare-structure", "fast")
     with Task() as input_task, Task() as output_task:
@@ -76,7 +77,7 @@ def test_triggered_record_does_not_depend_on_reads(read_size):
         output_task.start()
         untriggered = np.array(input_task.read(READ_ALL_AVAILABLE))
     trigger = int(np.argmax(untriggered > 0.5))
-    assert np.array_equal(table, untriggered[trigger - 200 : trigger + 400])
+    assert np.array_equal(table, untriggered[trigger - pretrigger : trigger - pretrigger + samples])
 
 
 def test_analog_start_begins_above_level(chassis):

@@ -59,7 +59,7 @@ def run_scope(scene, folder, line_at_time, **options):
 def scope_run(tmp_path_factory):
     """Return folder, recording and reported lines of a run with three settings."""
     folder = tmp_path_factory.mktemp("scope")
-    line_at_time = {0.3: "f 12", 0.5: "F 1.5", 12.0: "F 3", 18.0: "f 20.5", 25.0: "q"}
+    line_at_time = {0.3: "f 12", 0.5: "F 1.5", 10.6: "F 3", 13.6: "f 20.5", 18.0: "q"}
     path, lines = run_scope(SCENE, folder, line_at_time)
     return folder, path, lines
 
@@ -218,7 +218,7 @@ def test_end_of_input_closes_the_scope_recording(tmp_path):
 def test_force_with_a_filter_has_receptance_phases(tmp_path, remove_delay):
     converter = {"rate": "5.12 kHz", "filter": "delta_sigma", "remove_delay": remove_delay}
     scene = SCENE.replace(shaker={"kind": "force", "body": 1}, dampers=[], converter=converter)
-    _, lines = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 12.0: "q"})
+    _, lines = run_scope(scene, tmp_path, {0.3: "f 20", 0.5: "F 1.5", 4.0: "q"})
     exact = np.degrees(np.angle(receptance(scene, [20.0])[:, 0]))
     phases = [float(degrees) for degrees in re.findall(r"\((-?\d+)°\)", lines[-1])]
     np.testing.assert_allclose(phases, exact, atol=1.0)

@@ -7,11 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+from nidaqmx.constants import AcquisitionType
 
 import rig
 from daq.server.script import run_script
 from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
+from tests.daq.client import Task, add_inputs, connect
 
 EXAMPLES = ["finite_read", "continuous_read", "impulse_capture", "log_to_recording", "live_control"]
 
@@ -42,7 +44,16 @@ with nidaqmx.Task() as task:
 def test_script_gets_rig_and_arguments(script, capfd):
     path = script(READING_SCRIPT + "    print(len(task.read(10)), sys.argv[1:], __name__)\n")
     assert run_script(path, ["--fast", "x"], "bare-structure", "fast") == 0
-    assert capfd.readouterr().out == "10 ['--fast', 'x'] __main__\n"
+    output = capfd.readouterr()
+    assert output.out == "10 ['--fast', 'x'] __main__\n"
+    # The test of the scene drives the bench.
+    assert "nothing drove the bench" not in output.err
+
+
+def test_missing_drive_is_reported_at_end(script, capfd):
+    path = script(READING_SCRIPT + "    task.read(10)\n")
+    assert run_script(path, scene=rig.load("bare-structure", {"test": None}), clock="fast") == 0
+    assert "nothing drove the bench" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -50,15 +61,14 @@ def test_script_gets_rig_and_arguments(script, capfd):
     [({"test": None}, False, True), ({"test": None}, True, False), ({}, False, False)],
     ids=["nothing drives", "the script drives", "the test drives"],
 )
-def test_missing_drive_is_reported_at_end(changes, is_driven_by_script, is_reported, script, capfd):
-    drive = """
-    with nidaqmx.Task() as out:
-        out.ao_channels.add_ao_voltage_chan(nidaqmx.system.System.local().devices[-1].ao_physical_chans[0].name)
-        out.write(0.1)
-"""
-    path = script(READING_SCRIPT + "    task.read(10)\n" + (drive if is_driven_by_script else ""))
-    assert run_script(path, scene=rig.load("bare-structure", changes), clock="fast") == 0
-    assert ("nothing drove the bench" in capfd.readouterr().err) is is_reported
+def test_bench_without_drive_is_detected(changes, is_driven_by_script, is_reported):
+    chassis = connect(rig.load("bare-structure", changes))
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task, Task() as output:
+        task.read(10)
+        if is_driven_by_script:
+            output.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+            output.write(0.1)
+    assert chassis.was_read_without_drive is is_reported
 
 
 def test_time_limit_sends_ctrl_c(script, capfd):
@@ -90,26 +100,25 @@ def test_clock_advances_while_script_waits_for_enter(script, capfd):
     task.start()
     input("Press Enter to stop. ")
     import time
-    time.sleep(0.5)
+    time.sleep(0.2)
     task.stop()
     print(total)
 """
     )
-    assert run_script(path, scene="bare-structure", clock="fast", seconds=2.0) == 0
+    assert run_script(path, scene="bare-structure", clock="fast", seconds=1.0) == 0
     assert capfd.readouterr().out.startswith("Press Enter to stop. ")
 
 
-@pytest.mark.parametrize("ending, code", [("raise SystemExit(3)", 3), ("raise SystemExit('why')", 1), ("1 / 0", 1)])
+@pytest.mark.parametrize("ending, code", [("raise SystemExit(3)", 3), ("1 / 0", 1)])
 def test_exit_code_of_script_is_kept(script, capfd, ending, code):
     assert run_script(script(ending), scene="bare-structure", clock="fast") == code
     stderr = capfd.readouterr().err
-    assert "script.py" in stderr or code == 3 or "why" in stderr
+    assert "script.py" in stderr or code == 3
     assert "daq/server" not in stderr
 
 
-@pytest.mark.parametrize("source", ["x = (", "x = 1\0", "if True:\npass"])
-def test_syntax_error_shows_only_the_script(script, capfd, source):
-    path = script(source)
+def test_syntax_error_shows_only_the_script(script, capfd):
+    path = script("if True:\npass")
     assert run_script(path, scene="bare-structure", clock="fast") == 1
     stderr = capfd.readouterr().err
     assert str(path) in stderr

@@ -13,7 +13,28 @@ from daq.server import signal_forwarding
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows cannot send a signal to a single process")
 
-SCRIPT = """
+# Runs the code of its argument in a separate process, to which it forwards signals, and ends with its exit status.
+# Like a command, it has handlers of these signals.
+FORWARDER = """
+import signal, subprocess, sys
+from daq.server.signal_forwarding import forward_signals
+from rig.ending_signals import TERMINATION_SIGNALS
+for number in TERMINATION_SIGNALS:
+    signal.signal(number, signal.default_int_handler)
+process = subprocess.Popen([sys.executable, "-I", "-S", "-c", sys.argv[1]], stdout=subprocess.PIPE, text=True)
+with forward_signals(process):
+    print(process.stdout.readline(), flush=True)
+    code = process.wait()
+sys.exit(code % 256)
+"""
+WAITING_SCRIPT = """
+import os, signal, sys, time
+BEFORE
+print(os.getpid(), flush=True)
+while True:
+    time.sleep(1.0)
+"""
+LOGGING_SCRIPT = """
 import os, signal, sys
 import nidaqmx
 from nidaqmx.constants import AcquisitionType, LoggingMode, LoggingOperation
@@ -25,7 +46,7 @@ with nidaqmx.Task() as task:
         sys.argv[1], LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE_OR_REPLACE
     )
     task.start()
-    task.read(5120)
+    task.read(512)
     print(os.getpid(), flush=True)
     while True:
         task.read(512)
@@ -35,22 +56,16 @@ EXIT_ON_SIGTERM = "signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))"
 
 
 @pytest.fixture
-def start_run(tmp_path):
-    """Return a function that starts `daq run` with an endless logging script; it returns process, script's pid, log."""
+def start():
+    """Return a function that starts Python with arguments; it returns the process, and the script's pid."""
     processes = []
 
-    def start(before=""):
-        script, log = tmp_path / "script.py", tmp_path / "log.mcap"
-        script.write_text(SCRIPT.replace("BEFORE", before))
-        arguments = ["run", "--scene", "bare-structure", "--clock", "fast", str(script), str(log)]
+    def start(*arguments):
         process = subprocess.Popen(
-            [sys.executable, "-m", "daq", *arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
+            [sys.executable, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True
         )
         processes.append(process)
-        return process, int(process.stdout.readline()), log
+        return process, int(process.stdout.readline())
 
     yield start
     for process in processes:
@@ -59,30 +74,51 @@ def start_run(tmp_path):
         process.communicate()
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    # Statement of the script before its task; signal to the command or its process group; exit code of the command.
-    ("before", "signal_number", "send", "code"),
-    [
-        ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),
-        ("", signal.SIGHUP, os.kill, 128 + signal.SIGHUP),
-        ("", signal.SIGINT, os.kill, 128 + signal.SIGINT),
-        ("", signal.SIGINT, os.killpg, 128 + signal.SIGINT),
-        ("", signal.SIGTERM, os.killpg, 128 + signal.SIGTERM),
-        (EXIT_ON_SIGTERM, signal.SIGTERM, os.kill, 7),
-        (IGNORE_SIGTERM, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
-    ],
-    ids=["terminated", "hung up", "interrupted", "Ctrl-C", "group terminated", "script exits", "script ignores signal"],
-)
-def test_ended_command_ends_logging_script(start_run, before, signal_number, send, code):
-    process, script_pid, log = start_run(before)
-    send(process.pid, signal_number)
+def assert_ended(process, script_pid, code):
     assert process.wait(60) == code
     with pytest.raises(ProcessLookupError):
         os.kill(script_pid, 0)
+
+
+@pytest.mark.parametrize(
+    # Statement of the script; signal to the command or its process group; exit status of the script (negative: signal).
+    ("before", "signal_number", "send", "code"),
+    [
+        ("", signal.SIGTERM, os.kill, -signal.SIGTERM),
+        ("", signal.SIGHUP, os.kill, -signal.SIGHUP),
+        ("", signal.SIGINT, os.kill, -signal.SIGINT),
+        ("", signal.SIGTERM, os.killpg, -signal.SIGTERM),
+        (EXIT_ON_SIGTERM, signal.SIGTERM, os.kill, 7),
+    ],
+    ids=["terminated", "hung up", "interrupted", "group terminated", "script exits"],
+)
+def test_signal_ends_the_script(start, before, signal_number, send, code):
+    process, script_pid = start("-c", FORWARDER, WAITING_SCRIPT.replace("BEFORE", before))
+    send(process.pid, signal_number)
+    assert_ended(process, script_pid, code % 256)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    # Statement of the script before its task; signal to the command or its process group; exit status of the command.
+    ("before", "signal_number", "send", "code"),
+    [
+        ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),
+        ("", signal.SIGINT, os.killpg, 128 + signal.SIGINT),
+        (IGNORE_SIGTERM, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
+    ],
+    ids=["terminated", "Ctrl-C", "script ignores signal"],
+)
+def test_ended_command_ends_logging_script(start, tmp_path, before, signal_number, send, code):
+    script, log = tmp_path / "script.py", tmp_path / "log.mcap"
+    script.write_text(LOGGING_SCRIPT.replace("BEFORE", before))
+    run = ["-m", "daq", "run", "--scene", "bare-structure", "--clock", "real", str(script), str(log)]
+    process, script_pid = start(*run)
+    send(process.pid, signal_number)
+    assert_ended(process, script_pid, code)
     with daq.open(log) as recording:
         recording.check()
-        assert recording.samples >= 5120
+        assert recording.samples >= 512
 
 
 def test_probe_detects_group_ctrl_c(monkeypatch):

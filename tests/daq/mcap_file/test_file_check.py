@@ -43,18 +43,21 @@ def content(path: Path) -> list[object]:
 
 def undetected_flips(path: Path, intact_file: Path, positions: list[int]) -> list[int]:
     """Flip a bit of each byte in turn; return the positions whose damage is not reported, but has no effect."""
-    data, undetected = bytearray(intact_file.read_bytes()), []
-    for position in positions:
-        data[position] ^= 1 << position % 8
-        path.write_bytes(data)
-        try:
-            with daq.open(path) as recording:
-                recording.check()
-            assert content(path) == content(intact_file)
-            undetected.append(position)
-        except RecordingError:
-            pass
-        data[position] ^= 1 << position % 8
+    data, undetected = intact_file.read_bytes(), []
+    path.write_bytes(data)
+    with path.open("r+b", buffering=0) as file:
+        for position in positions:
+            file.seek(position)
+            file.write(bytes([data[position] ^ 1 << position % 8]))
+            try:
+                with daq.open(path) as recording:
+                    recording.check()
+                assert content(path) == content(intact_file)
+                undetected.append(position)
+            except RecordingError:
+                pass
+            file.seek(position)
+            file.write(data[position : position + 1])
     return undetected
 
 
@@ -62,13 +65,12 @@ def test_flipped_bits_in_message_indexes_are_reported(intact_file: Path, tmp_pat
     indexes = [span for span in record_spans(intact_file.read_bytes()) if span[0] == Opcode.MESSAGE_INDEX]
     positions = [position for _, begin, end in indexes for position in range(begin, end)]
     assert len(positions) > 300
-    assert undetected_flips(tmp_path / "a.mcap", intact_file, positions[::2]) == []
+    assert undetected_flips(tmp_path / "a.mcap", intact_file, positions[::5]) == []
 
 
-@pytest.mark.parametrize("step", [151, pytest.param(19, marks=pytest.mark.thorough)])
-def test_undetected_flipped_bits_have_no_effect(intact_file: Path, tmp_path: Path, step: int) -> None:
+def test_undetected_flipped_bits_have_no_effect(intact_file: Path, tmp_path: Path) -> None:
     data = intact_file.read_bytes()
-    undetected = undetected_flips(tmp_path / "a.mcap", intact_file, list(range(0, len(data), step)))
+    undetected = undetected_flips(tmp_path / "a.mcap", intact_file, list(range(0, len(data), 97)))
     # A changed program name, and packed bytes that unpack to the same records, have no effect.
     header_end = next(end for opcode, _, end in record_spans(data) if opcode == Opcode.HEADER)
     program_name = range(data.index(b"shotrig"), header_end)

@@ -24,7 +24,7 @@ from daq.server.served_instrument import Limits
 from rig import load
 
 RATE = 5120.0  # Hz
-N_CALLS = 300  # random calls during the witness's task
+N_CALLS = 200  # random calls during the witness's task
 # Values of fields: valid values, limits, and values that a careless server would not expect.
 STRINGS = (
     "",

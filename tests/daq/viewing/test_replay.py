@@ -14,6 +14,7 @@ import rig
 from daq.recording.displacement import HIGH_PASS_HZ
 from daq.recording.recorder import Recorder
 from daq.signal_chain.chain import Chain
+from daq.viewing import spectrum_picture
 from daq.viewing.marker_log import phases
 from daq.viewing.outputs import save
 from daq.viewing.recorded_motion import RecordedMotion
@@ -76,6 +77,12 @@ def saved_replay(recording_path, tmp_path_factory):
     with daq.open(recording_path) as opened:
         save(Replay(opened), path)
     return RrdFile(path)
+
+
+@pytest.fixture
+def without_spectrum(monkeypatch):
+    """Leave out the picture of the spectra, which takes longer than all else in a short replay."""
+    monkeypatch.setattr(spectrum_picture, "spectrum_picture", lambda *arguments: b"")
 
 
 def test_saved_channels_have_every_sample(recording, saved_replay):
@@ -198,6 +205,7 @@ def test_wrong_extension_overwrites_nothing(recording, recording_path):
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limits to the size of a file")
 @pytest.mark.parametrize("size_limit", [10, 30_000])
+@pytest.mark.usefixtures("without_spectrum")
 def test_full_disk_keeps_the_old_replay_file(recording, tmp_path, size_limit, capfd):
     import resource
 
@@ -239,6 +247,7 @@ def test_hit_phase_extends_to_next_hit(tmp_path):
     assert result == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
 
 
+@pytest.mark.usefixtures("without_spectrum")
 def test_overloaded_channel_has_a_lane(tmp_path):
     scene = rig.load("bare-structure").replace(shaker=None, test=None)
     channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels

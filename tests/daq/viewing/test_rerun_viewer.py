@@ -16,12 +16,14 @@ import pytest
 
 import daq
 import rig
+from daq.cli import main
 from daq.viewing.outputs import draw_picture
 from daq.viewing.replay import Replay
 from daq.viewing.rerun_viewer import LOOPBACK, free_port, headless_picture, viewer
 from rig.errors import RunError, SceneError
 
 DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 PACKAGES = "mesa-vulkan-drivers libvulkan1"
 
 
@@ -39,15 +41,24 @@ def recording_path(tmp_path_factory):
     return daq.record(scene, tmp_path_factory.mktemp("viewer") / "fig9.mcap")
 
 
-def run_daq(*arguments, **environment):
-    command = [sys.executable, "-c", "from daq.cli import main; main()", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=without_display(environment), timeout=120)
+@pytest.fixture
+def run_daq(monkeypatch, capsys):
+    """Return a function that runs `daq` in this process, without a display; it returns exit status and stderr."""
+
+    def run(*arguments):
+        for name in DISPLAYS:
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setattr(sys, "argv", ["daq", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            main()
+        return end.value.code, capsys.readouterr().err
+
+    return run
 
 
 def without_display(environment):
     """Return the environment with these variables, but without a display, so that no test opens a window."""
-    displays = ("DISPLAY", "WAYLAND_DISPLAY")
-    return {key: value for key, value in os.environ.items() if key not in displays} | environment
+    return {key: value for key, value in os.environ.items() if key not in DISPLAYS} | environment
 
 
 def png_size(png):
@@ -130,28 +141,28 @@ def test_browser_session_ends_quietly_on_interrupt(recording_path):
 @pytest.mark.parametrize(
     ("content", "message"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
 )
-def test_missing_recording_ends_with_one_line(tmp_path, content, message):
+def test_missing_recording_ends_with_one_line(run_daq, tmp_path, content, message):
     file = tmp_path / "what.mcap"
     if content is not None:
         file.write_bytes(content)
-    result = run_daq("replay", file, "--save", tmp_path / "x.rrd")
-    assert result.returncode == 2
-    assert "error:" in result.stderr and message in result.stderr
-    assert "Traceback" not in result.stderr
+    code, stderr = run_daq("replay", file, "--save", tmp_path / "x.rrd")
+    assert code == 2
+    assert "error:" in stderr and message in stderr
+    assert "Traceback" not in stderr
     assert not (tmp_path / "x.rrd").exists()
 
 
-def test_missing_display_names_other_outputs(recording_path):
-    result = run_daq("replay", recording_path)
-    assert result.returncode == 1
+def test_missing_display_names_other_outputs(run_daq, recording_path):
+    code, stderr = run_daq("replay", recording_path)
+    assert code == 1
     for option in ("--web", "--screenshot", "--save"):
-        assert option in result.stderr
+        assert option in stderr
 
 
-def test_two_outputs_at_once_are_rejected(recording_path, tmp_path):
-    result = run_daq("replay", recording_path, "--web", "--save", tmp_path / "x.rrd")
-    assert result.returncode == 2
-    assert "choose one" in result.stderr
+def test_two_outputs_at_once_are_rejected(run_daq, recording_path, tmp_path):
+    code, stderr = run_daq("replay", recording_path, "--web", "--save", tmp_path / "x.rrd")
+    assert code == 2
+    assert "choose one" in stderr
 
 
 def test_instant_outside_the_recording_is_rejected(recording_path, tmp_path):

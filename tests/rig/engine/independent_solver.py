@@ -6,6 +6,9 @@ function that becomes negative at an event: a gap in flight, a contact force in 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -33,30 +36,34 @@ class IndependentSolver:
         self.force[[body - 1 for body in scene.shaker.bodies]] = scene.test.force
         self.contact = np.full(len(self.damper_mass), FLOOR)
 
-    def _body_accelerations(self, t: float, state: np.ndarray) -> np.ndarray:
-        """Return the accelerations of the bodies with the present contacts, m/s^2."""
-        n = self.n
+    def _derivative(self) -> Callable[[float, np.ndarray], np.ndarray]:
+        """Return the time derivative of the state with the present contacts, A z + b sin w t + c: see `events`."""
+        n, d = self.n, len(self.damper_mass)
         mass = self.mass.copy()
-        load = self.force * np.sin(self.omega * t) - self.stiffness @ state[:n] - self.damping @ state[n : 2 * n]
+        weight = np.zeros(n)
         in_contact = self.contact != FLIGHT
         mass[self.body[in_contact], self.body[in_contact]] += self.damper_mass[in_contact]
-        load[self.body[in_contact]] -= self.damper_mass[in_contact] * self.gravity
-        return np.linalg.solve(mass, load)
-
-    def _derivative(self, t: float, state: np.ndarray) -> np.ndarray:
-        """Return the time derivative of the state: see `events`."""
-        n, d = self.n, len(self.damper_mass)
-        acceleration = self._body_accelerations(t, state)
-        damper_speed = np.where(self.contact == FLIGHT, state[2 * n + d :], state[n + self.body])
-        damper_acceleration = np.where(self.contact == FLIGHT, -self.gravity, acceleration[self.body])
-        return np.concatenate([state[n : 2 * n], acceleration, damper_speed, damper_acceleration])
+        weight[self.body[in_contact]] = self.damper_mass[in_contact] * self.gravity
+        matrix = np.zeros((2 * n + 2 * d, 2 * n + 2 * d))
+        matrix[:n, n : 2 * n] = np.eye(n)
+        matrix[n : 2 * n, : 2 * n] = -np.linalg.solve(mass, np.hstack([self.stiffness, self.damping]))
+        drive, constant = np.zeros(len(matrix)), np.zeros(len(matrix))
+        drive[n : 2 * n], constant[n : 2 * n] = np.linalg.solve(mass, self.force), -np.linalg.solve(mass, weight)
+        for j, body in enumerate(self.body):
+            height, speed = 2 * n + j, 2 * n + d + j
+            if self.contact[j] == FLIGHT:
+                matrix[height, speed], constant[speed] = 1.0, -self.gravity
+            else:
+                matrix[height, n + body] = 1.0
+                matrix[speed], drive[speed], constant[speed] = matrix[n + body], drive[n + body], constant[n + body]
+        return lambda t, state: matrix @ state + drive * math.sin(self.omega * t) + constant
 
     def _guards(self, ignored_until: dict[tuple[int, int], float]) -> list[tuple[int, int, object]]:
         """Return the guards of all dampers: (damper from 0, contact after the event, function of time and state).
 
         `ignored_until`: time until which the guard of a damper and wall is ignored, s.
         """
-        n = self.n
+        n, derivative = self.n, self._derivative()
         guards: list[tuple[int, int, object]] = []
         for j, body in enumerate(self.body):
             if self.contact[j] == FLIGHT:
@@ -82,11 +89,7 @@ class IndependentSolver:
             else:
                 sign = 1.0 if self.contact[j] == FLOOR else -1.0
                 guards.append(
-                    (
-                        j,
-                        FLIGHT,
-                        lambda t, s, b=body, sign=sign: sign * (self._body_accelerations(t, s)[b] + self.gravity),
-                    )
+                    (j, FLIGHT, lambda t, s, i=n + body, sign=sign: sign * (derivative(t, s)[i] + self.gravity))
                 )
         for _, _, guard in guards:
             guard.terminal, guard.direction = True, -1
@@ -101,8 +104,8 @@ class IndependentSolver:
         while t < duration:
             guards = self._guards(ignored_until)
             solution = solve_ivp(
-                self._derivative, (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
-                max_step=2 * np.pi / max(self.omega, 300.0) / 80, events=[guard for _, _, guard in guards],
+                self._derivative(), (t, duration), state, method="DOP853", rtol=1e-12, atol=1e-15,
+                max_step=2 * np.pi / max(self.omega, 300.0) / 20, events=[guard for _, _, guard in guards],
             )  # fmt: skip
             t, state = solution.t[-1], solution.y[:, -1].copy()
             if solution.status != 1:
@@ -134,7 +137,7 @@ class IndependentSolver:
         for i in range(d):
             if self.contact[i] != FLIGHT:
                 sign = 1.0 if self.contact[i] == FLOOR else -1.0
-                if sign * (self._body_accelerations(t, state)[self.body[i]] + self.gravity) < 0:
+                if sign * (self._derivative()(t, state)[n + self.body[i]] + self.gravity) < 0:
                     self._separate(t, state, i, ignored_until)
                     events.append((t, i + 1, "separation"))
 

@@ -142,8 +142,9 @@ class Bed:
             "fix move all nve/sphere",
             f"fix weight all gravity {self.gravity!r} vector 0 0 -1",
             f"timestep {self.step!r}",
-            # No output of thermodynamic data during the run.
+            # No thermodynamic data: energy and pressure would be computed at the ends of each run, thus in each step.
             "thermo 1000000000",
+            "thermo_style custom step",
             "variable lid internal 0.0",
             "variable lowered equal v_lid",
             *self._wall_commands,

@@ -31,7 +31,7 @@ def test_resting_bed_equals_one_mass() -> None:
 def test_bed_at_ceiling_dissipates_energy() -> None:
     scene = with_grains()
 
-    for motion in (steady_grains(scene, 30.0, 5, 10), steady_mass(scene, 30.0)):
+    for motion in (steady_grains(scene, 30.0, 3, 10), steady_mass(scene, 30.0)):
         net_impulse = motion.floor_impulse - motion.ceiling_impulse
         assert net_impulse == pytest.approx(scene.dampers[0].mass * scene.gravity / 30.0, rel=0.1)
         assert motion.ceiling_impulse[0] > 0.0
@@ -40,10 +40,13 @@ def test_bed_at_ceiling_dissipates_energy() -> None:
 
 
 @pytest.mark.thorough
-def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path) -> None:
+def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table, progress = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
-    first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
+    # As one of several ranks, this process computes the first response itself; a worker computes the second.
+    with monkeypatch.context() as patch:
+        patch.setattr("rig.workers.rank_count", lambda: 2)
+        first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 

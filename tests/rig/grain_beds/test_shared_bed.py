@@ -17,8 +17,8 @@ from tests.rig.mpi import on_two_ranks
 
 
 def coupled_bed() -> CoupledPropagator:
-    """Return the engine for a body with a bed of about 60 grains in two or three layers."""
-    return CoupledPropagator(with_grains(mass="3 g", cavity="12 mm"), 1e-3)
+    """Return the engine for a body with a bed of about 30 grains in two or three layers."""
+    return CoupledPropagator(with_grains(mass="1.5 g", cavity="9 mm"), 1e-3)
 
 
 def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
@@ -50,17 +50,28 @@ def error_lines(stderr: str) -> list[str]:
     return [line for line in stderr.splitlines() if not line.startswith(("running", "compiling"))]
 
 
-def test_two_ranks_move_a_bed_as_one_rank(tmp_path: Path) -> None:
-    # On two ranks: repeated motions are identical; a bed resumes from a stored state; each rank has half of the grains.
-    file = tmp_path / "motion.npz"
-    one_rank, _ = flying_grains()
+@pytest.fixture(scope="module")
+def two_ranks(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Run two ranks that simulate a bed before `ranks.join()`, and move others afterwards as on one core.
 
-    result = on_two_ranks(
+    Returns the output, and the file of the motion.
+    """
+    file = tmp_path_factory.mktemp("shared") / "motion.npz"
+    completed = on_two_ranks(
         program(
-            "from rig import ranks",
-            "ranks.join()",
             "import numpy as np",
+            "import rig",
+            "import rig.grain_beds.shared_bed as shared_bed",
+            "from rig import ranks",
+            "from rig.errors import RunError",
+            "from tests.rig.grain_beds.scenes import with_grains",
             "from tests.rig.grain_beds.test_shared_bed import coupled_bed, flying_grains",
+            "try:",
+            "    rig.simulate(with_grains(), duration=0.001)",
+            "except RunError as error:",
+            "    print(error, flush=True)",
+            "ranks.join()",
+            "shared_bed.cores = lambda: 1",
             "(motion, coupled), (repeated, other) = flying_grains(), flying_grains()",
             "assert all(np.array_equal(motion[name], repeated[name]) for name in motion)",
             f"np.savez({str(file)!r}, **motion, local=coupled.beds[0]._array_sizes()[0])",
@@ -73,14 +84,32 @@ def test_two_ranks_move_a_bed_as_one_rank(tmp_path: Path) -> None:
             "print(np.array_equal(expected.force, resumed.force), np.ptp(expected.force) > 0.0)",
         )
     )
+    return completed, file
 
-    assert (result.returncode, result.stdout, error_lines(result.stderr)) == (0, "True True\n", [])
-    two_ranks = np.load(file)
-    assert 0.3 < two_ranks["local"] / len(two_ranks["positions"]) < 0.7
+
+def test_two_ranks_move_a_bed_as_one_rank(two_ranks: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    # On two ranks: repeated motions are identical; a bed resumes from a stored state; each rank has half of the grains.
+    completed, file = two_ranks
+    one_rank, _ = flying_grains()
+
+    assert (completed.returncode, completed.stdout.splitlines()[-1]) == (0, "True True")
+    motion = np.load(file)
+    assert 0.3 < motion["local"] / len(motion["positions"]) < 0.7
     assert one_rank["force"][0, FLOOR, -1] == 0.0 and one_rank["gap"].max() > 1e-5, "the bed is not in flight"
     for name in ("gap", "force", "displacement", "positions"):
-        assert np.abs(two_ranks[name] - one_rank[name]).max() < 1e-9 * np.abs(one_rank[name]).max(), name
-    assert np.abs(two_ranks["momentum_errors"]).max() < 1e-12
+        assert np.abs(motion[name] - one_rank[name]).max() < 1e-9 * np.abs(one_rank[name]).max(), name
+    assert np.abs(motion["momentum_errors"]).max() < 1e-12
+
+
+def test_simulation_before_joining_is_reported(two_ranks: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    *errors, _ = two_ranks[0].stdout.splitlines()
+    assert len(errors) == 2 and all("rig.ranks.join()" in error for error in errors)
+
+
+def test_more_ranks_than_cores_cause_one_warning(two_ranks: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    # The warning and its source line.
+    warning, _ = error_lines(two_ranks[0].stderr)
+    assert "2 ranks on 1 cores" in warning
 
 
 def test_command_on_two_ranks_prints_once(tmp_path: Path) -> None:
@@ -105,35 +134,3 @@ def test_command_on_two_ranks_prints_once(tmp_path: Path) -> None:
     assert (result.returncode, error_lines(result.stderr)) == (0, [])
     assert result.stdout.count("work of the drive") == 1
     assert file.is_file()
-
-
-@pytest.fixture(scope="module")
-def two_late_ranks() -> subprocess.CompletedProcess[str]:
-    """Run two ranks that simulate a bed before `ranks.join()`, and afterwards as on a machine with one core."""
-    return on_two_ranks(
-        program(
-            "import rig",
-            "import rig.grain_beds.shared_bed as shared_bed",
-            "from rig import ranks",
-            "from rig.errors import RunError",
-            "from tests.rig.grain_beds.scenes import with_grains",
-            "from tests.rig.grain_beds.test_shared_bed import coupled_bed",
-            "try:",
-            "    rig.simulate(with_grains(), duration=0.001)",
-            "except RunError as error:",
-            "    print(error)",
-            "ranks.join()",
-            "shared_bed.cores = lambda: 1",
-            "coupled_bed()",
-        )
-    )
-
-
-def test_simulation_before_joining_is_reported(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
-    assert two_late_ranks.returncode == 0
-    assert two_late_ranks.stdout.count("rig.ranks.join()") == 2
-
-
-def test_more_ranks_than_cores_cause_a_warning(two_late_ranks: subprocess.CompletedProcess[str]) -> None:
-    assert two_late_ranks.returncode == 0
-    assert "2 ranks on 1 cores" in two_late_ranks.stderr

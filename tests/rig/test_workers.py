@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import subprocess
 import sys
@@ -12,38 +11,19 @@ import warnings
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
+import dask
 import pytest
 from distributed import LocalCluster
 
 from rig.errors import RunError, SceneError
 from rig.workers import Workers
-
-
-def square(number: int) -> int:
-    if number < 0:
-        raise SceneError(f"{number}: expected a number that is not negative")
-    return number * number
-
-
-def exit_at_first_call(marker: Path) -> str:
-    """End the process if the marker file does not exist yet."""
-    if marker.exists():
-        return marker.name
-    marker.touch()
-    os._exit(1)
-
-
-def exit_process(_: int) -> None:
-    os._exit(1)
-
-
-def wait_forever_unless_zero(number: int) -> None:
-    if number:
-        threading.Event().wait()
-
-
-def sigint_is_blocked(_: int) -> bool:
-    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+from tests.rig.worker_pieces import (
+    exit_at_first_call,
+    exit_process,
+    sigint_is_blocked,
+    square,
+    wait_forever_unless_zero,
+)
 
 
 class ClusterWithCtrlC:
@@ -179,8 +159,11 @@ def test_dask_cluster_gives_the_same_results() -> None:
 
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_piece_that_ends_cluster_workers_is_reported() -> None:
+def test_piece_that_ends_cluster_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    # One worker, which is restarted once: each start takes a second.
+    monkeypatch.setattr("rig.workers.cores", lambda: 1)
     with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         Workers("local") as workers,
         pytest.raises(RunError, match="--cluster local: part of the study ended its workers"),
     ):

@@ -21,7 +21,7 @@ def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> ri
 
     `mass`: of the bed; `cavity`: its diameter; `changes`: keys of the scene, and `grains` with keys of the grains.
     """
-    grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "15 us"} | changes.pop(
+    grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "0.015 ms"} | changes.pop(
         "grains", {}
     )
     damper = {"body": 1, "mass": mass, "clearance": "1 mm", "grains": grains}

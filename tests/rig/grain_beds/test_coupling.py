@@ -85,8 +85,8 @@ def test_block_size_changes_no_bit() -> None:
 
 @pytest.mark.thorough
 def test_halved_step_agrees_within_2_percent() -> None:
-    scene = with_grains(grains={"time_step": "10 us"})
-    fine_scene = with_grains(grains={"time_step": "5 us"})
+    scene = with_grains(grains={"time_step": "0.01 ms"})
+    fine_scene = with_grains(grains={"time_step": "0.005 ms"})
 
     coarse_run, fine_run = (rig.simulate(variant, duration=0.03, rate=RATE) for variant in (scene, fine_scene))
 

@@ -118,7 +118,7 @@ def test_command_on_two_ranks_prints_once(tmp_path: Path) -> None:
     scene.write_text(
         "{name: bed, structure: {masses: [10 g], springs: [400 N/m]}, shaker: {kind: force, body: 1},"
         "test: {kind: sine, frequency: 30 Hz, force: 0.4 N}, dampers: [{body: 1, mass: 0.3 g, clearance: 1 mm,"
-        "grains: {diameter: 2 mm, cavity: 6 mm, modulus: 10 MPa, time_step: 15 us}}]}"
+        "grains: {diameter: 2 mm, cavity: 6 mm, modulus: 10 MPa, time_step: 0.015 ms}}]}"
     )
     arguments = ["rig", "simulate", str(scene), "--duration", "2 ms", "-o", str(file)]
 

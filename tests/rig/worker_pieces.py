@@ -1,0 +1,37 @@
+"""Functions that workers call in tests, in a module that they import quickly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from pathlib import Path
+
+from rig.errors import SceneError
+
+
+def square(number: int) -> int:
+    if number < 0:
+        raise SceneError(f"{number}: expected a number that is not negative")
+    return number * number
+
+
+def exit_at_first_call(marker: Path) -> str:
+    """End the process if the marker file does not exist yet."""
+    if marker.exists():
+        return marker.name
+    marker.touch()
+    os._exit(1)
+
+
+def exit_process(_: int) -> None:
+    os._exit(1)
+
+
+def wait_forever_unless_zero(number: int) -> None:
+    if number:
+        threading.Event().wait()
+
+
+def sigint_is_blocked(_: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())

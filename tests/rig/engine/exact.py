@@ -13,6 +13,7 @@ import rig
 from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
+SCALE = 2**200
 
 
 def matrix_of(array) -> mpmath.matrix:
@@ -62,23 +63,24 @@ class Segment:
         return state
 
     def propagate(self, state: mpmath.matrix, duration: mpf) -> mpmath.matrix:
-        """Return the state after a time, s, by Taylor series over steps that are short enough to lose no digits."""
+        """Return the state after a time, s, by Taylor series over steps that are short enough to lose no digits.
+
+        The series are computed with integers, in units of 1 / SCALE: much faster than with floating point.
+        """
         rate = mpmath.sqrt(mpmath.mnorm(self.generator, 1))
         steps = max(1, int(mpmath.ceil(abs(duration) * rate / 4)))
+        scaled = self.generator * (duration / steps * SCALE)
         # Nonzero elements of each row with their columns.
-        size = self.generator.rows
-        rows = [[(self.generator[i, k], k) for k in range(size) if self.generator[i, k]] for i in range(size)]
-        values = list(state)
+        size = scaled.rows
+        rows = [[(int(scaled[i, k]), k) for k in range(size) if scaled[i, k]] for i in range(size)]
+        values = [int(value * SCALE) for value in state]
         for _ in range(steps):
             term, order = values, 0
-            while True:
+            while max(map(abs, term)) > SCALE // 10 ** (DIGITS + 5):
                 order += 1
-                factor = duration / (steps * order)
-                term = [factor * mp.fdot((value, term[k]) for value, k in row) for row in rows]
+                term = [sum(value * term[k] for value, k in row) // (SCALE * order) for row in rows]
                 values = [value + change for value, change in zip(values, term, strict=True)]
-                if max(map(abs, term)) < mpf(10) ** (-DIGITS - 5):
-                    break
-        return mpmath.matrix(values)
+        return mpmath.matrix(values) / SCALE
 
     def acceleration(self, state: mpmath.matrix, body: int) -> mpf:
         """Return the acceleration of a body, numbered from 0."""

@@ -74,11 +74,11 @@ def test_hundred_thousand_periods_do_not_drift() -> None:
     assert np.ptp(steady) < 1e-16
 
 
-def test_million_linear_periods_are_exact() -> None:
+def test_hundred_thousand_linear_periods_are_exact() -> None:
     scene = rig.load("bare-structure").replace(
         test={"kind": "sine", "frequency": 32.0, "force": 2.6}, shaker={"kind": "force", "body": 1}
     )
-    periods_per_sample = 8192
+    periods_per_sample = 1024
     run = rig.simulate(scene, 123 * periods_per_sample / 32.0, rate=32.0 / periods_per_sample)
     exact = 2.6 * receptance(scene, [32.0])
     # The samples are at w t = 2 pi n, where Im(H F e^{i w t}) = F Im H.

@@ -23,13 +23,13 @@ from tests.rig.bouncing_ball import fly, take_off_phase
 
 @cache
 def fig9() -> Approximation:
-    return approximate_response(rig.load("fig9"), 3, (46.0, 53.0))
+    return follow_mode(single_mode(rig.load("fig9"), 3), (46.0, 53.0), searches=3)
 
 
 @cache
 def single_damper() -> Approximation:
     """The scene of Fig. 5 with a lower force: all three types, folds, and invalid parts of branches."""
-    return approximate_response(rig.load("fig5-single-damper"), 3, (45.0, 55.0), force=5.0)
+    return follow_mode(single_mode(rig.load("fig5-single-damper"), 3, force=5.0), (45.0, 55.0), searches=3)
 
 
 def branches(approximation: Approximation, kind: str) -> list[Branch]:
@@ -125,7 +125,7 @@ def test_fig_9_has_type_ii_at_resonance() -> None:
 
 @pytest.mark.thorough
 def test_fig_5_has_type_iii_at_resonance() -> None:
-    result = approximate_response(rig.load("fig5-single-damper"), 3, (48.0, 49.0))
+    result = follow_mode(single_mode(rig.load("fig5-single-damper"), 3), (48.0, 49.0), searches=2)
 
     (third,) = branches(result, "III")
     assert third.valid.all()

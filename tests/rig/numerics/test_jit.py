@@ -188,5 +188,7 @@ def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
 def test_public_options_give_the_same_bits(kernels: Path) -> None:
     # The machine code is cached with that of the program: both kinds have a digest of their own.
     cache = os.environ.get("NUMBA_CACHE_DIR", "")
-    accelerated, plain = (run(kernels, BITS.format(plain=plain), NUMBA_CACHE_DIR=cache).stdout for plain in (False, True))
+    accelerated, plain = (
+        run(kernels, BITS.format(plain=plain), NUMBA_CACHE_DIR=cache).stdout for plain in (False, True)
+    )
     assert accelerated == plain != ""

@@ -55,6 +55,11 @@ def test_error_of_unsuitable_recording_names_problem(tmp_path, case):
     assert getattr(result.exception, "exit_code", result.exit_code) == 2
 
 
+@pytest.fixture(scope="module")
+def stepped_path(tmp_path_factory):
+    return synthetic.stepped_sine(tmp_path_factory.mktemp("stepped") / "a.mcap", np.linspace(8.0, 60.0, 40))
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -70,15 +75,14 @@ def test_error_of_unsuitable_recording_names_problem(tmp_path, case):
         (["dampers"], "no dampers"),
     ],
 )
-def test_error_of_wrong_option_names_right_ones(tmp_path, options, message):
-    path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
-    result = CliRunner().invoke(app, [options[0], str(path), *options[1:], "-o", str(tmp_path)])
+def test_error_of_wrong_option_names_right_ones(stepped_path, tmp_path, options, message):
+    result = CliRunner().invoke(app, [options[0], str(stepped_path), *options[1:], "-o", str(tmp_path)])
     assert message in str(result.exception) + result.output
     assert getattr(result.exception, "exit_code", result.exit_code) == 2
 
 
-def test_unused_option_names_its_recordings(tmp_path):
-    stepped_path = synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 40))
+@pytest.mark.usefixtures("no_pictures")
+def test_unused_option_names_its_recordings(stepped_path, tmp_path):
     (tmp_path / "b.csv").write_text("f [Hz],x re [m/N],x im [m/N]\n10,1,0\n20,2,0\n")
     arguments = ["frf", str(stepped_path), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]
     result = CliRunner().invoke(app, arguments)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -57,21 +56,20 @@ def test_figures_and_table_lie_next_to_recording(folder):
 
 @pytest.mark.thorough
 def test_two_recordings_share_one_figure(folder, tmp_path):
-    result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, channels=["body3", "body1"])
-    names = [path.name for path in result.files]
-    assert names[0] == "one+two-frf-body3.png" and names[-1] == "one+two-frf.csv"
-    svg_text = (tmp_path / "one+two-frf-body3.svg").read_text(encoding="utf-8")
+    result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, ["body3"])
+    assert [path.name for path in result.files] == ["one+two-frf.png", "one+two-frf.svg", "one+two-frf.csv"]
+    svg_text = (tmp_path / "one+two-frf.svg").read_text(encoding="utf-8")
     assert "first scene" in svg_text and "second scene" in svg_text
 
 
 @pytest.mark.thorough
 def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
     synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
-    result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path)
+    result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path, ["body3", "body1"])
     assert [path.name for path in result.files if path.suffix == ".png"] == [
-        f"one+again-frf-body{body}.png" for body in (1, 2, 3)
+        f"one+again-frf-body{body}.png" for body in (3, 1)
     ]
-    for body in (1, 2, 3):
+    for body in (3, 1):
         svg_text = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
         assert svg_text.count(">one<") == svg_text.count(">again<") == 1
         assert "first scene" not in svg_text
@@ -96,20 +94,12 @@ def test_error_for_force_channel_lists_motion_channels(folder):
 
 
 @pytest.mark.thorough
-def test_figures_are_reproducible_byte_for_byte(folder, tmp_path):
-    def digests(output):
-        files = present_frf([folder / "one.mcap"], output).files
-        return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
-
-    assert digests(tmp_path / "a") == digests(tmp_path / "b")
-
-
-@pytest.mark.thorough
+@pytest.mark.usefixtures("no_pictures")
 def test_command_prints_results_and_names_of_files(folder, tmp_path):
     result = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
     assert result.exit_code == 0
     assert "13.03" in result.output and "wrote" in result.output
-    assert (tmp_path / "one-modes.png").exists()
+    assert (tmp_path / "one-modes.csv").exists()
 
 
 def test_error_for_missing_recording_suggests_record_command(tmp_path):

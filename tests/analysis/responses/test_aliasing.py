@@ -135,9 +135,12 @@ def coil_drive(frequency, mode, force):
     s = 2j * np.pi * frequency
     # Unknowns: current and drive. Equations: of the armature, then of the coil or its current source.
     motion = mass * s**2 + damping * s + stiffness + force
-    source = [resistance + s * inductance, -1.0] if mode == "voltage" else [1.0, -1.0]
+    equations = np.zeros((*motion.shape, 2, 2), dtype=complex)
+    equations[..., 0, 0], equations[..., 1, 1] = force_factor, -1.0
+    equations[..., 1, 0] = resistance + s * inductance if mode == "voltage" else 1.0
     induced = -force_factor * s if mode == "voltage" else 0.0
-    return np.linalg.solve(np.array([[force_factor, 0.0], source]), np.array([motion, induced]))[1]
+    right = np.stack(np.broadcast_arrays(motion, induced), axis=-1)
+    return np.linalg.solve(equations, right[..., None])[..., 1, 0]
 
 
 # At an image, the force of the stiff spring is comparable to that of the armature mass.
@@ -153,13 +156,12 @@ def test_coil_drive_images_are_bounded(mode, spring):
 
     def acceleration_per_drive(frequency):
         """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""
-        drives = [coil_drive(max(abs(f), 1e-6), mode, spring) for f in np.ravel(frequency)]
-        return -np.reshape((2 * np.pi * np.ravel(frequency)) ** 2 / drives, np.shape(frequency))
+        return -((2 * np.pi * frequency) ** 2) / coil_drive(np.maximum(abs(frequency), 1e-6), mode, spring)
 
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # The force on the table is the spring force, with any phase.
         phases = np.exp(2j * np.pi * np.arange(64) / 64)
-        drives = abs(np.array([coil_drive(frequency, mode, spring * phase) for phase in phases]))
+        drives = abs(coil_drive(frequency, mode, spring * phases))
         expected = image_ratio(SimpleNamespace(response=acceleration_per_drive), cycles) * drives.max() / drives[0]
         assert 0.99 * expected * abs(value[column]) <= bound[column] <= 1.25 * expected * abs(value[column]), frequency
 

@@ -61,7 +61,7 @@ def test_sweeps_are_computed_once_per_recording(tmp_path):
 def test_bounds_contain_truth_in_95_percent(tmp_path):
     frequencies = np.linspace(9.0, 58.0, 60)
     is_within_bound, coherence = [], []
-    for seed in range(4):
+    for seed in range(2):
         path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-5, seed=seed)
         with daq.open(path) as rec:
             exact = receptance(rec.scene, frequencies)

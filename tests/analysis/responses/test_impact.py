@@ -31,6 +31,12 @@ recording: {{display: false}}
 """
 
 
+@pytest.fixture(autouse=True)
+def few_lines(monkeypatch):
+    """Estimate responses at a third of the lines, because the local fits take most of the time of these tests."""
+    monkeypatch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
+
+
 def coverage(rec, curves, low=3.0, high=60.0):
     """Return the share of lines whose bound contains the truth, and the largest median relative error of a curve.
 

@@ -13,6 +13,8 @@ import daq
 import rig
 from analysis.modal.modes import Modes
 from rig.errors import RecordingError, SceneError, ShotrigError
+from rig.results.response import Response
+from tests.analysis.responses import synthetic
 
 SWEEP = Path(__file__).parents[2] / "recordings" / "demo-sweep-no-damper.mcap"
 BRACKET = {
@@ -38,8 +40,9 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return daq.record(BRACKET, tmp_path_factory.mktemp("hit") / "hit.mcap")
 
 
-@pytest.mark.parametrize("path", [SWEEP, str(SWEEP)])
-def test_recording_can_be_given_by_path(path: Path | str) -> None:
+@pytest.mark.parametrize("kind", [Path, str])
+def test_recording_can_be_given_by_path(kind: type[Path | str], tmp_path: Path) -> None:
+    path = kind(synthetic.stepped_sine(tmp_path / "a.mcap", [20.0, 30.0]))
     curves = analysis.frfs(path)
     with daq.open(path) as recording:
         assert np.array_equal(curves["body3"].value, analysis.compliance(recording, "body 3").value)
@@ -49,12 +52,17 @@ def test_recording_can_be_given_by_path(path: Path | str) -> None:
     assert analysis.sep005(path, ["body1"], 0.0, 0.1)[0]["name"] == "body1"
 
 
-def test_response_can_be_selected_by_body(hit: Path) -> None:
+@pytest.fixture(scope="module")
+def hit_responses(hit: Path) -> Response:
+    return analysis.frfs(hit)
+
+
+def test_response_can_be_selected_by_body(hit: Path, hit_responses: Response) -> None:
     curves = analysis.frfs(hit, ["base", "left"])
     assert curves.keys() == ("low", "left") and curves["arm"].response == "left"
     assert analysis.decay(hit, "arm").channel == "left"
     with pytest.raises(SceneError, match=r"2 responses are at arm\. Select one by its channel: left or right"):
-        analysis.frfs(hit)["arm"]
+        hit_responses["arm"]
 
 
 def test_recorded_scene_has_body_names(hit: Path) -> None:
@@ -112,8 +120,8 @@ def test_fit_parameter_can_be_named_by_body(hit: Path) -> None:
         result["structure.mass.arm"]
 
 
-def test_shapes_of_bodies_average_their_sensors(hit: Path) -> None:
-    modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in analysis.frfs(hit)], 2)
+def test_shapes_of_bodies_average_their_sensors(hit_responses: Response) -> None:
+    modes = analysis.identify([curve.between("40 Hz", "200 Hz") for curve in hit_responses], 2)
     bodies = modes.of_bodies()
     assert modes.responses == ("low", "left", "right") and bodies.names == ("base", "arm")
     # Eigenvectors of the bracket (base of each mode), scaled so that the arm is 1.

@@ -44,6 +44,7 @@ def test_modes_of_two_recordings_are_compared_by_mac():
     assert np.diag(analysis.mac(result[0].shapes, result[1].shapes)).min() > 0.99
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_dampers_returns_rows_of_the_command(tmp_path, axes):
     [result] = analysis.dampers(DAMPED)
     assert CliRunner().invoke(app, ["dampers", str(DAMPED), "-o", str(tmp_path)]).exit_code == 0

@@ -4,7 +4,6 @@ import csv
 import os
 import shutil
 import wave
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,6 +22,7 @@ from analysis.recordings.slices import Slice
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
+from tests.analysis.responses import synthetic
 from tests.daq.recording.recordings import RATE, make_scene, random_volts, two_channels, write_recording
 from tests.daq.recording.test_validation import rewrite
 
@@ -302,9 +302,10 @@ def test_size_is_estimated_before_export(form, recording, tmp_path):
 
 
 def test_exported_responses_and_modes_read_equal(tmp_path):
-    path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
-    with daq.open(path) as rec:
-        curves = analysis.frfs(rec)
+    # A downward sweep with five frequencies at each resonance.
+    frequencies = np.ravel([np.linspace(1.006, 0.994, 5) * f for f in reversed(synthetic.NATURAL_FREQUENCIES)])
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies, noise=1e-6)
+    curves = analysis.frfs(path)
     modes = analysis.identify(curves)
     for result_type, extension in (("frfs", "uff"), ("frfs", "mat"), ("modes", "uff"), ("modes", "mat")):
         export_results(path, tmp_path / f"{result_type}.{extension}", result_type)

@@ -23,6 +23,12 @@ ANTIRESONANCES = (17.8, 28.1, 44.4)  # Hz
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
 
 
+@pytest.fixture(autouse=True)
+def few_lines(monkeypatch):
+    """Estimate responses at fewer lines, because the local fits take most of the time of these tests."""
+    monkeypatch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
+
+
 @pytest.fixture(scope="module")
 def random_file(tmp_path_factory):
     force = synthetic.band_noise(90.0, 6.0, 62.0)
@@ -125,14 +131,14 @@ def test_selection_of_a_sweep_requires_tones(random_file, selection):
         analysis.frfs(rec, **selection)
 
 
-def multisine(path, periods=4, realisations=4, noise=0.01):
-    """Record periodic random forces with a period of 8 s; each realisation begins with five unmeasured periods."""
+def multisine(path, realisations, periods=4, noise=0.01):
+    """Record periodic random forces with a period of 8 s; each realisation begins with three unmeasured periods."""
     period = 8.0
     forces, marks, first = [], [], 0
     for number in range(realisations):
         force_of_period = synthetic.band_noise(period, 8.0, 60.0, seed=10 + number)
-        forces.append(np.tile(force_of_period, periods + 5))
-        first += int(5 * period * RATE)
+        forces.append(np.tile(force_of_period, periods + 3))
+        first += int(3 * period * RATE)
         fields = {
             "realisation": number + 1, "period": int(period * RATE), "periods": periods,
             "lines": [64, 480], "level": 1.0, "settled": True,
@@ -143,8 +149,13 @@ def multisine(path, periods=4, realisations=4, noise=0.01):
     return synthetic.record_response(path, np.concatenate(forces), test, marks, noise=noise)
 
 
-def test_uncertainty_of_multisine_contains_truth(tmp_path):
-    with daq.open(multisine(tmp_path / "a.mcap")) as rec:
+@pytest.fixture(scope="module")
+def multisine_file(tmp_path_factory):
+    return multisine(tmp_path_factory.mktemp("multisine") / "a.mcap", realisations=5)
+
+
+def test_uncertainty_of_multisine_contains_truth(multisine_file):
+    with daq.open(multisine_file) as rec:
         [curves] = analysis.frequency_responses(rec)
         exact = receptance(rec.scene, curves[0].frequency)
         modes = analysis.identify(curves)
@@ -162,8 +173,8 @@ def test_note_on_missing_periods_states_the_reason(tmp_path):
     assert "1 of 5 periods of realisation 1 left out: the recording ends." in curves[0].warnings
 
 
-def test_linear_structure_shows_no_distortion(tmp_path):
-    with daq.open(multisine(tmp_path / "a.mcap", realisations=5)) as rec:
+def test_linear_structure_shows_no_distortion(multisine_file):
+    with daq.open(multisine_file) as rec:
         measured = [marker for marker in rec.markers if marker.kind == "measure"]
         approximation = best_linear_approximation(rec, measured, list(rec.channels))
         noise = np.median(replace(approximation, scatter=approximation.noise, noise=None).frf(rec, "body3").error)

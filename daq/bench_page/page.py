@@ -143,7 +143,8 @@ class Chart:
     def show(self, curves: list[list[list[float]]]) -> None:
         """Show the points (x, y) of all series."""
         for series, data in zip(self.element.options["series"], curves, strict=True):
-            series["data"] = data
+            # NiceGUI would observe each point of a list for changes; it sends a tuple as it is.
+            series["data"] = tuple(data)
         self.element.update()
 
     def clear(self) -> None:

@@ -65,7 +65,13 @@ def browser():
         pytest.skip("no chromium with chromedriver in /usr/bin (Debian: chromium, chromium-driver)")
     options = webdriver.ChromeOptions()
     options.binary_location = str(CHROMIUM)
-    for word in ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,1400"):
+    for word in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-dev-shm-usage",
+        "--disable-gpu",
+        "--window-size=1280,800",
+    ):
         options.add_argument(word)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(str(DRIVER)))
@@ -95,7 +101,7 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     page, device, process = bench
     browser.get(page)
     wait_for(browser, lambda: element(browser, "state").text == "ready")
-    for name, value in {"level": 5, "low": 50, "high": 75, "duration": 20}.items():
+    for name, value in {"level": 5, "low": 54, "high": 70, "duration": 13}.items():
         set_number(browser, name, value)
     element(browser, "record").click()
     element(browser, "start").click()

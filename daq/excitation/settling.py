@@ -6,7 +6,7 @@ An observation consists of the complex amplitudes of all quantities (force and d
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,11 @@ _MIN_SCATTER_RATIO = 0.75
 _SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6
-# Faster than `numpy.sum` and `numpy.mean` by a factor of two.
-_SUM = np.add.reduce
+# Faster than `numpy.sum`, `numpy.mean`, `numpy.max` and `numpy.min` by a factor of two.
+_SUM, _LARGEST, _SMALLEST = np.add.reduce, np.maximum.reduce, np.minimum.reduce
 
 
-@dataclass(frozen=True)
-class TransientLaw:
+class TransientLaw(NamedTuple):
     """Geometric decay of the changes between successive observations, for each quantity."""
 
     changes: ComplexArray  # the last changes, (changes, quantities)
@@ -49,9 +48,8 @@ class TransientLaw:
     def of(cls, observations: ComplexArray) -> TransientLaw:
         """Estimate the law from observations, shape (observations, quantities)."""
         changes = observations[1:] - observations[:-1]
-        earlier, later = changes[:-1], changes[1:]
-        cross = _SUM(earlier.conj() * later, axis=0)
-        power, later_power = (np.maximum(_SUM(abs(part) ** 2, axis=0), 1e-280) for part in (earlier, later))
+        cross, powers = _SUM(changes[:-1].conj() * changes[1:], axis=0), abs(changes) ** 2
+        power, later_power = (np.maximum(_SUM(part, axis=0), 1e-280) for part in (powers[:-1], powers[1:]))
         return cls(changes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
 
     def remaining_change(self) -> ComplexArray:
@@ -65,7 +63,7 @@ class TransientLaw:
 
         It uses the larger of the last two changes.
         """
-        change = abs(self.changes[-2:]).max(axis=0)
+        change = _LARGEST(abs(self.changes[-2:]), axis=0)
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
 
 
@@ -131,17 +129,17 @@ class Settling:
         self._predictions.append(np.where(is_extrapolated, self._observations[-1] + law.remaining_change(), mean))
         steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
         # The following tests are slower.
-        if not steady.all():
+        if not all(steady):
             steady |= self._agree_within_tolerance(law)
         # Noise is tested when every quantity that follows the law is steady.
-        if not steady.all() and not (law.coherent & ~steady).any():
+        if not all(steady) and all(steady | ~law.coherent):
             noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
             steady |= ~law.coherent & (
                 noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * self.tolerance)
             )
         # Two successive observations must be steady, because one may pass by chance, at the turning point of a beat.
-        self.settled = bool(steady.all()) and self._was_steady
-        self._was_steady = bool(steady.all())
+        is_steady = all(steady)
+        self.settled, self._was_steady = is_steady and self._was_steady, is_steady
 
     def predicted_final(self) -> ComplexArray:
         """Predicted amplitudes in the steady state; shape (quantities,)."""
@@ -149,8 +147,9 @@ class Settling:
 
     def prediction_change(self) -> Array:
         """Relative range of `predicted_final` over the last three observations; shape (quantities,)."""
-        latest = np.array(self._predictions[-3:])
-        return np.ptp(abs(latest), axis=0) / np.maximum(abs(latest[-1]), sys.float_info.min)
+        magnitudes = abs(np.array(self._predictions[-3:]))
+        change: Array = _LARGEST(magnitudes, axis=0) - _SMALLEST(magnitudes, axis=0)
+        return change / np.maximum(magnitudes[-1], sys.float_info.min)
 
     def phase_change(self) -> Array:
         """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
@@ -189,10 +188,12 @@ class Settling:
         if self.count < _N_AGREEING:
             return np.zeros(self._observations[-1].size, dtype=bool)
         latest = self._observations[-_N_AGREEING:]
-        spread = abs(latest - _mean(latest)).max(axis=0)
-        drift = abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2]))
-        limit = self.tolerance * self._magnitude()
-        return (~law.coherent | (spread < 0.01 * limit)) & (spread < limit) & (drift < 0.1 * limit)
+        spread, limit = _LARGEST(abs(latest - _mean(latest)), axis=0), self.tolerance * self._magnitude()
+        agrees: NDArray[np.bool_] = (~law.coherent | (spread < 0.01 * limit)) & (spread < limit)
+        if any(agrees):
+            drift = abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2]))
+            agrees &= drift < 0.1 * limit
+        return agrees
 
     def _is_noise(self, count: int, max_scatter: float) -> NDArray[np.bool_]:
         """Return whether the latest `count` observations scatter like noise about a constant mean; (quantities,).
@@ -218,4 +219,5 @@ class Settling:
 
 
 def _mean(observations: ComplexArray) -> ComplexArray:
-    return np.asarray(_SUM(observations, axis=0) / len(observations))
+    mean: ComplexArray = _SUM(observations, axis=0) / len(observations)
+    return mean

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -52,8 +53,7 @@ class Tone:
 
     def hold(self, samples: int) -> Array:
         """Generate samples of constant frequency and amplitude; shape (samples,)."""
-        periods = self.frequency / self.rate * np.arange(samples + 1, dtype=float)
-        return self.amplitude * np.sin(self._advance(periods))
+        return self.amplitude * np.sin(self._advance(_elapsed_phases(self.frequency / self.rate, samples)))
 
     def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
@@ -63,18 +63,30 @@ class Tone:
         periods = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
         rise = (1 - np.cos(np.pi * u[:-1])) / 2
         envelope = self.amplitude + (amplitude - self.amplitude) * rise
-        wave = envelope * np.sin(self._advance(periods))
+        wave = envelope * np.sin(self._advance(_phases(periods)))
         self.frequency, self.amplitude = frequency, amplitude
         return wave
 
-    def _advance(self, periods: Array) -> Array:
+    def _advance(self, elapsed: Array) -> Array:
         """Return the phases of a window, rad, and move `phase` to the next window.
 
-        `periods`: since the start of the window, at each of its samples and at the first sample of the next window.
+        `elapsed`: phase since the start of the window, at each of its samples and at the first sample of the next.
         """
-        phase = self.phase + 2 * np.pi * np.fmod(periods, 1.0)
-        self.phase = float(np.fmod(phase[-1], 2 * np.pi))
+        phase = self.phase + elapsed
+        self.phase = math.fmod(phase[-1], 2 * math.pi)
         return phase[:-1]
+
+
+def _phases(periods: Array) -> Array:
+    """Return the phases, rad, of numbers of periods, without whole periods."""
+    return 2 * np.pi * np.fmod(periods, 1.0)
+
+
+# The windows in which a tone settles have the same length.
+@lru_cache(maxsize=2)
+def _elapsed_phases(frequency: float, samples: int) -> Array:
+    """Return the phases since the start of a window and at its end, rad; `frequency`: in periods per sample."""
+    return _phases(frequency * np.arange(samples + 1, dtype=float))
 
 
 class SteadyTone(Tone):
@@ -191,14 +203,14 @@ class SteadyTone(Tone):
 
 def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
     """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
-    force, standard_error = float(abs(detector.predicted_final()[0])), float(detector.standard_error()[0])
+    force = float(abs(detector.predicted_final()[0]))
     if detector.count < MIN_OBSERVATIONS + 1:
         is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
         return control.reduce_drive(drive, float(abs(detector.latest[0]))) if is_excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
     is_predictable = detector.settled or float(detector.prediction_change()[0]) < max_change
-    if not is_predictable or control.is_at_level(force, standard_error):
+    if not is_predictable or control.is_at_level(force, float(detector.standard_error()[0])):
         return None
     new_drive = control.next_drive(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.

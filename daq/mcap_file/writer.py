@@ -121,11 +121,8 @@ class ChunkedFile:
             if isinstance(each, Messages):
                 encoded = _encode(each)
                 index = _index_of(each, encoded, position)
-                if isinstance(each.channel, int):
-                    entries[each.channel].append(index.tobytes())
-                else:
-                    for channel, entry in _by_channel(encoded["channel"], index):
-                        entries[channel].append(entry)
+                for channel, entry in _by_channel(each.channel, index):
+                    entries[channel].append(entry)
                 if encoded.size:
                     times += _range_of(each.log_time)
                 parts.append(encoded.tobytes())
@@ -154,7 +151,7 @@ class ChunkedFile:
         times = [time for each in messages for time in _range_of(each.log_time)]
         index, index_position = b"", -1
         for row, channel in enumerate(channels):
-            descriptions = self._new_descriptions.end()
+            descriptions = b"" if row else self._new_descriptions.end()
             # The index is equal for all channels whose messages begin at the same position.
             if index_position != len(descriptions):
                 index_position = position = len(descriptions)
@@ -286,14 +283,13 @@ def _range_of(times: NDArray[np.uint64] | int) -> tuple[int, int]:
     return int(np.minimum.reduce(times, axis=None)), int(np.maximum.reduce(times, axis=None))
 
 
-def _by_channel(channels: NDArray[Any], index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:
-    """Yield each channel with its index entries, in the order of the first messages."""
-    channels, index = channels.ravel(), index.ravel()
-    order = np.argsort(channels, kind="stable")
-    starts = np.flatnonzero(np.diff(channels[order], prepend=-1))
-    groups = np.split(index[order], starts[1:])
-    for position in np.argsort(order[starts]).tolist():
-        yield int(channels[order[starts[position]]]), groups[position].tobytes()
+def _by_channel(channels: NDArray[np.int64] | int, index: NDArray[Any]) -> Iterator[tuple[int, bytes]]:
+    """Yield each channel with its index entries, in the order of the first messages; see `Messages.channel`."""
+    numbers = np.asarray(channels)
+    for place in np.ndindex(numbers.shape):
+        # Along an axis of length 1, the channel is that of all messages.
+        selected = (slice(None) if size == 1 else k for k, size in zip(place, numbers.shape, strict=True))
+        yield int(numbers[place]), index[(..., *selected)].tobytes()
 
 
 class Message(NamedTuple):
@@ -309,7 +305,7 @@ class Message(NamedTuple):
 class Messages(NamedTuple):
     """Messages of equal size, in the order of `data`; numpy broadcasts the other fields to its shape without bytes."""
 
-    channel: NDArray[np.int64] | int  # number of the channel
+    channel: NDArray[np.int64] | int  # number of the channel; each number occurs once
     log_time: NDArray[np.uint64] | int  # ns
     publish_time: NDArray[np.uint64] | int  # ns
     data: NDArray[np.uint8]  # content; shape (..., bytes)

@@ -57,13 +57,14 @@ class Disturbances:
 
     `direct`: direct feedthrough of each disturbance to the output; `degrees`: of the polynomials; `oversampling`:
     number of intervals in a sample interval. Of each noise, degrees 0, 1 and 2 follow one another.
+    `has_direct`: whether any feedthrough is not 0.
     """
 
     def __init__(
         self, sources: Sequence[Disturbance], direct: Array, degrees: Sequence[int], oversampling: int
     ) -> None:
         self._sources, self._oversampling = tuple(sources), oversampling
-        self._direct, self._has_direct = direct, bool(direct.any())
+        self._direct, self.has_direct = direct, bool(direct.any())
         self._degrees = tuple(degrees)
         self._n_intervals, self._n_samples = 0, 0  # numbers of intervals and of samples drawn so far
         self._last = np.zeros((len(sources), 1))
@@ -107,8 +108,7 @@ class Disturbances:
 
     def add_direct(self, voltages: Array, volts: Array) -> None:
         """Add the direct feedthrough of `voltages` (from `draw`) to `volts`, the outputs at the ends of intervals."""
-        if self._has_direct:
-            _add_weighted(self._direct, voltages, volts)
+        _add_weighted(self._direct, voltages, volts)
 
 
 @unfused_kernel

@@ -120,7 +120,8 @@ class SignalPath:
             self._overloads.severity_buffer(intervals), self._workspace,
         )  # fmt: skip
         volts = self._sampler.read(outputs, sample_ends)
-        self._disturbances.add_direct(disturbances[:, sample_ends], volts)
+        if self._disturbances.has_direct:
+            self._disturbances.add_direct(disturbances[:, sample_ends], volts)
         if self._jitter is not None and timing_error is not None:
             volts += self._jitter.error(outputs[-1, sample_ends], timing_error)
         if self._noise is not None:

@@ -47,15 +47,19 @@ class Plant:
         self.inputs, self.drive_units = self.system.inputs, self.system.drive_units
         self.points = self.system.points
         self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
-        # Largest drive of each input before the amplifier clips.
-        self._drive_limit = np.full((len(self.inputs), 1), np.inf)
+        # Largest drive of each input before the amplifier clips; None: no input has a limit.
+        limits = np.full((len(self.inputs), 1), np.inf)
         for number, shaker in enumerate(scene.shakers, 1):
             if shaker.kind == "electrodynamic":
                 row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
-                self._drive_limit[row] = shaker.amplifier.limit / shaker.amplifier.gain
+                limits[row] = shaker.amplifier.limit / shaker.amplifier.gain
+        self._drive_limit = limits if np.isfinite(limits).any() else None
         self._dampers = len(scene.dampers)
-        # Empty arrays for blocks without breaks, computed once.
+        # Empty arrays for blocks without breaks or events, computed once.
         self._no_breaks: tuple[Array, Array, Array] | None = None
+        self._no_events = event_table(
+            np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), self.system
+        )
         self._next_sample = 0
         self._last_drive = np.zeros((len(self.inputs), 1))
 
@@ -83,8 +87,9 @@ class Plant:
             If the drive has the wrong shape, or is not finite.
         """
         block = validate_drive(drive, self.inputs, self._next_sample)
-        if np.isfinite(self._drive_limit).any():
-            block = np.clip(block, -self._drive_limit, self._drive_limit)
+        if self._drive_limit is not None:
+            # Faster than `numpy.clip` by a factor of two.
+            block = np.minimum(np.maximum(block, -self._drive_limit), self._drive_limit)
         first, samples = self._next_sample, block.shape[1]
         buffer = self._propagator.motion_samples(samples)
         separated = np.zeros(0, dtype=np.int64)
@@ -111,8 +116,10 @@ class Plant:
         breaks = (
             self._breaks(trajectory) if self._no_breaks is None or len(trajectory.state_before) else self._no_breaks
         )
-        times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
-        events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
+        events = self._no_events
+        if len(trajectory.event_segment):
+            times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
+            events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
         if len(separated):
             zeros = np.zeros(len(separated))
             initial_events = event_table(zeros, separated, zeros.astype(np.int64), zeros, system)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ class Parameter:
     key_path: KeyPath  # the parts of the key; lists count from 0
     start: float  # value in the scene, in SI
 
-    @property
+    @cached_property
     def quantity(self) -> str:
         """Name of the value: the last word of its key."""
         return next(str(step) for step in reversed(self.key_path) if isinstance(step, str))
@@ -66,7 +67,7 @@ class Parameter:
         """Index of its damper, from 0; None for other values."""
         return int(self.key_path[1]) if self.key_path[0] == "dampers" else None
 
-    @property
+    @cached_property
     def is_ratio_below_one(self) -> bool:
         """Whether the value is a ratio below 1."""
         return self.quantity in ("restitution", "modal")
@@ -133,25 +134,25 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
 
 def with_values(scene: Scene, values: Mapping[KeyPath, float]) -> Scene:
     """Return a scene with other values at some key paths; the values must be valid."""
-    by_name: dict[str, dict[KeyPath, float]] = {}
-    for key_path, value in values.items():
-        by_name.setdefault(str(key_path[0]), {})[key_path[1:]] = value
-    return scene.with_valid(**{name: _replace(getattr(scene, name), inner) for name, inner in by_name.items()})
+    changed: Scene = _replace(scene, values)
+    return changed
 
 
 def _replace(setting: Any, values: Mapping[KeyPath, float]) -> Any:
     """Return a setting, such as a list of masses, with other values at key paths inside it."""
-    if () in values:
-        return values[()]
-    by_name: dict[int | str, dict[KeyPath, float]] = {}
+    changes: dict[int | str, Any] = {}
+    inner: dict[int | str, dict[KeyPath, float]] = {}
     for key_path, value in values.items():
-        by_name.setdefault(key_path[0], {})[key_path[1:]] = value
+        if len(key_path) == 1:
+            changes[key_path[0]] = value
+        else:
+            inner.setdefault(key_path[0], {})[key_path[1:]] = value
     if isinstance(setting, tuple):
-        return tuple(_replace(item, by_name[k]) if k in by_name else item for k, item in enumerate(setting))
+        changes |= {step: _replace(setting[int(step)], inner_values) for step, inner_values in inner.items()}
+        return tuple(changes.get(k, item) for k, item in enumerate(setting))
     assert isinstance(setting, Settings)
-    return setting.with_valid(
-        **{str(name): _replace(getattr(setting, str(name)), inner) for name, inner in by_name.items()}
-    )
+    changes |= {step: _replace(getattr(setting, str(step)), inner_values) for step, inner_values in inner.items()}
+    return setting.with_valid(**{str(name): value for name, value in changes.items()})
 
 
 def _candidates(scene: Scene) -> Iterator[Parameter]:

@@ -72,7 +72,7 @@ def random_test(chain: Chain, path: Path, seed: int) -> dict[str, Any]:
     each response.
     """
     random = np.random.default_rng(seed)
-    rate, low, high, duration = 1000.0, 4.0, 220.0, 40.0
+    rate, low, high, duration = 1000.0, 4.0, 220.0, 20.0
     count = 2 * round(duration * rate)
     frequency = np.fft.rfftfreq(count, 1.0 / rate)
     # The force covers more than the band of the test.

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import analysis
 import daq
+import rig
 from analysis.cli import app
 from rig.errors import RecordingError
 
@@ -46,8 +47,10 @@ def test_modes_of_two_recordings_are_compared_by_mac():
 
 @pytest.mark.usefixtures("no_pictures")
 def test_dampers_returns_rows_of_the_command(tmp_path, axes):
-    [result] = analysis.dampers(DAMPED)
-    assert CliRunner().invoke(app, ["dampers", str(DAMPED), "-o", str(tmp_path)]).exit_code == 0
+    test = {"kind": "stepped_sine", "frequencies": [48.6, 49.0], "force": 3.3, "measure": {"periods": 25}}
+    path = daq.record(rig.load("fig9").replace(test=test), tmp_path / "fig9.mcap")
+    [result] = analysis.dampers(path)
+    assert CliRunner().invoke(app, ["dampers", str(path), "-o", str(tmp_path)]).exit_code == 0
     [table] = tmp_path.glob("*.csv")
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

@@ -13,7 +13,7 @@ SCENE_NUMBERS = {
     "random": 1,
     "burst_random": 6,
     "multisine": 0,
-    "impulse": 1,
+    "impulse": 22,
     "stepped_sine": 8,
     "imported_stepped_sine": 14,
     "swept_sine": 0,
@@ -23,12 +23,12 @@ SCENE_NUMBERS = {
     "tone_dampers": 0,
     "steps_dampers": 0,
     "decay_dampers": 0,
-    "tone_finite_contact": 0,
+    "tone_finite_contact": 18,
     "steps_finite_contact": 6,
     "curves_close_modes": 0,
     "multisine_close_modes": 2,
     "stepped_sine_close_modes": 0,
-    "random_two_shakers": 0,
+    "random_two_shakers": 23,
     "multisine_two_shakers": 0,
 }
 

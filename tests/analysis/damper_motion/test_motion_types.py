@@ -231,10 +231,9 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
         shaker={"kind": "force", "body": 2},
         test={
             "kind": "stepped_sine",
-            "frequencies": (45.71, 46.8148),
+            "frequencies": (46.8148,),
             "force": 408.37,
-            "direction": "down",
-            "settle": {"longest": 13.5},
+            "settle": {"longest": 5.0},
             "measure": {"periods": 30},
         },
         channels=(
@@ -250,8 +249,8 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
         path = daq.record(scene, tmp_path / "weak.mcap")
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
-        names = [motion.name for motion in damper_motion(rec, sweep, "b2")]
-    assert all(name == "II" or "unsure" in name or "perhaps weak ones" in name for name in names)
+        [motion] = damper_motion(rec, sweep, "b2")
+    assert motion.name == "II" or "unsure" in motion.name or "perhaps weak ones" in motion.name
 
 
 def test_impact_energy_agrees_with_truth(fig9):

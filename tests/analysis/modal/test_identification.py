@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,26 @@ DAMPING = 0.005  # damping ratio of its modes
 DAMPERS_PATH = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
 
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory):
+    """Return the recording of a stepped sine over the three resonances, without noise."""
+    return synthetic.stepped_sine(tmp_path_factory.mktemp("sweep") / "a.mcap", np.linspace(8.0, 60.0, 105))
+
+
+@cache
+def curves_with_dampers():
+    """Return the frequency responses of the demo with moving dampers."""
+    return analysis.frfs(DAMPERS_PATH)
+
+
 def natural_modes_of(scene):
     """Return the natural frequencies in rad/s, and the mode shapes."""
     mass, _, stiffness = structure_matrices(scene.structure)
     return natural_modes(mass, stiffness)
 
 
-def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
-    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
+def test_stepped_sine_gives_frequencies_and_damping(sweep):
+    with daq.open(sweep) as rec:
         [curves] = analysis.frequency_responses(rec)
         modes = analysis.identify(curves)
         omega, shapes = natural_modes_of(rec.scene)
@@ -46,8 +59,8 @@ def test_stepped_sine_gives_frequencies_and_damping(tmp_path):
     np.testing.assert_allclose(complex_shape.collinearity, 0.36)
 
 
-def test_table_reference_gives_resonances_with_spring(tmp_path):
-    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
+def test_table_reference_gives_resonances_with_spring(sweep):
+    with daq.open(sweep) as rec:
         [curves] = analysis.frequency_responses(rec, reference="table")
         modes = analysis.identify(curves)
     np.testing.assert_allclose(2 * np.pi * modes.frequency, OMEGA_WITH_SPRING, rtol=1e-5)
@@ -61,7 +74,7 @@ def with_only(curve, limits):
 @pytest.mark.thorough
 def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
     normalized = []
-    for seed in range(6):
+    for seed in range(3):
         path = synthetic.stepped_sine(
             tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105), noise=3e-6, seed=seed, periods=10
         )
@@ -230,8 +243,7 @@ def test_jump_is_reported_as_nonlinear(tmp_path):
 
 
 def test_modes_with_flying_dampers_are_linear_equivalents():
-    with daq.open(DAMPERS_PATH) as recording:
-        frfs = analysis.frfs(recording)
+    frfs = curves_with_dampers()
     modes = analysis.identify(frfs)
     largest = max((abs(frf.value) for frf in frfs), key=lambda magnitude: magnitude.max())
     assert len(modes.frequency) == 3
@@ -253,8 +265,7 @@ def test_fit_and_pole_errors_are_independent_of_initial_damping(width_ratio):
 
 
 def test_lines_of_infinite_error_do_not_hide_nonlinearity():
-    with daq.open(DAMPERS_PATH) as recording:
-        frfs = analysis.frfs(recording)
+    frfs = curves_with_dampers()
     limit = np.where(abs(frfs[0].frequency - 24.0) < 4.0, np.inf, 0.0)
     zero_in_part = replace(frfs[1], value=np.where(limit > 0.0, 0.0, frfs[1].value))
     limited = [frf.with_limits({UNSETTLED: limit}) for frf in (frfs[0], zero_in_part)]
@@ -311,9 +322,8 @@ def test_peak_without_lines_is_no_mode():
         analysis.identify(peak_in_gap([]))
 
 
-def test_sensor_tolerance_is_in_shape_uncertainty(tmp_path):
-    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
-        [curves] = analysis.frequency_responses(rec)
+def test_sensor_tolerance_is_in_shape_uncertainty(sweep):
+    [curves] = analysis.frequency_responses(sweep)
     inaccurate = with_only(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
     modes = analysis.identify([curves[0], inaccurate, curves[2]])
     relative_error = modes.shape_error / abs(modes.shapes)
@@ -326,9 +336,8 @@ def test_sensor_tolerance_is_in_shape_uncertainty(tmp_path):
             assert (0.09 < error < 0.15) if is_uncertain else error < 0.01
 
 
-def test_force_tolerance_does_not_affect_shapes(tmp_path) -> None:
-    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
-        [curves] = analysis.frequency_responses(rec)
+def test_force_tolerance_does_not_affect_shapes(sweep) -> None:
+    [curves] = analysis.frequency_responses(sweep)
     limited = [curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves]
     uncertain = [replace(curve, uncertainty=replace(curve.uncertainty, scale=0.15)) for curve in limited]
     exact, modes = analysis.identify(curves), analysis.identify(uncertain)

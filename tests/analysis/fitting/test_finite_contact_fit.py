@@ -13,9 +13,8 @@ SCENE = """
 structure: {masses: [2.2 kg], springs: [95 kN/m], damping: {modal: [0.006]}}
 shaker: {kind: force, body: 1}
 dampers: [{body: 1, mass: 90 g, clearance: 0.8 mm, %s}]
-test: {kind: stepped_sine, frequencies: [26, 30, 32, 32.4, 32.6, 32.8, 33, 36], force: 6 N}
+test: {kind: stepped_sine, frequencies: [26, 29, 31, 32, 32.4, 32.6, 32.8, 33, 33.2, 36], force: 6 N}
 channels: [{name: a, at: body 1}, {name: f, at: shaker}]
-converter: {rate: 5120 Hz}
 recording: {display: false}
 """
 
@@ -28,7 +27,7 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
     daq.record(scene.replace(dampers=()), tmp_path / "bare.mcap")
     daq.record(scene, tmp_path / "damped.mcap")
     parameters = free_parameters(scene)
-    deviations = np.where(np.arange(len(parameters)) % 2, 1.1, 1 / 1.1)
+    deviations = np.where(np.arange(len(parameters)) % 2, 1.15, 1 / 1.15)
     initial_scene = with_values(
         scene,
         {

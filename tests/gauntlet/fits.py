@@ -143,7 +143,7 @@ def run_trial(seed: int, number: int) -> Trial:
     guess = with_values(
         scene,
         {
-            parameter.place: parameter.start * factor
+            parameter.key_path: parameter.start * factor
             for parameter, factor in zip(parameters, factors.tolist(), strict=True)
         },
     ).replace(shaker=None, test=None, channels=None)

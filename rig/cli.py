@@ -115,7 +115,7 @@ def explain(
         bool, typer.Option("--measure", help="Also add the effects one by one and measure the computing time of each.")
     ] = False,
 ) -> None:
-    """List expected maxima, effects and states of a scene."""
+    """List the modeled effects of a scene, their states, and the expected maxima."""
     import rig
     from rig.effects.extensions import test_predictions
 
@@ -157,7 +157,7 @@ def simulate(
 ) -> None:
     """Simulate the motion of a scene; print peaks, events and energy.
 
-    The drive of the test acts without sensors and controller.
+    The drive of the test acts in open loop, without sensors and controller.
     """
     from rig.provenance import allow_overwriting, output_source
     from rig.scene.quantities import FREQUENCY, TIME
@@ -191,7 +191,7 @@ def response(
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, with all digits.")
+        Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, at full precision.")
     ] = None,
     overwrite: Overwrite = False,
     verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
@@ -277,7 +277,8 @@ def cost(
 ) -> None:
     """Measure error and computing time of every method on a scene.
 
-    For a scene with a bed of grains, it compares one mass, one mass with finite-duration contact, and coarser grains.
+    For a scene with a bed of grains, it compares simpler models of the bed: one mass, one mass with finite-duration
+    contact, and softer grains.
     """
     import rig
     from rig.output_files import create_folder, file_stem
@@ -305,10 +306,10 @@ def map_(
             metavar="force|drive|clearance", help="Quantity of the second axis. Default: the level of the test."
         ),
     ] = None,
-    least: Annotated[
-        str | None, typer.Option(metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
+    lowest: Annotated[
+        str | None, typer.Option("--least", metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
     ] = None,
-    most: Annotated[str | None, typer.Option(metavar="VALUE", help="Largest level or clearance.")] = None,
+    highest: Annotated[str | None, typer.Option("--most", metavar="VALUE", help="Largest level or clearance.")] = None,
     rows: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of levels or clearances.")] = 36,
     first: First = None,
     last: Last = None,
@@ -334,7 +335,7 @@ def map_(
     over, unit = vertical_axis(loaded_scene, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
-    limits = _quantity(least, kind, "--least"), _quantity(most, kind, "--most")
+    limits = _quantity(lowest, kind, "--least"), _quantity(highest, kind, "--most")
     create_folder(output)
     stem = output_stem(loaded_scene, over, output)
     finished_points = stem.with_suffix(".csv.kept")
@@ -380,14 +381,15 @@ def design(
     band: Annotated[
         str | None, typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: that of the test.")
     ] = None,
-    watched: Annotated[
-        str | None, typer.Option(metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")
+    response_bodies: Annotated[
+        str | None, typer.Option("--watched", metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")
     ] = None,
-    damping_off: Annotated[
-        str, typer.Option(metavar="SHARE", help="Uncertainty of the structure's damping, such as '30 %'.")
+    damping_uncertainty: Annotated[
+        str,
+        typer.Option("--damping-off", metavar="SHARE", help="Uncertainty of the structure's damping, such as '30 %'."),
     ] = "0 %",
-    stiffness_off: Annotated[
-        str, typer.Option(metavar="SHARE", help="Uncertainty of the structure's stiffness.")
+    stiffness_uncertainty: Annotated[
+        str, typer.Option("--stiffness-off", metavar="SHARE", help="Uncertainty of the structure's stiffness.")
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
@@ -397,7 +399,7 @@ def design(
 ) -> None:
     """Choose mass, clearance and place of dampers.
 
-    The choice has the smallest worst peak over all levels. An interrupted run continues when it is started again.
+    The choice minimizes the highest peak over all levels. An interrupted run continues when it is started again.
 
     New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
     """
@@ -426,8 +428,8 @@ def design(
             clearance=_split_list(clearance),
             levels=_split_list(levels),
             band=_split_list(band),
-            watched=_split_list(watched),
-            uncertain=(damping_off, stiffness_off),
+            watched=_split_list(response_bodies),
+            uncertain=(damping_uncertainty, stiffness_uncertainty),
             cluster=cluster,
             table=table,
             progress=lambda n_completed, total: report_progress(n_completed / total, f"{n_completed} of {total}"),

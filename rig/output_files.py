@@ -1,4 +1,7 @@
-"""Output files: written atomically, without overwriting protected files or special files."""
+"""Output files: written atomically, without overwriting special files or *protected* files.
+
+Protected are all existing files but unchanged outputs from the same source (see `rig.provenance`).
+"""
 
 from __future__ import annotations
 
@@ -73,24 +76,24 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     renamed, it is saved under another name, which the message reports.
 
     `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced;
-    omitted, as decided by `rig.provenance`. Yields the temporary file, with the suffix of `path`. Raises
-    `SceneError` if `path` must not be written (`resolve_output`), or a protected file of that name was created in
+    if omitted, `rig.provenance` decides. Yields the temporary file, with the suffix of `path`. Raises
+    `SceneError` if `resolve_output` rejects `path`, or a protected file of that name was created in
     the meantime. Raises `RunError` if the disk is full or fails.
     """
-    is_marked = overwrite is None and can_contain_mark(path)
-    is_unmarked = overwrite is None and not can_contain_mark(path)
+    supports_mark = overwrite is None and can_contain_mark(path)
+    compares_content = overwrite is None and not can_contain_mark(path)
     if overwrite is None:
         overwrite = may_overwrite() or is_unchanged_output(path)
-        if is_marked and not overwrite and path.is_file():
+        if supports_mark and not overwrite and path.is_file():
             raise overwrite_error(path)
-    # An existing unmarked file is compared with the new file when that is complete.
-    file = resolve_output(path, overwrite or is_unmarked)
+    # An existing file that cannot contain a mark is compared with the new file when that is complete.
+    file = resolve_output(path, overwrite or compares_content)
     temporary = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield temporary
-        if is_marked:
+        if supports_mark:
             add_mark(temporary)
-        elif is_unmarked and not overwrite and file.is_file():
+        elif compares_content and not overwrite and file.is_file():
             if not cmp(temporary, file, shallow=False):
                 raise overwrite_error(path)
             temporary.unlink()
@@ -153,14 +156,14 @@ def _rename(temporary: Path, file: Path, overwrite: bool) -> None:
 def _save_next_to(temporary: Path, file: Path) -> Path:
     """Rename a finished file to the first free name next to the intended name, if possible."""
     for number in range(2, 100):
-        free = file.with_name(f"{file.stem}-{number}{file.suffix}")
+        free_name = file.with_name(f"{file.stem}-{number}{file.suffix}")
         try:
-            _rename(temporary, free, overwrite=False)
+            _rename(temporary, free_name, overwrite=False)
         except FileExistsError:
             continue
         except OSError:
             return temporary
-        return free
+        return free_name
     return temporary
 
 

@@ -19,8 +19,8 @@ from rig.results.uncertainty import SENSITIVITY
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
 _BAND_BELOW_RATIO = 0.15
-# Maximum relative error with which neighboring points predict a point; above it, the curve has a jump.
-_MAX_PREDICTION_ERROR = 0.2
+# Maximum relative leave-one-out error, with which neighbors predict a point; above it, the curve has a jump.
+_MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
 # Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
@@ -31,21 +31,21 @@ _MAX_INTERPOLATION_ERROR = 0.01
 class Peak:
     """A resonance peak of a measured receptance."""
 
-    value: float  # height, m/N; a lower limit of the height if `bound` is infinite
+    value: float  # height, m/N; a lower bound of the height if `bound` is infinite
     # 95 % bound of the height, m/N; infinite if the curve has a jump or few points, or if a point next to the highest
     # was omitted
     bound: float
     frequency: float  # Hz
     lowest_frequency: float  # lower limit of the frequency, Hz
     highest_frequency: float  # upper limit of the frequency, Hz
-    lower_limit: float = 0.0  # of the height: lower limit of the highest measured point, m/N
+    lower_limit: float = 0.0  # lower 95 % bound of the highest measured point, m/N
     interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
 
     @property
     def low(self) -> float:
-        """Lower limit of the height, m/N."""
+        """Lower 95 % bound of the height, m/N."""
         if self.at_end:
             return 0.0
         return self.value if isinf(self.bound) else max(self.value - self.bound, self.lower_limit)
@@ -56,8 +56,8 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
     Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
     mode). Therefore 1/H is interpolated through the three points around the highest point, and through five points as a
-    check. The bound contains the bounds of these points and twice the difference of the two interpolations. It also
-    contains twice the error with which neighbors predict the points, because widely spaced points may miss the top of a
+    check. The bound is the sum of the propagated bounds of these points, twice the difference of the two
+    interpolations, and twice the leave-one-out error of the points, because widely spaced points may miss the top of a
     peak with dampers. In a test on computed curves with dampers, with one to nine points in the half-power bandwidth,
     the bound contained the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the
     curve is within the bound of its peak.
@@ -79,7 +79,9 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     three_points = slice(highest - 1, highest + 2)
     others = five_points[five_points != highest]
     predicted = _interpolate(f[others], inverse_frf[others], f[[highest]])
-    has_jump = five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_PREDICTION_ERROR
+    has_jump = (
+        five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_LEAVE_ONE_OUT_ERROR
+    )
     has_omitted_neighbor = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
     if has_jump or f.size < 4 or has_omitted_neighbor:
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
@@ -92,9 +94,9 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     measured_bound = curve[peak_index] ** 2 * float(
         sensitivity @ (point_bound[three_points] / magnitude[three_points] ** 2)
     )
-    prediction_error = _prediction_error(f, inverse_frf, scatter / magnitude**2, highest)
+    leave_one_out_error = _leave_one_out_error(f, inverse_frf, scatter / magnitude**2, highest)
     interpolation_bound = 2.0 * float(
-        abs(curve_of_five.max() - curve[peak_index]) + prediction_error * curve[peak_index]
+        abs(curve_of_five.max() - curve[peak_index]) + leave_one_out_error * curve[peak_index]
     )
     bound = measured_bound + interpolation_bound
     possible_on_grid = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
@@ -112,9 +114,9 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
 
 
 def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
-    """Return the index of the highest point or, if that is at an end, of the highest significant local maximum.
+    """Return the index of the highest point, or of the highest significant local maximum if that point is at an end.
 
-    Without such a maximum, it is the highest point. A maximum is significant if it exceeds the minima on both sides by
+    Without such a maximum, return the highest point. A maximum is significant if it exceeds the minima on both sides by
     more than their scatter.
     """
     highest, best_maximum = int(np.argmax(magnitude)), -1
@@ -130,7 +132,7 @@ def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
     return highest if best_maximum < 0 else best_maximum
 
 
-def _prediction_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.ndarray, highest: int) -> float:
+def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.ndarray, highest: int) -> float:
     """Estimate the relative error, beyond scatter, with which neighbors predict the three points at the peak.
 
     `inverse_frf`, `scatter`: 1/H and its scatter at the frequencies f; `highest`: index of the highest point.
@@ -220,25 +222,27 @@ def peak_changes(
             continue
         for f, zeta, band_low, band_high in zip(frequency, damping, low, high, strict=True):
             pair = by_name[curve.response], curve
-            before, after = (peak(response, band_low, band_high) for response in pair)
-            if before is None or after is None or before.at_end:
+            bare_peak, damped_peak = (peak(response, band_low, band_high) for response in pair)
+            if bare_peak is None or damped_peak is None or bare_peak.at_end:
                 continue
-            if after.at_end and not covers(curve, before.frequency):
+            if damped_peak.at_end and not covers(curve, bare_peak.frequency):
                 continue
             without_sensitivity = None
             if curve.response in same_sensors:
-                bare_as_read, damped_as_read = (
+                bare_without, damped_without = (
                     peak(response.without(SENSITIVITY), band_low, band_high) for response in pair
                 )
-                assert bare_as_read is not None
-                assert damped_as_read is not None
-                without_sensitivity = bare_as_read, damped_as_read
-            changes.append(PeakChange(curve.response, float(f), float(zeta), before, after, without_sensitivity))
+                assert bare_without is not None
+                assert damped_without is not None
+                without_sensitivity = bare_without, damped_without
+            changes.append(
+                PeakChange(curve.response, float(f), float(zeta), bare_peak, damped_peak, without_sensitivity)
+            )
     return changes
 
 
 def covers(curve: Response, frequency: float) -> bool:
-    """Return whether a frequency lies in the band of a curve."""
+    """Return whether a frequency lies in the measured range of a curve."""
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
 
 

@@ -1,6 +1,6 @@
 """
-Drive the rig with nidaqmx, estimate with pyFRF
-===============================================
+Drive the rig with nidaqmx, estimate FRFs with pyFRF
+====================================================
 
 A script for NI hardware writes noise to the shaker, reads force and acceleration, and hands the samples to pyFRF. The
 device is simulated; the package `nidaqmx` is NI's own (`pip install pyFRF`).
@@ -28,7 +28,7 @@ channels:
 converter: {rate: 10240 Hz, bits: 24, range: 5 V}
 """)
 RATE, BLOCK, BLOCKS = 10240.0, 40960, 6
-# The same block of noise from 30 to 250 Hz is repeated, so that there is no leakage.
+# Pseudo-random excitation: one block of noise from 30 to 250 Hz is repeated, so that there is no leakage.
 lines = np.fft.rfftfreq(BLOCK, 1 / RATE)
 phases = np.random.default_rng(1).uniform(0.0, 2 * np.pi, lines.size)
 block = np.fft.irfft(np.where((lines > 30) & (lines < 250), np.exp(1j * phases), 0.0))
@@ -59,13 +59,14 @@ blocks = [values.reshape(-1, BLOCKS, BLOCK).swapaxes(0, 1)[1:] for values in (fo
 frf.add_data(*blocks)
 band = (frf.get_f_axis() > 40) & (frf.get_f_axis() < 220)
 frequency, receptance = frf.get_f_axis()[band], frf.get_H1()[1, 0, band]
+# `rig.frequency_response` needs a sine test; its level and frequency do not affect the linear response.
 sine_scene = scene.replace(test={"kind": "sine", "frequency": "62 Hz", "force": "1 N"})
 exact = rig.frequency_response(sine_scene, frequency).compliance[1]
 axes = plt.subplots(layout="constrained")[1]
 axes.semilogy(frequency, 1e6 * abs(receptance), label="nidaqmx and pyFRF, H1")
 axes.semilogy(frequency, 1e6 * abs(exact), "k--", label="exact")
-axes.set(xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
+axes.set(xlabel="frequency / Hz", ylabel="receptance of the arm / (µm/N)")
 axes.legend()
-error = np.median(abs(abs(receptance) / abs(exact) - 1.0))
+magnitude_error = np.median(abs(abs(receptance) / abs(exact) - 1.0))
 peak = frequency[np.argmax(abs(receptance))]
-print(f"resonance at {peak:.2f} Hz; median error of H1 {100 * error:.1f} %")
+print(f"resonance at {peak:.2f} Hz; median magnitude error of H1 {100 * magnitude_error:.1f} %")

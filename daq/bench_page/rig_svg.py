@@ -63,7 +63,7 @@ class RigDrawing:
         masses = scene.structure.masses
         for body in range(1, scene.structure.bodies + 1):
             height, color = view.stack.heights[body - 1], body_color(body)
-            if view.sprung[body - 1]:
+            if view.has_spring[body - 1]:
                 springs = "".join(_coil(x, view.stack.lengths[body - 1], STEEL) for x in (-0.3 * WIDTH, 0.3 * WIDTH))
                 parts.append(_group(f"rig/spring_{body}", springs))
             cavities = view.stack.cavities[body - 1]

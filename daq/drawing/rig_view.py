@@ -1,7 +1,7 @@
 """The three-dimensional drawing of the rig: its parts, and their motion.
 
 Every displacement and gap is multiplied by the same factor, the exaggeration. z points up, x to the right, y away from
-the viewer. An entity is the path of a part in the viewer, such as ``rig/body_1/damper``.
+the viewer. Each part has an entity path in the viewer, such as ``rig/body_1/damper``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.drawing.palette import DARK_STEEL, DRIVE, GLUED, GROUND, HAMMER, LEAD, MARK, STEEL, Color, body_color
+from daq.drawing.palette import DARK_STEEL, DRIVE, GROUND, HAMMER, INACTIVE, LEAD, MARK, STEEL, Color, body_color
 from daq.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 from daq.drawing.stack import (
     COIL_LENGTH,
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-# Largest ratio of the drawn motion across a spring to its drawn length.
+# Largest drawn change of length of a spring, relative to its drawn length.
 _MAX_STRETCH_RATIO = 0.6
-# Largest exaggeration: a larger value would show the noise of a rig at rest.
+# Largest exaggeration; a larger one would show the noise of a rig at rest.
 _MAX_EXAGGERATION = 1e4
 
 
@@ -85,8 +85,8 @@ def _max_magnitude(values: Array) -> float:
 def exaggeration(extremes: Extremes) -> float:
     """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
 
-    It is the largest number of the series 1, 2, 5, 10, ... for which springs stretch by less than 60 % of their length,
-    and dampers do not leave the drawing.
+    It is the largest number of the series 1, 2, 5, 10, ... for which springs stretch by less than 60 % of their length
+    and dampers stay within the drawn headroom.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
     50.0
@@ -112,26 +112,26 @@ def _position_beside_body(text: str, height: float) -> Point:
 class RigView:
     """The drawing of a scene's rig.
 
-    `extremes` determine the exaggeration. Dampers with unknown gaps, and points in `unknown` (``body 1``, ...), are
-    drawn pale and at rest, with a note.
+    `extremes` determine the exaggeration. Dampers with unknown gaps, and the bodies and tables in `unmeasured`
+    (``body 1``, ...), are drawn pale and at rest, with a note.
     """
 
-    def __init__(self, scene: Scene, extremes: Extremes, gaps_known: bool, unknown: Collection[str] = ()) -> None:
+    def __init__(self, scene: Scene, extremes: Extremes, gaps_known: bool, unmeasured: Collection[str] = ()) -> None:
         from rig.system.structural_model import structural_model
 
         self.scene = scene
         self.exaggeration = exaggeration(extremes)
         self.damper_masses = structural_model(scene).bed_mass
         self.gaps_known = gaps_known
-        self._unknown = unknown
+        self._unmeasured = unmeasured
         self._drawn_excursion = extremes.body * self.exaggeration
         self.bodies = scene.structure.bodies
         self.stack = Stack(scene, self.exaggeration)
         self.shaker_tables = self.stack.tables
         # If the structure is given by matrices, it is not known which bodies are connected, and no spring is drawn.
-        self.sprung = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
+        self.has_spring = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
-    def still_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
+    def static_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield the entity and the shape of each part; they are sent to the viewer once."""
         import rerun as rr
 
@@ -139,8 +139,8 @@ class RigView:
         yield "rig/ground", boxes([((0, 0, -0.01), (0.44, 0.24, 0.02))], GROUND)
         for body in range(1, self.bodies + 1):
             yield from self._body(body)
-        for body, (length, sprung) in enumerate(zip(self.stack.lengths, self.sprung, strict=True), start=1):
-            if sprung:
+        for body, (length, has_spring) in enumerate(zip(self.stack.lengths, self.has_spring, strict=True), start=1):
+            if has_spring:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self.shaker_tables:
             yield from self._shaker(table)
@@ -177,10 +177,10 @@ class RigView:
         yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
     def _color(self, point: str, color: Color) -> Color:
-        return GLUED if point in self._unknown else color
+        return INACTIVE if point in self._unmeasured else color
 
     def _note(self, point: str) -> str:
-        return ", not measured" if point in self._unknown else ""
+        return ", not measured" if point in self._unmeasured else ""
 
     def damper_entity(self, index: int) -> str:
         """Return the entity of a damper (index in the scene), with a number if its body has several dampers."""
@@ -200,7 +200,7 @@ class RigView:
             text += ", ceiling out of sight"
         moves = self.gaps_known and not damper.locked
         name = self.damper_entity(cavity.damper_index)
-        yield name, boxes([cavity.damper], LEAD if moves else GLUED)
+        yield name, boxes([cavity.damper], LEAD if moves else INACTIVE)
         # The names of several dampers are written below each other, next to their body.
         label_position = _position_beside_body(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
         yield f"{name}_name", label(label_position, text, LEAD if moves else MARK)
@@ -250,16 +250,16 @@ class RigView:
         lower_end_at_rest = 0.0
         for index in range(self.bodies):
             yield f"rig/body_{index + 1}", _along_z(self.stack.bottoms[index] + drawn_displacement[index]), None
-            if self.sprung[index]:
+            if self.has_spring[index]:
                 length = self.stack.lengths[index]
                 stretch = (length + drawn_displacement[index] - lower_end) / length
                 yield f"rig/spring_{index + 1}", _along_z(lower_end_at_rest + lower_end), _along_z(stretch, 1.0)
             lower_end = drawn_displacement[index]
             lower_end_at_rest = self.stack.bottoms[index] + self.stack.heights[index]
-        for table, rows in zip(self.shaker_tables, motion.tables * self.exaggeration, strict=True):
-            yield table.entity("table"), _along_z(table.top + rows), None
-            stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - rows) / COIL_LENGTH
-            yield table.entity("coil_spring"), _along_z(table.top + rows), _along_z(stretch, 1.0)
+        for table, table_motion in zip(self.shaker_tables, motion.tables * self.exaggeration, strict=True):
+            yield table.entity("table"), _along_z(table.top + table_motion), None
+            stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - table_motion) / COIL_LENGTH
+            yield table.entity("coil_spring"), _along_z(table.top + table_motion), _along_z(stretch, 1.0)
         if motion.gap is not None:
             for index in range(len(self.scene.dampers)):
                 yield self.damper_entity(index), _along_z(motion.gap[index] * self.exaggeration), None

@@ -4,7 +4,7 @@ The simulation gives the motion at nodes: at the samples, and at breaks. A break
 velocity or acceleration jumps. A segment extends from a node to the next node. Over a segment, acceleration is the
 cubic that matches four given values: acceleration at both ends, change of velocity, change of displacement. Its second
 integral is therefore exact at every node, and its error in between falls with the fourth power of the segment's length.
-At a break the jump of velocity is an impulse of acceleration. A force is interpolated linearly between its samples.
+A jump of velocity at a break is an impulse of acceleration. A force is interpolated linearly between its samples.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from rig.arrays import Array
 from rig.numerics.jit import unfused_kernel
 from rig.simulation.motion import Motion
 
-# A segment shorter than this fraction of the sample interval is a parabola that ignores the change of displacement: the
-# rounding error of the displacement would be divided by the square of the segment's length and cause a large error of
-# the acceleration.
+# A segment shorter than this fraction of the sample interval is a parabola that ignores the change of displacement,
+# because the division by the square of the segment's length would amplify the rounding error of the displacement.
 MIN_CUBIC_FRACTION = 1e-4
 
 # Column of `CubicInput.segments` with the length of a segment.
@@ -32,8 +31,8 @@ IMPULSE = 5
 class CubicInput(NamedTuple):
     """Input over the sample intervals of a block.
 
-    Four numbers describe a cubic: its values at the start and at the end, its mean, and its moment. The moment is its
-    double integral divided by the square of the segment's length (1/2 for a constant 1). An interval without breaks is
+    Four numbers describe a cubic: its values at the start and at the end, its mean, and its *moment*: its double
+    integral over the square of the segment's length (1/2 for a constant 1). An interval without breaks is
     one segment.
     """
 
@@ -69,8 +68,7 @@ class MotionInterpolator:
             return CubicInput(interval_cubics, *_NO_SEGMENTS)
         if motion.first == 0:
             self._last[2] = displacement[0]
-        # A segment ends at each break, and another at the end of its interval. The impulse at sample 0 is a segment of
-        # length 0.
+        # An interval with n breaks has n + 1 segments. The impulse at sample 0 is the end of a segment of length 0.
         breaks = motion.break_sample.size
         has_segments = breaks > 0 or motion.first == 0
         segment_interval, segments = allocate_segments(2 * breaks + 1) if has_segments else _NO_SEGMENTS
@@ -120,7 +118,7 @@ class ForceInterpolator:
         interval_cubics[0, 0], interval_cubics[0, 1:], interval_cubics[1] = self._last, force[:-1], force
         interval_cubics[2] = 0.5 * (interval_cubics[0] + force)
         interval_cubics[3] = interval_cubics[0] / 3.0 + force / 6.0
-        # A zero segment of length 0 replaces interval 0, so the jump from 0 is not interpolated.
+        # A segment of length 0 and value 0 replaces interval 0, so that the force jumps at sample 0 and does not rise.
         segments = allocate_segments(1) if self._is_first_block else _NO_SEGMENTS
         self._last, self._is_first_block = float(force[-1]), False
         return CubicInput(interval_cubics, *segments)
@@ -225,6 +223,7 @@ def _describe_segment(begin_state: Array, end_state: Array, fraction: float, h: 
     t = fraction * h
     out[2] = (end_state[1] - begin_state[1]) / t
     if fraction < MIN_CUBIC_FRACTION:
+        # Of the parabola with the same ends and mean.
         out[3] = (begin_state[0] - end_state[0]) / 12.0 + 0.5 * out[2]
     else:
         out[3] = ((end_state[2] - begin_state[2]) / t - begin_state[1]) / t

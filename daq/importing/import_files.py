@@ -271,13 +271,13 @@ class _RecordingWriter:
         self._infos = [assignment.info for assignment in assigned]
         self._n_samples = max(assignment.signal.samples for assignment in assigned)
         self._lost_ranges: list[list[tuple[int, int]]] = [[] for _ in assigned]
-        # Largest voltage of each signal: full scale of its file, or the range of the converter; None if not known.
-        limits = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
+        # Full scale of each signal, V: that of its file, or the range of the converter; None if not known.
+        full_scales = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
         for row, assignment in enumerate(assigned):
             if assignment.signal.full_scale is not None:
-                limits[row] = abs(assignment.signal.full_scale * assignment.factor)
+                full_scales[row] = abs(assignment.signal.full_scale * assignment.factor)
         offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
-        self._overloads = list(map(Overloads, limits, offsets))
+        self._overloads = list(map(Overloads, full_scales, offsets))
         force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._force_pulses = {row: ForcePulses() for row in force_rows if isinstance(scene.test, Impulse | None)}
         # The power at the driving point is known if there is one force channel and a motion channel where it acts.
@@ -338,7 +338,7 @@ class _RecordingWriter:
             if count:
                 yield f"{where}: {count} of {signal.samples} samples are not numbers; marked as lost"
             yield from _implausible_readings(where, assignment, overloads)
-            clipped = merge_spans(overloads.segments(), round(_OVERLOAD_PAUSE_S * self._rate))
+            clipped = merge_spans(overloads.clipped_intervals(), round(_OVERLOAD_PAUSE_S * self._rate))
             for first, stop in clipped:
                 recorder.mark("overload", first, stop - 1, channel=name)
             if clipped:
@@ -397,8 +397,8 @@ def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Ove
         yield f"{where} reads {peak:.6g} {unit} throughout. Check that its sensor works and is connected."
     if peak > _MAX_PLAUSIBLE[assignment.info.quantity]:
         yield f"{where} reads up to {peak:.3g} {unit}. Check for a wrong unit or sensitivity."
-    if overloads.limit_is_wrong:
+    if overloads.full_scale_is_wrong:
         yield (
-            f"{where} reads up to {overloads.largest_reading:.4g} V, above the converter's range of "
-            f"{overloads.limit:.4g} V. Correct unit, sensitivity or range."
+            f"{where} reads up to {overloads.converter_peak:.4g} V, above the converter's range of "
+            f"{overloads.full_scale:.4g} V. Correct unit, sensitivity or range."
         )

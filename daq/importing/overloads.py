@@ -1,4 +1,4 @@
-"""Detect clipping in the samples of an imported signal: flat tops, and readings at the limit of the converter."""
+"""Detection of clipping in the samples of an imported signal: flat tops, and samples at the converter's full scale."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from rig.numerics.runs import merge_spans, runs_of
 
 # Minimum number of equal samples of a flat top; a smooth peak has fewer.
 _MIN_FLAT_SAMPLES = 3
-# Minimum rise of the signal to a flat top, converter steps: a slow signal in coarse steps also has flat peaks.
+# Minimum rise to a flat top, in quantization steps; a slow, coarsely quantized signal also has flat peaks.
 _MIN_RISE_COUNTS = 4.0
-# Readings from this ratio to the range of the converter are clipped.
+# A sample is clipped from this fraction of the full scale upward.
 _CLIPPED_RATIO = 0.9999
-# Readings above this ratio to the stated range show that the range is wrong.
-_WRONG_LIMIT_RATIO = 1.05
-# Maximum number of stored segments.
+# Samples above this multiple of the stated full scale show that it is wrong.
+_WRONG_SCALE_RATIO = 1.05
+# Maximum number of stored runs.
 _MAX_STORED = 100_000
 
 
@@ -26,7 +26,7 @@ class _FlatTops:
         self._sign = sign
         # Largest value of the signal times `sign`.
         self.top = self._last_value = -np.inf
-        # First sample of each run, the sample after it, and the larger drop to the samples next to it.
+        # First sample of each run, the sample after it, and the larger of the drops to its two neighbors.
         self._runs: list[tuple[int, int, float]] = []
         # First sample of the run at the end of the last block, and the value before the run.
         self._open_run: tuple[int, float] | None = None
@@ -37,10 +37,10 @@ class _FlatTops:
         top = float(np.fmax.reduce(values, initial=-np.inf))
         if top > self.top:
             self.top, self._runs, self._open_run = top, [], None
-        segments = runs_of(values == self.top)
-        if self._open_run is not None and not (segments and segments[0][0] == 0):
+        new_runs = runs_of(values == self.top)
+        if self._open_run is not None and not (new_runs and new_runs[0][0] == 0):
             self._close_run(first, float(values[0]))
-        for begin, end in segments:
+        for begin, end in new_runs:
             if begin > 0 or self._open_run is None:
                 self._open_run = first + begin, float(values[begin - 1]) if begin else self._last_value
             if end < values.size:
@@ -62,7 +62,7 @@ class _FlatTops:
         return None if self._open_run is None else self._open_run[0]
 
     def runs(self, stop: int, min_length: int, min_drop: float) -> list[tuple[int, int]]:
-        """Return the segments [first, stop) of at least `min_length` samples at the largest value.
+        """Return the runs [first, stop) of at least `min_length` samples at the largest value.
 
         On at least one side, the next sample is lower by more than `min_drop`. `stop` is the number of all samples.
         """
@@ -72,17 +72,17 @@ class _FlatTops:
 
 
 class Overloads:
-    """Detects clipping of one signal; `limit` is the largest reading of the converter, None if not known.
+    """Detects clipping of one signal; `full_scale` is the largest magnitude of a sample, None if not known.
 
-    `offset` is the reading of the converter where the signal is zero.
+    `offset` is the output of the converter where the signal is zero.
     """
 
-    def __init__(self, limit: float | None, offset: float = 0.0) -> None:
-        self.limit, self._offset = limit, offset
+    def __init__(self, full_scale: float | None, offset: float = 0.0) -> None:
+        self.full_scale, self._offset = full_scale, offset
         self._extremes = _FlatTops(1), _FlatTops(-1)
         self._smallest_step = np.inf
         self._samples = 0
-        self._at_limit: list[tuple[int, int]] = []
+        self._at_full_scale: list[tuple[int, int]] = []
 
     @property
     def peak(self) -> float:
@@ -91,7 +91,7 @@ class Overloads:
 
     @property
     def peak_sample(self) -> int | None:
-        """First sample of the largest magnitude; None before the first number."""
+        """First sample of the largest magnitude; None before the first finite sample."""
         return max(self._extremes, key=lambda extreme: extreme.top).top_sample
 
     @property
@@ -100,14 +100,14 @@ class Overloads:
         return self._extremes[0].top + self._extremes[1].top
 
     @property
-    def largest_reading(self) -> float:
-        """Largest magnitude of the converter's readings so far, which include the offset."""
+    def converter_peak(self) -> float:
+        """Largest magnitude of the converter's output so far, which includes the offset."""
         return max(extreme.top + sign * self._offset for sign, extreme in zip((1, -1), self._extremes, strict=True))
 
     @property
-    def limit_is_wrong(self) -> bool:
-        """Whether readings exceed the limit so far that the limit must be wrong."""
-        return self.limit is not None and self.largest_reading > _WRONG_LIMIT_RATIO * self.limit
+    def full_scale_is_wrong(self) -> bool:
+        """Whether samples exceed the stated full scale so far that it must be wrong."""
+        return self.full_scale is not None and self.converter_peak > _WRONG_SCALE_RATIO * self.full_scale
 
     def add(self, first: int, samples: Array) -> None:
         """Add the next samples; the first has the number `first`."""
@@ -118,12 +118,12 @@ class Overloads:
         )
         for extreme in self._extremes:
             extreme.add(first, samples)
-        if self.limit is not None and len(self._at_limit) < _MAX_STORED:
-            is_at_limit = abs(samples + self._offset) >= _CLIPPED_RATIO * self.limit
-            self._at_limit += [(first + a, first + b) for a, b in runs_of(is_at_limit)]
+        if self.full_scale is not None and len(self._at_full_scale) < _MAX_STORED:
+            is_clipped = abs(samples + self._offset) >= _CLIPPED_RATIO * self.full_scale
+            self._at_full_scale += [(first + a, first + b) for a, b in runs_of(is_clipped)]
 
-    def segments(self) -> list[tuple[int, int]]:
-        """Return the segments [first, stop) in which the signal was clipped, in order."""
+    def clipped_intervals(self) -> list[tuple[int, int]]:
+        """Return the intervals [first, stop) in which the signal was clipped, in order."""
         flat_tops = [
             run
             for extreme in self._extremes
@@ -131,4 +131,4 @@ class Overloads:
             if extreme.top > 0.5 * self.peak
             for run in extreme.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
         ]
-        return merge_spans([*flat_tops, *([] if self.limit_is_wrong else self._at_limit)])
+        return merge_spans([*flat_tops, *([] if self.full_scale_is_wrong else self._at_full_scale)])

@@ -89,7 +89,7 @@ class Screen:
     def _redraw(self, extremes: Extremes) -> None:
         """Draw the rig with the exaggeration for the largest motions `extremes`."""
         self._view = RigView(self._scene, extremes, gaps_known=True)
-        for path, part in self._view.still_parts():
+        for path, part in self._view.static_parts():
             self._stream.log(path, part, static=True)
 
     def _adapt_exaggeration(self, rig_motion: RigMotion) -> None:

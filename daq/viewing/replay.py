@@ -118,7 +118,7 @@ class Replay:
         from daq.viewing.spectrum_picture import spectrum_picture
 
         stream.send_recording_name(self.recording.scene.name)
-        for path, part in self.view.still_parts():
+        for path, part in self.view.static_parts():
             stream.log(path, part, static=True)
         page = rr.TextDocument(markdown_page(self.recording, self.motion, self.view), media_type="text/markdown")
         stream.log("about", page, static=True)

@@ -1,9 +1,9 @@
 """The settled bed: initial positions of the grains at rest on the floor, as dense as after long shaking.
 
 The grains fall into the cavity without friction. The ceiling is then lowered until its force equals the bed's weight;
-this levels the grains, like the screw that closes a real cavity. Without friction the positions determine the state: a
-run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer than many periods of
-motion, so the result is stored in the user's cache.
+this levels the grains, like the screw that closes a real cavity. Without friction the contact forces follow from the
+positions alone: a run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer
+than many periods of motion, so the result is stored in the user's cache.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ _STEP_RATIO = 0.1
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains, s.
 _DRAG_TIME = 10e-3
-#: Largest deviation of the wall force of a fallen bed from its weight, relative.
+#: The fall ends when the wall force deviates from the weight of the bed by less than this fraction ...
 _FALLEN_FORCE_RATIO = 0.1
-#: Largest kinetic energy of a fallen bed, relative to weight times grain diameter.
+#: ... and the kinetic energy is below this fraction of weight times grain diameter.
 _FALLEN_ENERGY_RATIO = 1e-3
-#: Largest deviation of the floor force of a bed at rest from its weight, relative.
+#: The bed is at rest when the floor force deviates from its weight by less than this fraction ...
 _REST_FORCE_RATIO = 3e-4
-#: Largest peak of the kinetic energy of a bed at rest, relative to weight times grain diameter.
+#: ... and the last peak of its kinetic energy was below this fraction of weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6
 #: Speed of the ceiling that levels the grains, m/s.
 _CEILING_SPEED = 5e-3
 #: Steps between checks of a falling bed.
 _FALL_STEPS = 500
-#: Largest number of these checks.
+#: Maximum number of checks of a falling bed.
 _MAX_FALL_CHECKS = 400
 #: Steps between checks of a bed that comes to rest: much shorter than the time between peaks of its kinetic energy.
 _REST_STEPS = 20
-#: Largest number of these checks.
+#: Maximum number of checks of a bed that comes to rest.
 _MAX_REST_CHECKS = 40_000
 #: Name of the packing method in the digest of stored beds; change it with the method.
 _METHOD = "rain, lid and peaks 3"
@@ -122,7 +122,7 @@ def _level(spheres: Spheres, fallen: Array) -> Array:
 def _settle(spheres: Spheres, leveled: Array) -> Array:
     """Bring the grains to rest by kinetic damping: all are stopped at each peak of their kinetic energy.
 
-    Viscous drag would overdamp slow motions, so that a bed without friction would move for a long time.
+    Viscous drag, as during the fall, would overdamp the slow motions of a bed without friction, which would creep.
     """
     bed = _new_bed(spheres, leveled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
@@ -156,7 +156,7 @@ def _initial_positions(spheres: Spheres) -> Array:
     radius = 0.5 * (spheres.settings.cavity - max_diameter)
     coordinates = pitch * np.arange(-np.floor(radius / pitch), np.floor(radius / pitch) + 1.0)
     layer = np.array([(x, y) for x in coordinates for y in coordinates if np.hypot(x, y) <= radius])
-    n_layers = -(-spheres.count // len(layer))
+    n_layers = -(-spheres.count // len(layer))  # rounded up
     heights = pitch * (0.6 + np.arange(n_layers))
     grid = np.column_stack([np.tile(layer, (n_layers, 1)), np.repeat(heights, len(layer))])[: spheres.count]
     shifts = np.random.default_rng([spheres.seed, 1]).uniform(-0.02, 0.02, grid.shape)

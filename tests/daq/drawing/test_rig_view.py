@@ -103,10 +103,10 @@ def test_two_dampers_have_separate_cavities():
 def test_bundled_scene_is_drawn_completely(path):
     scene = rig.load(path)
     view, parts = draw(scene, random_motion(scene, 1e-3))
-    still_parts = [entity for entity, _ in view.still_parts()]
-    assert len(still_parts) == len(set(still_parts))
+    static_parts = [entity for entity, _ in view.static_parts()]
+    assert len(static_parts) == len(set(static_parts))
     for moving in parts:
-        assert any(entity == moving or entity.startswith(f"{moving}/") for entity in still_parts), moving
+        assert any(entity == moving or entity.startswith(f"{moving}/") for entity in static_parts), moving
 
 
 @pytest.mark.parametrize(
@@ -120,11 +120,11 @@ def test_bundled_scene_is_drawn_completely(path):
 def test_other_rigs_are_drawn_without_missing_parts(shaker):
     scene = rig.loads(CHAIN.format(name="chain", shaker=shaker))
     view, parts = draw(scene, random_motion(scene, 1e-3))
-    still_parts = {entity for entity, _ in view.still_parts()}
-    assert "rig/spring_3" not in still_parts and "rig/spring_3" not in parts
+    static_parts = {entity for entity, _ in view.static_parts()}
+    assert "rig/spring_3" not in static_parts and "rig/spring_3" not in parts
     assert ("rig/table" in parts) == ("force" not in shaker)
-    assert ("rig/body_1/drive" in still_parts) == ("force" in shaker)
-    assert ("rig/body_3/lug" in still_parts) == ("body: 3" in shaker)
+    assert ("rig/body_1/drive" in static_parts) == ("force" in shaker)
+    assert ("rig/body_3/lug" in static_parts) == ("body: 3" in shaker)
 
 
 def test_matrices_draw_bodies_without_springs():
@@ -132,7 +132,7 @@ def test_matrices_draw_bodies_without_springs():
     scene = rig.loads(f"name: given\nstructure: {{matrices: {matrices}}}\n".replace("'", ""))
     view, parts = draw(scene, random_motion(scene, 1e-3))
     assert set(parts) == {"rig/body_1", "rig/body_2"}
-    assert not any("spring" in entity for entity, _ in view.still_parts())
+    assert not any("spring" in entity for entity, _ in view.static_parts())
 
 
 def test_noise_at_rest_is_not_exaggerated():
@@ -148,7 +148,7 @@ def test_lost_samples_do_not_count_as_extremes():
 
 def test_unmeasured_points_are_labeled():
     view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
-    names = {path: part for path, part in view.still_parts() if path.endswith("/name")}
+    names = {path: part for path, part in view.static_parts() if path.endswith("/name")}
     texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}
     unmeasured = {path for path, text in texts.items() if "not measured" in text}
     assert unmeasured == {"rig/body_2/name", "rig/table/name"}

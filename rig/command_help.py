@@ -28,7 +28,7 @@ _GROUPS = {
 _GROUP_OF = {name: group for group, names in _GROUPS.items() for name in names}
 # Title of options without a group.
 _OTHER = "Options"
-# Largest number of options that are listed without groups.
+# Maximum number of options listed without groups.
 _MAX_UNGROUPED = 5
 
 

@@ -27,14 +27,14 @@ WIDTH_INCH = 7.2
 _DPI = 150
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
-# Ratio of the limits of a logarithmic axis below which powers of ten give too few labels.
+# Powers of ten give too few labels if the limits of a logarithmic axis have a smaller ratio than this.
 _MIN_DECADE_RATIO = 50.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Number of characters per line of a note below a figure of the default width.
 _NOTE_CHARACTERS = 112
-# Largest number of characters of a legend entry in two columns.
+# Maximum number of characters of a legend entry in two columns.
 _LEGEND_CHARACTERS = 46
 
 _STYLE: Any = {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rig.errors import SceneError
 
-# Largest size of a file that is read completely.
+# Files up to this size are read completely.
 MAX_BYTES = 64_000_000
 
 

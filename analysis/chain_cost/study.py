@@ -50,9 +50,9 @@ MAX_TIMEOUT_S = 60.0
 PERIODS = 50
 #: Number of repetitions of each recording; the shortest time is reported.
 REPEATS = 2
-#: Largest relative change from period to period of the steady motion that is the reference.
+#: Largest relative change of the reference, a steady motion, from period to period.
 REFERENCE_TOLERANCE = 1e-10
-#: Largest relative difference of upward and downward sweep at a frequency that is chosen.
+#: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
 UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with it, and correct what it reports."

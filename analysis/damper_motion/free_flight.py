@@ -35,7 +35,7 @@ _EXCLUDED_END_RATIO = 0.05
 _MIN_FLIGHTS = 6
 # Minimum share of flights among the intervals between impacts.
 _MIN_FLIGHT_RATIO = 0.25
-# Largest distance of the computed end of a flight from the wall, relative to its height, that is consistent.
+# A flight is consistent if its computed end deviates from the wall by at most this fraction of its height.
 _MAX_HEIGHT_ERROR = 0.05
 # Largest uncertainty of the restitution from one flight.
 _MAX_UNCERTAINTY = 0.1

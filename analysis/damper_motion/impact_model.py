@@ -53,7 +53,7 @@ _WINDOW_DECAY_TIMES = 3.0
 _FILTER_SPAN_SAMPLES = 40
 # Part of that impulse response within the window.
 _FILTER_WINDOW_SAMPLES = 12
-# Largest singular value of the filters that is a rounding error, relative to the largest of all.
+# Singular values of the filters below this fraction of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Longest duration of an impact that is treated as instant, relative to a sample interval.
+# An impact is treated as instant up to this duration, in sample intervals.
 _MAX_INSTANT_RATIO = 0.25
 # Largest difference of equal pulses, relative to the velocity change.
 _MAX_PULSE_DIFFERENCE = 0.02

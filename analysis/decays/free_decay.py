@@ -46,7 +46,7 @@ INITIAL_DECAY_DB = -1.0, -11.0
 _MIN_ENERGY_RATIO = 1e-30
 # If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
 _MAX_OVERLOADED_FRACTION = 0.1
-# Largest fraction of lost samples that is interpolated.
+# Lost samples are interpolated up to this fraction.
 _MAX_LOST_FRACTION = 0.01
 # Assumed frequency of the lowest mode if no mode is detected.
 _DEFAULT_MODE_HZ = 10.0

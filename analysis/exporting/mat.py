@@ -14,7 +14,7 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.response import Response
 
-# Largest number of samples in a variable, which the format limits to 2 GB.
+# Maximum number of samples in a variable, which the format limits to 2 GB.
 MAX_SAMPLES = (1 << 28) - 1024
 
 

@@ -12,7 +12,7 @@ from analysis.recordings.slices import Slice
 from rig.errors import SceneError
 from rig.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# Largest number of samples of a channel: the writer keeps 20 bytes of text per sample in memory.
+# Maximum number of samples of a channel: the writer keeps 20 bytes of text per sample in memory.
 MAX_TEXT_SAMPLES = 1 << 24
 
 

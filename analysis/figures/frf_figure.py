@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _ROUGHNESS_POINTS = 25
 # Smallest coherence of a point outside the noise.
 _MIN_COHERENCE = 0.5
-# Smallest systematic error that is visible in the figure, relative to the magnitude.
+# Smallest systematic error visible in the figure, relative to the magnitude.
 _MIN_VISIBLE_RATIO = 3e-3
 # Ratio to the magnitude that replaces zero on a logarithmic axis; its inverse replaces infinity.
 _ZERO_RATIO = 1e-9

@@ -29,9 +29,9 @@ from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping
 from rig.system.structural_model import structural_model
 
-# Ratio of the misfit variance with a correction to that without it, below which the correction explains the misfit.
+# A correction explains the misfit if it reduces the misfit variance below this fraction.
 _EXPLAINED_RATIO = 0.02
-# Misfit variance up to which the stated errors explain the residuals.
+# The stated errors explain the residuals up to this misfit variance.
 _MAX_NOISE_VARIANCE = 4.0
 # Common errors of a sensor: the ratio of its reading to the true value, and the cause.
 _UNIT_ERRORS = {
@@ -57,15 +57,15 @@ _NO_UNIT_ERROR = (
 _TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
 # Largest error of the first estimate of a delay, s.
 _MAX_DELAY_ERROR = 1e-4
-# Smallest delay that is reported, s.
+# Smallest reported delay, s.
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely.
 _FREE_TOLERANCE = 1e4
-# Ratio of fitted to initial masses, or its inverse, above which a unit is probably wrong.
+# A unit is probably wrong if fitted and initial masses differ by more than this factor.
 _MAX_MASS_RATIO = 2.5
-# Largest number of pairs of channels that are tested for a swap.
+# Maximum number of pairs of channels tested for a swap.
 _MAX_PAIRS = 15
-# Smallest number of responses without the omitted sensor; a fit to fewer always succeeds.
+# Minimum number of responses without the omitted sensor; a fit to fewer always succeeds.
 _MIN_RESPONSES = 2
 
 

@@ -55,7 +55,7 @@ _MAX_SQUARE = 9.0
 _FAILED_SQUARE = 1e6
 # Robust cost if about half of the points have no orbit.
 _HALF_FAILED_COST = 4.5
-# Largest number of fits of all unknowns, each after a search for other orbits at outliers.
+# Maximum number of fits of all unknowns, each after a search for other orbits at outliers.
 _MAX_ROUNDS = 4
 # Number of clusters of neighboring frequencies in a group, within which residuals may have a common cause.
 _CLUSTERS = 40

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
     from analysis.fitting.fit import Comparison, Fit
 
-# Largest number of sweeps that are drawn.
+# Maximum number of drawn sweeps.
 MAX_ROWS = 8
 # Height of a row of the figure, inches.
 _ROW_HEIGHT_IN = 2.4
-# Ratio of a frequency step to the larger of its neighboring steps above which the curve is interrupted.
+# The curve is interrupted at a frequency step above this multiple of the larger neighboring step.
 _MIN_BREAK_RATIO = 3.0
 
 

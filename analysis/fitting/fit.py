@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
-# Largest relative half width of the 95 % interval of a value that is determined roughly.
+# A value is roughly determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5
 # Smallest clearance (free height above the damper at rest) without ceiling impacts, as a multiple of the largest gap
 # between damper and floor.

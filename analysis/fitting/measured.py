@@ -37,7 +37,7 @@ _REFERENCE_NOISE_ERROR = 0.5
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
 # Systematic errors that are not included in `Curves.correlated_bound`.
 _EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
-# Smallest number of points of a fit.
+# Minimum number of points of a fit.
 _MIN_POINTS = 8
 
 

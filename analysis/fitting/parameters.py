@@ -35,7 +35,7 @@ _MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
 _MAX_HALF_WIDTHS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 # The same for all other quantities.
 _MAX_HALF_WIDTH = 0.02
-# Largest unknown that is converted. It is below the overflow of exp at 709; intervals of undetermined values reach it.
+# Unknowns are converted up to this value, below the overflow of exp at 709; undetermined intervals reach it.
 _MAX_UNKNOWN = 600.0
 
 

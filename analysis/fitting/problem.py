@@ -37,7 +37,7 @@ _PARAMETER_STEP = 1e-6
 _FAILED_RESIDUAL = 30.0
 # Residual above which a point is an outlier, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
-# Ratio of frequencies up to which points are neighbors.
+# Points are neighbors up to this ratio of their frequencies.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 
 

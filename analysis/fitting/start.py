@@ -28,9 +28,9 @@ _FREQUENCY_SD = 3e-4
 _DAMPING_SD = 0.05
 # Assumed standard deviation of a modal constant, relative to the largest constant of its mode.
 _CONSTANT_SD = 0.05
-# Largest number of assignments of identified modes to model modes that are ranked.
+# Maximum number of ranked assignments of identified modes to model modes.
 _MAX_RANKED = 2000
-# Largest number of these assignments that are fitted.
+# Maximum number of fitted assignments.
 _MAX_FITTED = 4
 # Model error, relative to the local peak, that is assumed when assignments are compared.
 _MODEL_ERROR = 0.1
@@ -40,7 +40,7 @@ _MAX_RESIDUAL = 30.0
 _LOG_FREQUENCY_SCALE = 0.1
 # Weight of 1 - MAC (modal assurance criterion, `mac`) in the squared distance.
 _MAC_WEIGHT = 4.0
-# Largest number of evaluations of the model in the fit to the modes.
+# Maximum number of evaluations of the model in the fit to the modes.
 _MAX_EVALUATIONS = 60
 
 

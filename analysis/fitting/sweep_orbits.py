@@ -31,19 +31,19 @@ from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Largest number of Newton corrections from the orbit at a nearby frequency and drive.
+# Maximum number of Newton corrections from the orbit at a nearby frequency and drive.
 _MAX_CORRECTIONS = 8
-# Largest number of simulated periods in which the motion must become periodic.
+# The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500
 # Steps of the continuation from a neighboring point, and corrections of the level in each step.
 _CONTINUATION_STEPS = 8
 _LEVEL_CORRECTIONS = 2
-# Largest number of secant steps to the drive that gives the level, and the smallest relative step.
+# Maximum number of secant steps to the drive that gives the level, and the smallest relative step.
 _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
 # Relative error of the level at which the secant steps end; the remaining error is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
-# Largest number of drives at which an orbit is searched; each gives a level closer to the required one.
+# Maximum number of drives at which an orbit is searched; each gives a level closer to the required level.
 _MAX_SEARCHES = 5
 
 

@@ -27,9 +27,9 @@ from rig.results.response import Response, stack
 MIN_RELATIVE_ERROR = 1e-4
 # Relative error assumed for a second chart, so that it weights the whole curve and not only its peaks.
 _CHART_ERROR = 0.03
-# Largest number of initial poles.
+# Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15
-# Largest number of candidates for a further pole.
+# Maximum number of candidates for a further pole.
 _MAX_CANDIDATES = 40
 # Largest misfit that noise explains, relative to its expected value. Above it, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
@@ -38,7 +38,7 @@ _MAX_NOISE_RATIO = 4.0
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Largest frequency ratio of neighboring lines, for the model error.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# Smallest number of degrees of freedom at which the error of a line is used without those of neighboring lines.
+# The error of a line with fewer degrees of freedom than this is combined with those of neighboring lines.
 _MIN_DEGREES = 10.0
 # Ratio of the bound of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
 _LIMIT_FACTOR = 1.8

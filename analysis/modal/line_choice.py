@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
 
-# Largest number of lines that are all fitted. If there are more, about half of this number is selected at equal
+# Up to this number, all lines are fitted. If there are more, about half of this number is selected at equal
 # distances, in addition to the lines of peaks.
 MAX_LINES = 2000
 # Number of the highest peaks around which all lines are selected.

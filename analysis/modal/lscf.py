@@ -16,7 +16,7 @@ from rig.arrays import Array, ComplexArray
 
 # Largest damping ratio of a mode; poles with a larger ratio are discarded.
 MAX_DAMPING = 0.25
-# Smallest number of stable poles in a cluster that represents a mode.
+# Minimum number of stable poles in a cluster that represents a mode.
 _MIN_STABLE_POLES = 4
 
 

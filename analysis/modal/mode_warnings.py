@@ -13,7 +13,7 @@ from rig.results.response import Response
 
 # Largest relative standard uncertainty of a damping ratio without a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# Ratio of resolution to half of the half-power bandwidth at which leakage increases the damping ratio by as much.
+# At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by as much.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # Largest residual of a linear response, relative to the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005

@@ -18,9 +18,9 @@ from analysis.modal.lscf import MAX_DAMPING
 from analysis.modal.pole_residue import Curves, ModalModel, fit, misfits_with, misfits_without
 from rig.arrays import Array, ComplexArray
 
-# Largest number of modes inside the band.
+# Maximum number of modes inside the band.
 MAX_MODES = 12
-# Smallest number of degrees of freedom of the residuals; with fewer, a model fits any data.
+# Minimum number of degrees of freedom of the residuals; with fewer, a model fits any data.
 _MIN_DEGREES = 8
 # Smallest reduction of the misfit by a pole, as a multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
@@ -31,7 +31,7 @@ _MIN_DISTANCE_WIDTHS = 0.4
 _CLOSE_POLE_WIDTHS = 4.0
 # Largest local misfit of close poles, relative to its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
-# Largest distance of two poles that are fitted to a single narrow peak, which the window broadens, in resolutions.
+# Two poles closer than this, in resolutions, may be fitted to a single narrow peak that the window broadens.
 _SAME_PEAK_RESOLUTIONS = 1.5
 # Number of candidates that are fully fitted at each step.
 _FITTED_CANDIDATES = 4

@@ -29,7 +29,7 @@ _FLANK_HALF_WIDTHS = 10.0
 LEAKAGE_FACTOR = 0.16
 # Largest increase of a half-width due to leakage, as a multiple of the resolution.
 _MAX_WIDENING = 0.5
-# Largest frequency error of a peak that is narrower than the resolution, as a multiple of the resolution.
+# Largest frequency error of a peak narrower than the resolution, as a multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0
 # Lines may have common errors up to this distance, in correlation lengths of the residual.
 _CORRELATION_LENGTHS = 3.0
@@ -38,7 +38,7 @@ _MIN_NOISE_RATIO = 0.3
 # Smallest relative uncertainty of a damping ratio, and of a frequency relative to the half-width. Errors of a curve
 # that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
 _MIN_UNCERTAINTY = 5e-4
-# Smallest eigenvalue of the information matrix that is not a rounding error, relative to the largest.
+# Eigenvalues of the information matrix below this fraction of the largest are rounding errors.
 _MIN_EIGENVALUE_RATIO = 1e-15
 
 

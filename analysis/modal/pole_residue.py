@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Largest number of evaluations: a fit from good initial values converges earlier, and a fit from poor values is
+# Maximum number of evaluations: a fit from good initial values converges earlier, and a fit from poor values is
 # stopped.
 _MAX_EVALUATIONS = 25
 # Number of terms of the series that represents modes above the band.
 UPPER_TERMS = 3
-# Smallest number of lines that determine all of these terms; fewer determine only the first.
+# Minimum number of lines that determine all of these terms; fewer determine only the first.
 _MIN_LINES = 20
 # Squared norm below which the remainder of a unit column is rounding error.
 _ROUNDING = 1e-20

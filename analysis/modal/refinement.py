@@ -21,15 +21,15 @@ from analysis.responses.systematic import MODEL, REFERENCE_NOISE
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import Covariance
 
-# Largest number of Gauss-Newton steps.
+# Maximum number of Gauss-Newton steps.
 _MAX_STEPS = 12
-# Largest number of halvings of a step that would increase the misfit.
+# Maximum number of halvings of a step that would increase the misfit.
 _MAX_HALVINGS = 6
 # Largest step after which the iteration has converged, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
-# Largest number of array elements in memory for a block of lines.
+# Maximum number of array elements in memory for a block of lines.
 _MAX_ELEMENTS = 1 << 20
-# Largest number of multiplications in a step; larger problems are not refined.
+# Maximum number of multiplications in a step; larger problems are not refined.
 _MAX_MULTIPLICATIONS = 5e10
 
 

@@ -25,7 +25,7 @@ from rig.results.text import table_lines
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Smallest modal assurance criterion (MAC) of two mode shapes that are usually considered the same.
+#: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
 
 
@@ -101,7 +101,7 @@ def theory_warnings(modes: Modes, theory: np.ndarray | None) -> list[str]:
     if theory is None:
         return []
     nearest = nearest_mac(modes, theory)
-    # Upper bound of the decrease of the MAC by the uncertainty of the shape.
+    # Upper bound of the decrease of the MAC due to the uncertainty of the shape.
     mac_uncertainty = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
     mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
     if not mismatched.any():

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest number of samples, summed over the channels, of a recording that is drawn sample by sample. A longer recording
-# is drawn as the smallest and largest value of each interval.
+# Recordings up to this number of samples, summed over the channels, are drawn sample by sample. A longer recording is
+# drawn as the smallest and largest value of each interval.
 _MAX_SAMPLES = 300_000
 # Number of these intervals.
 _INTERVALS = 1500

@@ -28,12 +28,12 @@ from analysis.reproduction.contact_study import (
 )
 from analysis.reproduction.figures import Columns, Parts
 
-#: Largest relative deviation at which one mass describes grains well.
+#: One mass describes grains well up to this relative deviation.
 GOOD_DEVIATION = 0.05
-#: Largest relative deviation at which one mass describes grains acceptably.
+#: One mass describes grains acceptably up to this relative deviation.
 MAX_DEVIATION = 0.10
-#: Smallest value with one mass (see `summary_row`) from which a deviation is computed. Smaller energies and impulses
-#: are negligible: the mass rests on the floor, or does not hit the ceiling.
+#: A deviation is computed if the value with one mass (see `summary_row`) is at least this. Smaller energies and
+#: impulses are negligible: the mass rests on the floor, or does not hit the ceiling.
 _MIN_MASS_VALUE = 1e-3
 #: Phase difference below which landings are indistinguishable in a figure, degrees.
 SAME_LANDING_DEG = 20.0

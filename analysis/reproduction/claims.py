@@ -16,7 +16,7 @@ from rig.scene.scene import STANDARD_GRAVITY
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6
-# Smallest relative difference at antiresonances for which simulation and experiment count as different.
+# Simulation and experiment differ if their relative difference at antiresonances is at least this.
 MIN_DIFFERENCE = 0.1
 # Smallest ratio of the difference at antiresonances to that at peaks.
 MIN_DIFFERENCE_RATIO = 5.0

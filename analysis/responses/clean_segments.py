@@ -23,7 +23,7 @@ SETTLING = "settling"
 # Number of blocks in the second half of the test that determine the mean and scatter after settling. A block is a
 # period of the lowest frequency.
 _SETTLED_BLOCKS = 32
-# Smallest number of blocks of a test whose second half is assumed to be settled.
+# The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16
 # Largest deviation of a block's mean without drift, in standard deviations of settled blocks.
 _DRIFT_SIGMAS = 5.0

@@ -14,7 +14,7 @@ import numpy as np
 from daq.importing.driving_power import returns_energy
 from rig.results.response import Response
 
-# Largest relative expanded uncertainty of the points at which the power is evaluated.
+# The power is evaluated at points whose relative expanded uncertainty is at most this.
 _MAX_UNCERTAINTY = 0.3
 # Smallest jump, as the magnitude of the change of the complex logarithm (nepers, radians). A jump also exceeds the two
 # following limits.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 PRE_HIT_S = 0.2
 # Largest motion of a rig at rest in this interval, relative to the response to the hit.
 _MAX_REST_RATIO = 2e-3
-# Detection limit of motion, in standard deviations of the estimate by noise.
+# Detection limit of motion, in standard deviations of the estimate due to noise.
 _DETECTION_SIGMAS = 4.0
 # Smallest force within the marker of a hit, relative to the largest force until the next hit.
 _MIN_MARKED_RATIO = 0.5
@@ -161,7 +161,7 @@ class Hits:
         return isolated
 
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> Array:
-        """Compute the relative variance of either quadrature component of the force by noise during the hits.
+        """Compute the relative variance of either quadrature component of the force due to noise during the hits.
 
         The error of a hit changes slowly from line to line, so that the scatter between lines does not show it. The
         result has the shape (lines,).
@@ -191,7 +191,7 @@ class Hits:
         lines: NDArray[np.int64],
         half_width: int,
     ) -> Array:
-        """Compute the largest relative change of each channel's gain by rounding to counts, shape (channels, lines).
+        """Compute the maximum relative change of each channel's gain due to rounding, shape (channels, lines).
 
         Equal hits give equal counts, so averaging does not reduce the rounding error. The error shortly after a hit
         resembles a response and is not visible in the scatter. It is estimated from the change of the readings when

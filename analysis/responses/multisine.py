@@ -44,9 +44,9 @@ LIFTED = (
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
-# Smallest share of distorted lines at which a structure counts as nonlinear.
+# A structure is nonlinear if at least this share of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# Smallest scatter of realisations at a distorted line, relative to that by noise.
+# A line is distorted if the scatter of its realisations is at least this multiple of that due to noise.
 _NOISE_RATIO = 3.0
 # Smallest scatter of realisations at a distorted line, relative to the mean.
 _MEAN_RATIO = 2e-3

@@ -37,7 +37,7 @@ _ZERO_POWER = 1e-40
 # relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
 # twice the stated uncertainty.
 _UNCORRELATED = 0.05
-# Largest number of array elements of the noise covariances that are in memory at a time.
+# Maximum number of array elements of the noise covariances that are in memory at a time.
 _MAX_ELEMENTS = 1 << 22
 
 

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 _MIN_LENGTH_RATIO = 0.25
 # Smallest share of a burst in a segment; with less, most of the vibration was excited before the segment.
 _MIN_BURST_RATIO = 0.5
-# Largest number of lines at which a response is estimated.
+# Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
-# Largest number of samples of all channels in segments with hits; with their spectra they need just under a gigabyte.
+# Maximum number of samples of all channels in segments with hits; with their spectra they need just under a gigabyte.
 _MAX_VALUES = 14_000_000
 #: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
@@ -240,7 +240,7 @@ class SegmentFits:
 
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:
-    """Add the error by motion before the hits to a response's uncertainty, and warn if it is large."""
+    """Add the error due to motion before the hits to a response's uncertainty, and warn if it is large."""
     largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)
     if largest is None:
         return frf

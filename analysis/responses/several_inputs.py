@@ -53,11 +53,11 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest condition number of the matrix of input spectra, scaled to unit power, at which the inputs can be separated.
+# Inputs can be separated up to this condition number of the matrix of their spectra, scaled to unit power.
 MAX_CONDITION_NUMBER = 1e3
 # Smallest mean-square force of a driven shaker, relative to the largest mean-square force.
 _MIN_FORCE_POWER_RATIO = 1e-4
-# Smallest share of the lines at which reciprocal responses agree within their uncertainties.
+# Reciprocal responses must agree within their uncertainties at this share of the lines or more.
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines: the responses to them cannot be separated there and "
@@ -403,7 +403,7 @@ def _from_experiments(
             # Covariance of the matrix elements by noise of this experiment.
             contribution = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
             noise += contribution.reshape(noise.shape)
-            # Largest error of each element by the residual transient of this experiment.
+            # Bound of the error of each element due to the residual transient of this experiment.
             residual_change = np.einsum("nac,cn->na", abs(residual_weights), residual_transient(experiment.spectra))
             transient += residual_change[:, :, None] * abs(inverse[:, e])[:, None]
         values.append(value)

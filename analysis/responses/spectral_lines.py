@@ -36,7 +36,7 @@ _ASSUMED_DECAY = 0.5
 _MAX_DECAY = 0.99
 # Confidence level of the largest noise in a reference.
 _REFERENCE_CONFIDENCE = 0.999
-# Smallest number of lines whose differences determine the noise of the parts.
+# Minimum number of lines for an estimate of the noise of the parts from their differences.
 _MIN_LINES = 8
 # Width of the median filter of this noise, in lines.
 _MEDIAN_LINES = 31
@@ -68,7 +68,7 @@ class Lines:
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
     # number of averaged measurements, each rotated by the phase of its own reference, which also aligns its noise
     n_rotated: int = 1
-    # largest error of each mean by rounding to counts; shape (channels, n)
+    # maximum error of each mean due to rounding to counts; shape (channels, n)
     resolution: Array | None = None
     # for successive tones: wait before each window, and length of the window, s; shape (n,)
     wait: Array | None = None
@@ -159,7 +159,7 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def residual_transient(successive: ComplexArray) -> Array:
-    """Estimate the largest error of the mean of successive parts by a decaying transient, shape (channels, lines).
+    """Estimate the maximum error of the mean of successive parts due to a decaying transient, shape (channels, lines).
 
     `successive`: amplitudes of successive parts, shape (parts, channels, lines). From part to part, a transient is
     multiplied by a constant complex factor r. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /

@@ -30,11 +30,11 @@ from rig.results import format_frequencies, format_number
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Largest number of fitted harmonics, including the tone.
+# Maximum number of fitted harmonics, including the tone.
 HARMONICS = 10
-# Largest number of parts of a window, whose scatter determines the uncertainty of its mean.
+# Maximum number of parts of a window, whose scatter determines the uncertainty of its mean.
 PARTS = 20
-# Largest transient that is not detectable in the parts of a window, relative to the tolerance of settling.
+# A transient below this fraction of the settling tolerance is not detectable in the parts of a window.
 _UNDETECTED_TRANSIENT = 0.05
 # Reason for the omission of a window.
 _TOO_SHORT = "shorter than a period"
@@ -455,7 +455,7 @@ def _sweep(
 
 
 def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> Array:
-    """Compute the largest error of the amplitude of a tone by rounding to counts, shape (channels,).
+    """Compute the maximum error of the amplitude of a tone due to rounding to counts, shape (channels,).
 
     A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
     ``2 / pi^2 / sqrt(a)``: the first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár,

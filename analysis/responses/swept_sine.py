@@ -40,15 +40,15 @@ _RATIO_INCREASE = 1.1
 _POINTS = 400
 # Bins of a spectrum per fitted value: bins of a fit over its number of parameters.
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
-# Largest acceleration of a body at which its dampers are assumed to stay on their floors, g. They lift off at 1 g.
+# Dampers are assumed to stay on their floors up to this acceleration of their body, g. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
-# Largest relative error by the sweep rate at which a sweep is slow enough for dampers in flight.
+# With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this.
 _MAX_SWEEP_ERROR_RATIO = 0.3
-# Largest share of the lines with dampers in flight at which a sweep may be too fast without a warning.
+# A sweep that is too fast causes a warning if it is so at more than this share of the lines with dampers in flight.
 _MAX_FAST_SHARE = 0.05
 # Factor by which a warning recommends to lengthen the sweep.
 _RECOMMENDED_SLOWDOWN = 10
-# Smallest number of periods over which the amplitude of a reading is evaluated.
+# Minimum number of periods over which the amplitude of a reading is evaluated.
 _MIN_PERIODS = 3.0
 
 
@@ -88,7 +88,7 @@ class SweptTone:
         )
 
     def _sweep_error(self, frf: Response) -> Array:
-        """Estimate the error of a nonlinear response by the sweep rate.
+        """Estimate the error of a nonlinear response due to the sweep rate.
 
         The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
         curvature of the response (J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System

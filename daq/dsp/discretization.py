@@ -25,7 +25,7 @@ from rig.numerics.simd import LANES, aligned_zeros, padded_length
 
 # Number of coarse steps in a sample interval, and of fine steps in a coarse step.
 SUBDIVISIONS = 64
-# Largest norm of the generator times a fine step for which the Taylor series is used.
+# The Taylor series is used up to this norm of the generator times a fine step.
 MAX_GENERATOR_NORM = 50.0
 # Matrix from start, end, mean and moment of a cubic (see `CubicInput`) to its value and three derivatives at the start,
 # for a segment as long as the unit of time.

@@ -18,7 +18,7 @@ from rig.numerics.simd import aligned_zeros, padded_length
 _UNIFORM_VARIANCE = 1.0 / 12.0
 # Lowest frequency of 1/f noise, Hz. At lower frequencies, with periods of hours, the noise is white.
 LOWEST = 1e-4
-# Largest ratio of successive corner frequencies of the first-order sections whose sum approximates 1/f noise.
+# First-order sections approximate 1/f noise if successive corner frequencies have at most this ratio.
 _MAX_CORNER_RATIO = 4.0
 
 

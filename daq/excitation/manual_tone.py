@@ -18,7 +18,7 @@ from rig.errors import SceneError
 _TOLERANCE = 0.01
 # Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0
-# Largest relative deviation of the force from its level that is not readjusted.
+# The drive is readjusted if the force deviates from its level by more than this fraction.
 _MAX_DEVIATION = 0.05
 # Number of successive windows with a larger deviation that cause a readjustment; a single impact does not.
 _DEVIATING_WINDOWS = 5

@@ -25,7 +25,7 @@ GLIDE_S = 0.4
 _MAX_GLIDE_S = 3.0
 # Shortest window of an amplitude estimate, s.
 WINDOW_S = 0.1
-# Ratio of the force to the level above which the drive is reduced before the steady state, to protect the rig.
+# Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
 # Largest change of the drive, as the natural logarithm of its ratio, in one window: its transient is negligible.
 _MAX_SUDDEN_CHANGE = 0.03
@@ -219,10 +219,10 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
 
 # If the force scatters, its relative tolerance is twice its standard error, up to this value.
 _MAX_TOLERANCE = 0.02
-# Smallest slope d log(force) / d log(drive) that is used. When dampers begin to impact, the force can rise slowly or
+# Smallest assumed slope d log(force) / d log(drive). When dampers begin to impact, the force can rise slowly or
 # even fall with the drive.
 _MIN_SLOPE = 0.3
-# Largest slope that is used. When dampers begin to impact, the force can also rise steeply.
+# Largest assumed slope. When dampers begin to impact, the force can also rise steeply.
 _MAX_SLOPE = 3.0
 # Smallest difference of log(drive) that determines a slope.
 _MIN_LOG_DIFFERENCE = 1e-3

@@ -32,7 +32,7 @@ _STEPS = 6
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drive amplitudes that are stored.
 _STORED_DRIVES = 12
-# Ratio of the force to the level above which the drive is not increased.
+# The drive is not increased above this multiple of the force level.
 _MAX_FORCE_RATIO = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
 _INSTANTS = (np.arange(64) + 0.5) / 64 - 0.5

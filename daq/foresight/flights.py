@@ -22,7 +22,7 @@ from rig.system.structural_model import structural_model
 
 # Number of frequencies of a sweep at which the acceleration is compared with gravity.
 _N_FREQUENCIES = 400
-# Largest number of listed modes.
+# Maximum number of listed modes.
 _MAX_LISTED_MODES = 5
 
 

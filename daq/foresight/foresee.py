@@ -44,7 +44,7 @@ from rig.system.assembly import assemble
 _MAX_TIME_RATIO = 1.5
 # A drive above this ratio to its limit counts as limited.
 _LIMITED_DRIVE_RATIO = 0.999
-# Largest number of rehearsals at other levels, which determine the largest permissible level if dampers fly.
+# Maximum number of rehearsals at other levels, which determine the largest permissible level if dampers fly.
 _MAX_SECANT_STEPS = 3
 # Relative tolerance of the largest permissible level.
 _LEVEL_TOLERANCE = 0.02

@@ -17,7 +17,7 @@ _HIT_RATIO = 0.1
 _MAX_CONTACT_SHARE = 0.2
 # Time after a hit in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2
-# Largest pause within a pulse whose force crosses the threshold several times, s.
+# Crossings of the threshold within this time belong to the same pulse, s.
 _CHATTER_S = 1e-3
 # Maximum number of stored pulses.
 _MAX_PULSES = 200_000

@@ -43,9 +43,9 @@ _HIGHEST_RATIO = 0.4
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
-# Longest pause between two lost segments that are merged, s.
+# Two lost segments are merged up to this pause between them, s.
 _LOST_PAUSE_S = 0.1
-# Longest pause between two overloads that are merged, s.
+# Two overloads are merged up to this pause between them, s.
 _OVERLOAD_PAUSE_S = 0.01
 # Latest position of the largest motion of a free decay, as a share of its duration.
 _MAX_PEAK_SHARE = 0.05

@@ -43,7 +43,7 @@ from rig.errors import RecordingError
 from rig.numerics.memory import require_memory_with_program
 from rig.scene.quantities import TIME, parse
 
-# Longest line that is read as one line, characters.
+# Longest readable line, characters.
 _MAX_LINE = 1 << 20
 # Relative uncertainty of a sample rate above which it is reported.
 _MAX_RATE_UNCERTAINTY = 2e-5

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench, Block
 
-# Largest number of ticks by which the bench advances at once.
+# Maximum number of ticks by which the bench advances at once.
 _MAX_BLOCK_TICKS = 4096
 # More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62

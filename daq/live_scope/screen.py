@@ -29,7 +29,7 @@ _FRAMES_PER_S = 200.0
 # increases only by a factor of `_MIN_INCREASE` or more, after the motion has been small for `_SMALL_MOTION_S`.
 _MIN_INCREASE = 4.0
 _SMALL_MOTION_S = 2.0
-# Largest number of displayed readings of the tone per second.
+# Maximum number of displayed readings of the tone per second.
 _READINGS_PER_S = 5.0
 
 

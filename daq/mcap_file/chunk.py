@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-# Largest chunk that is unpacked, bytes. The recorder's chunks are a thousand times smaller.
+# Largest unpacked chunk, bytes. The recorder's chunks are a thousand times smaller.
 LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes.
 # Unpacked size up to which any compression ratio is accepted.
 _UNLIMITED_RATIO_BYTES = 1 << 21
 # Largest compression ratio above this size.
 _MAX_RATIO = 1000
-# Largest number of records of a chunk minus its size in the file in bytes.
+# Maximum number of records of a chunk minus its size in the file in bytes.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -18,9 +18,9 @@ from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, Store
 from daq.mcap_file.summary import Summary, parse_record, read_summary
 from rig.errors import RecordingError
 
-# Largest record outside the chunks that is read, bytes.
+# Largest readable record outside the chunks, bytes.
 LARGEST_RECORD = 1 << 24
-# Largest summary that is read, bytes.
+# Largest readable summary, bytes.
 LARGEST_SUMMARY = 1 << 28
 
 FOOTER_RECORD = struct.Struct("<BQQQI")

@@ -22,7 +22,7 @@ from daq.mcap_file.chunk import RECORD_HEAD, Damage
 if TYPE_CHECKING:
     from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-# Largest number of records of one kind in a summary, except chunk indexes; it limits the memory.
+# Maximum number of records of one kind in a summary, except chunk indexes; it limits the memory.
 MAX_RECORDS = 1 << 16
 
 # Beginning of a chunk index: times, position and length of the chunk, bytes of the map that follows.

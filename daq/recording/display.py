@@ -36,7 +36,7 @@ _HALF_LENGTH = 8
 _KAISER_BETA = 6.8
 # Its cutoff frequency (-6 dB), as a ratio to the display rate.
 _CUTOFF = 0.385
-# Largest number of signals that are filtered together; it limits the memory of the matrix product.
+# Maximum number of signals that are filtered together; it limits the memory of the matrix product.
 _MAX_SIGNALS = 64
 
 _RULE = "=" * 80

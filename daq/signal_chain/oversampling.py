@@ -19,8 +19,8 @@ from rig.system.assembly import assemble
 
 # With a filter, the motion is resolved at least up to this frequency, Hz.
 MIN_BAND_HZ = 1000.0
-# Largest ratio of a frequency to the oversampled rate at which cubic interpolation (`daq.dsp.interpolation`) is
-# accurate to 0.0001 dB.
+# Cubic interpolation (`daq.dsp.interpolation`) is accurate to 0.0001 dB up to this ratio of frequency to oversampled
+# rate.
 MAX_RESOLVED_RATIO = 0.1
 # Largest oversampled rate, Hz. Oscillations too fast for it are aliased, as in the modulator of a real converter.
 MAX_RATE = 1.024e6

@@ -29,7 +29,8 @@ from rig.scene.measurement_chain import Converter
 
 # Number of Legendre polynomials per interval that represent noise in front of a filter; see `daq.dsp.noise.FastNoise`.
 NOISE_TERMS = 3
-# Ratio to the sensor's limit below which the zero shift after an overload is negligible: data sheets have three digits.
+# The zero shift after an overload is negligible below this fraction of the sensor's limit: data sheets have three
+# digits.
 NEGLIGIBLE_ZERO_SHIFT_RATIO = 1e-3
 
 
@@ -91,7 +92,7 @@ class SignalPath:
         if converter.jitter:
             filter_delay = DELAY_SAMPLES if has_filter else 0
             self._jitter = Jitter(converter.jitter * sample_rate, filter_delay)
-            # The voltage is added as the last output, because the error by jitter requires its slope.
+            # The voltage is added as the last output, because the error due to jitter requires its slope.
             self._output_matrix = np.concatenate([self._output_matrix, circuit.c[None]])
             self._feedthrough = np.append(self._feedthrough, circuit.d[0] * gain)
         self._feedthrough_excess = np.full(len(self._output_matrix), -circuit.d[limited_section])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq.drawing.rig_view import RigView
     from daq.viewing.recorded_motion import RecordedMotion
 
-# Largest number of listed segments of lost samples.
+# Maximum number of listed segments of lost samples.
 _MAX_LISTED_SEGMENTS = 10
 _SAMPLING_TEXTS = {
     "point": "instantaneous samples",

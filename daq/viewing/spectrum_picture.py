@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # Duration of a segment: the spacing of the lines is 0.25 Hz.
 _SEGMENT_S = 4.0
-# Largest number of segments, which bounds the computing time of long recordings.
+# Maximum number of segments, which bounds the computing time of long recordings.
 _MAX_SEGMENTS = 200
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"

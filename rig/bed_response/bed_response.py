@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 #: Periods of the drive in a block, over which a motion is averaged.
 PERIODS = 20
-#: Largest number of blocks until the motion is steady.
+#: Maximum number of blocks until the motion is steady.
 MAX_BLOCKS = 20
 
 

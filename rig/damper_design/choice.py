@@ -179,7 +179,7 @@ class SearchSpace:
 
     @property
     def max_dampers(self) -> int:
-        """Largest number of dampers."""
+        """Maximum number of dampers."""
         return max(map(len, self.locations))
 
     @staticmethod

@@ -15,7 +15,7 @@ from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
 from rig.scene.scene import Scene
 
-#: Smallest peak reduction at which dampers count as effective, dB.
+#: Dampers are effective if they reduce the peak by at least this, dB.
 EFFECTIVE_DB = 1.0
 #: Number of frequencies over the band, in addition to natural frequencies and peaks.
 _BAND_POINTS = 20

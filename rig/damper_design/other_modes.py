@@ -13,9 +13,9 @@ from rig.damper_design.ranking import EQUAL_DB, MIN_MACHINABLE_CLEARANCE, equal_
 from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import structural_model
 
-#: Largest relative distance from a natural frequency at which a peak is assigned to its mode.
+#: A peak is assigned to a mode up to this relative distance from the natural frequency.
 MAX_PEAK_OFFSET = 0.15
-#: Largest number of evaluated modes: those nearest to the band.
+#: Maximum number of evaluated modes: those nearest to the band.
 _MAX_MODES = 6
 #: Number of equally good designs that are compared outside the band.
 _MAX_COMPARED = 5

@@ -27,19 +27,19 @@ GRID_CLEARANCES = 10
 TYPICAL_COMPLETED_SHARE = 0.4
 #: Number of designs of each mass that are computed concurrently.
 LOOKAHEAD = 3
-#: Largest number of trials around the best clearance of a location and mass.
+#: Maximum number of trials around the best clearance of a location and mass.
 MAX_REFINEMENT_TRIALS = 8
-#: Largest number of trials per unknown of the simplex search, where mass and clearance of each damper are unknown.
+#: Maximum number of trials per unknown of the simplex search, where mass and clearance of each damper are unknown.
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
-#: Largest number of locations refined by the simplex search at the largest mass.
+#: Maximum number of locations refined by the simplex search at the largest mass.
 MAX_SIMPLEX_LOCATIONS = 2
 #: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
-#: Largest ratio of the peak at a location to the best peak on the grid for which the location is refined.
+#: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
 #: The same ratio for the smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
-#: Largest number of locations refined for each smaller mass.
+#: Maximum number of locations refined for each smaller mass.
 MAX_REFINED_LOCATIONS = 2
 #: Relative rounding difference of two sums of the same masses.
 MASS_ROUNDING = 1e-9

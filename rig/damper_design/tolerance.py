@@ -13,7 +13,7 @@ from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
 MAX_RISE_DB = 0.5
-#: Ratio of clearances at which the bisection of an end stops.
+#: The bisection of an end stops below this ratio of clearances.
 _RESOLUTION_RATIO = 1.06
 #: Largest ratio of clearances per outward step.
 _STEP_RATIO = 1.6

@@ -16,7 +16,7 @@ from rig.orbits.sweep import OrbitResponse, sweep
 from rig.scene.scene import Scene
 from rig.system.structural_model import receptance
 
-#: Smallest ratio of a body's compliance on the frequency grid to the largest refined peak at which it is refined too.
+#: A body's peak is refined if its compliance on the grid is at least this fraction of the largest refined peak.
 MIN_REFINED_RATIO = 0.7
 
 

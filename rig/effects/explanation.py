@@ -27,7 +27,7 @@ from rig.system.structural_model import structural_model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Largest number of natural frequencies that are listed.
+#: Maximum number of listed natural frequencies.
 _MAX_LISTED = 7
 
 

@@ -36,23 +36,23 @@ from rig.system.hybrid_system import Drive, HybridSystem
 
 #: Largest product of step length (s) and rate (rad/s); 0.7^16 / 16! is below the rounding of float64.
 MAX_RATE_TIMES_STEP = 0.7
-#: Largest number of states, drive included, for which the matrix powers are tabulated.
+#: Matrix powers are tabulated up to this number of states, drive included.
 MAX_TABULATED_STATES = 16
 #: The same limit for systems with at most `FEW_DAMPERS` dampers.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40
 FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
-#: Largest number of states for which the matrix of a full step is always tabulated.
+#: The matrix of a full step is always tabulated up to this number of states.
 MAX_STEP_MATRIX_STATES = 400
-#: Largest number of dampers for which the matrix of a full step is tabulated.
+#: The matrix of a full step is tabulated up to this number of dampers.
 MAX_STEP_MATRIX_DAMPERS = 6
 #: Largest memory, in bytes, of the step matrices of all configurations of a system with more states. They are faster
 #: than the series if A is dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
-#: Largest number of configuration bits for which an array contains the table index of every possible configuration.
+#: An array contains the table index of every possible configuration up to this number of configuration bits.
 MAX_DIRECT_LOOKUP_BITS = 12
-#: Largest phase advance of the drive per step at which envelopes (`rig.engine.screening`) save time.
+#: Envelopes (`rig.engine.screening`) save time up to this phase advance of the drive per step.
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32

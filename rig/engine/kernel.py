@@ -54,7 +54,7 @@ from rig.numerics.simd import affine_product_many, copy, exceeds
 #: Why `advance` returned: segment completed; tables of the configuration missing; log full; too many events at one
 #: instant.
 DONE, TABLES_MISSING, LOG_FULL, STUCK = 0, 1, 2, 3
-#: Largest number of events at one instant, per damper; a larger number contradicts the contact law.
+#: Maximum number of events at one instant, per damper; a larger number contradicts the contact law.
 MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is smaller than the rounding errors of a longer step.

@@ -41,9 +41,9 @@ from rig.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.scene.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
 
-#: Smallest number of rows (events and breaks) of a new log.
+#: Minimum number of rows (events and breaks) of a new log.
 LOG_ROWS = 1024
-# Largest number of steps in a sample interval or a period; they take some seconds of CPU time.
+# Maximum number of steps in a sample interval or a period; they take some seconds of CPU time.
 MAX_STEPS = 1e7
 # `Segments.sets_drive`: every segment, or no segment, sets the drive at its start.
 _EVERY_SEGMENT = np.ones(1, dtype=bool)

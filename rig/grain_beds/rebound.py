@@ -19,7 +19,7 @@ from rig.scene.damper import Grains
 _CLOSING_SPEED = 0.3
 #: Number of starts of a contact within a step that are averaged, because a contact may begin anywhere in a step.
 _START_COUNT = 16
-#: Largest number of time steps of a contact.
+#: Maximum number of time steps of a contact.
 _MAX_STEPS = 100_000
 
 

@@ -18,7 +18,7 @@ from rig.workers import cores
 
 #: Steps between checks of the distribution of the grains over the ranks.
 _BALANCE_STEPS = 10_000
-#: Ratio of the largest to the mean number of grains of a rank above which the grains are distributed again.
+#: Grains are distributed again if a rank has more than this multiple of the mean number of grains per rank.
 _MAX_IMBALANCE = 1.05
 
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 #: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: Largest distance from steady state, relative to the motion, at which the motion type is determined.
+#: The motion type is determined at this distance from steady state, relative to the motion, or less.
 STEADY_TOLERANCE = 1e-6
 #: Longest wait, relative to the time in which the slowest mode decays to the tolerance; then a motion without
 #: repetition counts as irregular.

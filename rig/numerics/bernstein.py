@@ -25,7 +25,7 @@ from rig.numerics.simd import affine_product, minimum, negative_bits
 DEGREE = 15
 #: Number of coefficients of this series.
 N_COEFFICIENTS = DEGREE + 1
-#: Largest number of halvings of an interval; after these it is shorter than the rounding of tau.
+#: Maximum number of halvings of an interval; after these it is shorter than the rounding of tau.
 MAX_HALVINGS = 56
 #: Result without a crossing: a tau outside the step.
 NO_CROSSING = 2.0

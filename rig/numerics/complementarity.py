@@ -23,9 +23,9 @@ import numpy as np
 
 from rig.numerics.jit import kernel
 
-#: Largest ratio of a sum to the magnitudes of its terms that is a rounding error of zero.
+#: A sum below this fraction of the magnitudes of its terms is a rounding error of zero.
 ROUNDING = 16 * 2.3e-16
-#: Largest number of pivots; in practice about as many are needed as there are contacts.
+#: Maximum number of pivots; in practice about as many are needed as there are contacts.
 MAX_PIVOTS = 100_000
 
 

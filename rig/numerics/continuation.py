@@ -47,9 +47,9 @@ class Steps:
     tolerance: float = 1e-11
     """Newton's iteration ends when its largest correction (scaled unknowns) is below this."""
     max_iterations: int = 8
-    """Largest number of corrections of a point; after these the step is reduced."""
+    """Maximum number of corrections of a point; after these the step is reduced."""
     max_points: int = 4000
-    """Largest number of points on one side of the start."""
+    """Maximum number of points on one side of the start."""
 
 
 @dataclass

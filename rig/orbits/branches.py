@@ -28,7 +28,7 @@ STEPS = continuation.Steps(first_step=5e-3, max_step=0.25, max_angle_rad=0.12, m
 BORDER_STEP = 2e-6
 # Steps past a border, relative to the parameter, at which the motion is simulated until it is steady.
 SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
-# Largest number of branches: near irregular motion there are infinitely many.
+# Maximum number of branches: near irregular motion there are infinitely many.
 MAX_BRANCHES = 60
 # Relative deviations of two responses below which their orbits are the same: on a branch, or on a branch of one point.
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02

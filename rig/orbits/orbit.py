@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 # Margins down to minus this value may be rounding errors of zero; below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9
-# Largest number of Newton corrections from an initial guess.
+# Maximum number of Newton corrections from an initial guess.
 MAX_CORRECTIONS = 25
 # Engine events of contact between a damper and a wall.
 _CONTACT_EVENTS = {

@@ -34,14 +34,14 @@ from rig.steady_response.steady_state import MAX_REPETITION, settle
 MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
-# Largest number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
+# Maximum number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
 # needed in designs of dampers for the bundled scenes; an iteration that does not converge is expensive.
 MAX_EARLY_CORRECTIONS = 8
 # Largest relative change from period to period of a steady motion.
 MAX_STEADY_CHANGE = 1e-7
 # Largest relative change from period to period of an almost periodic motion.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
-# Largest relative distance of a motion from the orbit to which it settles.
+# A motion settles to an orbit if its relative distance from the orbit is at most this.
 MAX_ORBIT_DISTANCE = 0.05
 # Periods over which the distance from the orbit must decrease.
 CONFIRMATION_PERIODS = 16

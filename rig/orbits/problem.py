@@ -37,7 +37,7 @@ AXES = {
     "clearance": ("clearance / mm", 1e3),
     "mass_ratio": ("factor on the damper masses", 1.0),
 }
-# Largest number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
+# Maximum number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
 MAX_CACHED = 200
 # Relative step of finite differences.
 RELATIVE_STEP = 1e-6

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from rig.results.response import Response
 
 
-# Largest number of continuation steps, including rejected steps, from one value to the next.
+# Maximum number of continuation steps, including rejected steps, from one value to the next.
 MAX_STEPS = 6
-# Largest number of Newton corrections after a prediction.
+# Maximum number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
 # Largest error of a prediction, relative to the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3

@@ -21,7 +21,7 @@ from rig.orbits.orbit_equations import Equations, Sequence
 MAX_RATE_TIMES_STEP = 0.25
 # The same product for the harmonic alone, which then has a relative error of 1e-11.
 _MAX_RATE_TIMES_HARMONIC_STEP = 0.7
-# Largest number of steps in a segment; it limits the memory for long flights in stiff structures.
+# Maximum number of steps in a segment; it limits the memory for long flights in stiff structures.
 MAX_STEPS = 1500
 # Bernoulli numbers over factorials, for the end corrections of the trapezoidal rule (Euler-Maclaurin).
 _END_CORRECTIONS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])

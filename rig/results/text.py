@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.numerics.runs import runs_of
 
-# Largest number of ranges that are listed; more are summarized by a count.
+# Maximum number of listed ranges; more are summarized by a count.
 _MAX_RANGES = 8
 
 

@@ -31,7 +31,7 @@ Start = Annotated[
 ]
 Spacing = Literal["linear", "log"]
 
-#: Largest number of frequencies of a test.
+#: Maximum number of frequencies of a test.
 MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
 FORCE_TOLERANCE = 0.005

@@ -14,7 +14,7 @@ from pydantic_core import CoreSchema, core_schema
 from rig.scene.quantity_field import format_value, validation_error
 from rig.scene.settings import Problem, Settings
 
-# Largest number of bodies of a structure.
+# Maximum number of bodies of a structure.
 MAX_BODIES = 2000
 # Largest asymmetry relative to the largest element: matrices from other programs are symmetric up to rounding.
 MAX_ASYMMETRY = 1e-9

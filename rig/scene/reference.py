@@ -14,7 +14,7 @@ from typing import Any
 from rig.errors import SceneError, suggestion
 
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
-# Largest number of characters in a line of help.
+# Maximum number of characters in a line of help.
 _WIDTH = 100
 # Text for the default of a key whose value is a mapping.
 _DEFAULTS_OF_INNER_KEYS = "the defaults of its keys"

@@ -19,12 +19,12 @@ from rig.scene.settings import KeyPath, Problem
 # Text after a decimal comma. In a list, where a comma may also separate two numbers, it must have a unit.
 _FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")
 _FRACTION_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
-# Largest number of characters of a scene file.
+# Maximum number of characters of a scene file.
 MAX_CHARACTERS = 64_000_000
 # Largest nesting depth.
 MAX_DEPTH = 20
 _TOO_DEEP = f"more than {MAX_DEPTH} levels of nesting. Check the indentation."
-# Largest number of nodes that aliases may add; a few nested aliases could otherwise expand to billions.
+# Maximum number of nodes that aliases may add; a few nested aliases could otherwise expand to billions.
 MAX_ALIAS_NODES = 20_000
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _NULLS = ("", "~", "null", "Null", "NULL")

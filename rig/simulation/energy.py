@@ -28,7 +28,7 @@ from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
-# Largest number of values of power series in memory at a time.
+# Maximum number of values of power series in memory at a time.
 _MAX_VALUES = 1 << 21
 
 

@@ -271,7 +271,7 @@ def _scale(mode: SingleMode, kind: MotionType) -> Array:
     """Return the scale of the unknowns and of the frequency ratio, for the arclength."""
     parameters = dimensionless(mode, 1.0)
     amplitude = max(1.0, parameters.force)
-    # Relative width of the resonance, or its shift by the damper.
+    # Relative width of the resonance, or its shift due to the damper.
     width = max(mode.damping_ratio, 0.3 * mode.mass_ratio, 1e-3)
     return np.array([amplitude, amplitude, parameters.force, parameters.force, *[1.0] * INSTANTS[kind], 5 * width])
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 #: Relative tolerance of the controlled spring force.
 LEVEL_TOLERANCE = 1e-6
-#: Largest number of drive levels tried for one point.
+#: Maximum number of drive levels tried for one point.
 MAX_LEVEL_TRIALS = 25
 #: Number of periods over which a motion that does not repeat is averaged.
 IRREGULAR_PERIODS = 16

@@ -22,17 +22,17 @@ from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.numerics.jit import cached_njit
 
-#: Longest repetition that is detected, in periods of the drive.
+#: Longest detectable repetition, in periods of the drive.
 MAX_REPETITION = 8
 #: Number of periods in a comparison, which must exceed four times the longest repetition.
 COMPARED_PERIODS = 40
-#: Largest number of periods between two comparisons.
+#: Maximum number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
 #: Change per repetition, in tolerances, below which the motion is assumed to converge to this repetition.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 CHANGE_ROUNDING = 2e-14
-#: Largest number of multiplications in one call, about 0.1 s: interrupts are handled between calls.
+#: Maximum number of multiplications in one call, about 0.1 s: interrupts are handled between calls.
 MAX_WORK_PER_CALL = 1e8
 #: Stored states per period, for first harmonic and peak.
 INSTANTS_PER_PERIOD = 256

@@ -20,7 +20,7 @@ from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
 from rig.system.structural_model import StructuralModel, structural_model
 
-#: Largest number of free dampers: contact configurations are bits of a 64-bit integer.
+#: Maximum number of free dampers: contact configurations are bits of a 64-bit integer.
 MAX_DAMPERS = 62
 #: Largest condition number of a stiffness matrix that has an inverse; rounding limits it to about 1e16.
 MAX_CONDITION = 1e13

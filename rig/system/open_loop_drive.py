@@ -21,7 +21,7 @@ from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
 from rig.system.hybrid_system import HybridSystem
 
-# Smallest number of frequencies between which the drive per level of a sweep is interpolated.
+# Minimum number of frequencies between which the drive per level of a sweep is interpolated.
 _MIN_GAIN_FREQUENCIES = 400
 # Largest relative error of this interpolation.
 _MAX_GAIN_ERROR = 1e-3

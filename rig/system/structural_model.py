@@ -21,7 +21,7 @@ from rig.errors import SceneError
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 
-# Largest number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
+# Maximum number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
 _MAX_ELEMENTS = 1_000_000
 
 

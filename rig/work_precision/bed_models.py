@@ -33,7 +33,7 @@ STEP_RATIOS = (0.1, 0.19)
 SOFTENING_RATIO = 10.0
 #: Periods over which the motion of grains is averaged (a block).
 PERIODS = 20
-#: Largest number of blocks to reach steady motion.
+#: Maximum number of blocks to reach steady motion.
 MAX_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]

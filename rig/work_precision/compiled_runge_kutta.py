@@ -27,13 +27,13 @@ STAGE_WEIGHTS = np.vstack([np.hstack([RK45.A, np.zeros((6, 1))]), RK45.B])
 ERROR_WEIGHTS = np.array(RK45.E)
 #: Weights of the dense output.
 DENSE_WEIGHTS = np.ascontiguousarray(RK45.P)
-#: Largest number of iterations for the root of a guard.
+#: Maximum number of iterations for the root of a guard.
 MAX_ROOT_ITERATIONS = 60
 #: Tolerance of a root, as a share of the step.
 ROOT_TOLERANCE = 1e-15
 #: Steps per period after which the solver is stopped, because it alternates around one instant.
 MAX_STEPS_PER_PERIOD = 10_000
-#: Largest number of dampers; the number of matrices doubles with each.
+#: Maximum number of dampers; the number of matrices doubles with each.
 MAX_DAMPERS = 8
 
 

@@ -38,9 +38,9 @@ PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
 DIGITS = 40
 #: Significant digits of the run that checks the reference.
 CHECK_DIGITS = 30
-#: Largest product of rate and step for which the Taylor series loses a negligible number of digits.
+#: The Taylor series loses a negligible number of digits up to this product of rate and step.
 MAX_RATE_STEP = 3.0
-#: Largest penetration at which a touch counts as a landing rather than a resumed contact, m; rounding is 1e-18 m.
+#: A touch with at most this penetration [m] is an impact, not a resumed contact; rounding is 1e-18 m.
 MAX_TOUCH_PENETRATION_M = 1e-13
 #: Newton iterations for an event; they start within rounding of the engine, so that eight doublings of the digits
 #: suffice.
@@ -49,7 +49,7 @@ EVENT_ITERATIONS = 8
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
 #: Relative step of the difference quotients of an orbit; each Newton iteration gains the same number of digits.
 ORBIT_STEP_RATIO = Decimal("1e-14")
-#: Largest number of Newton iterations for an orbit; two reach forty digits from the sixteen of shooting.
+#: Maximum number of Newton iterations for an orbit; two reach forty digits from the sixteen of shooting.
 ORBIT_ITERATIONS = 4
 
 

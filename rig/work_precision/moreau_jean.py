@@ -24,7 +24,7 @@ from rig.work_precision.first_order_form import (
     FirstOrderForm,
 )
 
-#: Largest number of Gauss-Seidel iterations over the contacts in a step.
+#: Maximum number of Gauss-Seidel iterations over the contacts in a step.
 MAX_CONTACT_ITERATIONS = 50
 
 

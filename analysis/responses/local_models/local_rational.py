@@ -42,7 +42,7 @@ _REGULARIZATION = 1e-10
 _ZERO_POWER = 1e-300
 #: 95th percentile of the noise power of a line, relative to its mean (two degrees of freedom).
 POWER_RATIO_95 = 3.0
-# Largest number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
+# Maximum number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
 _MAX_ELEMENTS = 1 << 16
 
 
@@ -78,7 +78,7 @@ class LocalFit(NamedTuple):
     fitted_response: ComplexArray  # fitted reading per unit of the reference; shape (lines, 1, width)
     first_bin: Lines  # first bin of each fit; shape (lines,)
     criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
-    # change of the value by a fit of the next higher order, at the line or as root mean square around it, less the
+    # change of the value if the fit has the next higher order, at the line or as root mean square around it, less the
     # change due to noise [2]_; shape (lines,)
     model_error: Array
 

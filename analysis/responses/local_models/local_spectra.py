@@ -52,7 +52,7 @@ class LocalSpectra:
     # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, lines)
     rounding_gain_error: Array
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
-    jitter: Array  # factor of the covariance of errors by jitter, from `jitter_factor`; shape (rows, channels)
+    jitter: Array  # factor of the covariance of errors due to jitter, from `jitter_factor`; shape (rows, channels)
     # stored fits of a channel to a reference, because responses share the channels of their reference
     stored_fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     # stored spectra of references; complex, shape (segments, bins)
@@ -118,7 +118,7 @@ class LocalSpectra:
         )
         reference_bounds = []
         if reference_noise_power.any():
-            # The relative change of the value by noise in the reference is the uncertainty of the reference. If the
+            # The relative change of the value due to noise in the reference is the uncertainty of the reference. If the
             # value is zero, the whole reference may be noise.
             squared = abs(main_fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)

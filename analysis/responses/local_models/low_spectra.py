@@ -27,7 +27,7 @@ _MAX_FREQUENCY_RATIO = 0.15
 _FILTER_LENGTH = 24
 # Parameter of its Kaiser window, which attenuates aliasing in the result by 240 dB.
 _KAISER_BETA = 25.5
-# Largest number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
+# Maximum number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
 
 

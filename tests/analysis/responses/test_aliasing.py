@@ -41,7 +41,7 @@ def image_ratio(info, cycles):
 
 
 def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
-    """Return the limits of error by images in channel `info`; the other channel is filtered.
+    """Return the bounds of the error due to images in channel `info`; the other channel is filtered.
 
     `reference_share`: 0 if `info` is the response, 1 if it is the reference.
     """

@@ -49,7 +49,7 @@ def test_lost_samples_have_no_decaying_bias():
 
 @pytest.mark.parametrize("options", [{}, {"estimator": "H1", "block": 1.0}])
 def test_uncertainty_contains_response_below_sensor_noise(options, tmp_path):
-    # The motion by the drive of 1 µm is smaller than the noise of the sensors.
+    # The motion due to the drive of 1 µm is smaller than the noise of the sensors.
     scene = rig.loads(
         """
         structure: {masses: [1 kg], springs: [10 kN/m], damping: {modal: 0.02}}

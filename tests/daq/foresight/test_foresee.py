@@ -38,7 +38,7 @@ def accelerometer(**changes: Any) -> list[dict[str, Any]]:
 
 
 def steady_acceleration(scene: rig.Scene, frequencies: np.ndarray) -> float:
-    """Return the largest steady acceleration of body 1 for 1 N in m/s^2, by the closed form."""
+    """Return the largest steady acceleration of body 1 for 1 N in m/s^2, in closed form."""
     return float(np.max((2 * np.pi * frequencies) ** 2 * abs(receptance(scene, frequencies)[0])))
 
 

@@ -28,7 +28,7 @@ def simulate_impact(rate: float, input_range: float) -> tuple[Bench, np.ndarray,
     offset
         Time from the first of these samples to the beginning of the contact, in samples.
     peak
-        Peak acceleration of the body by the closed form, m/s^2.
+        Peak acceleration of the body in closed form, m/s^2.
     """
     scene = rig.loads(
         f"""

@@ -19,7 +19,7 @@ from tests.gauntlet.result import Case, CheckResult, Outcome
 _RATE = 20480.0
 # Half of the 6 dB range, as natural logarithm of an amplitude ratio.
 _HALF_RANGE_NEPER = 3.0 / 20.0 * np.log(10.0)
-# Smallest fraction of the levels whose true damping ratio must lie within the 95 % interval.
+# The true damping ratio must lie within the 95 % interval at this fraction of the levels or more.
 MIN_COVERAGE = 0.8
 
 

@@ -54,7 +54,7 @@ _ROUNDING = 1e-9
 _FORCE_STEP = 2e-3
 # Largest relative derivative: larger values indicate a change to another type of motion.
 _MAX_RELATIVE_SLOPE = 20.0
-# Largest relative standard deviation of the amplitudes in parts of a measurement at which the true motion is regular.
+# The true motion is regular if the amplitudes in parts of a measurement have at most this relative standard deviation.
 _MAX_AMPLITUDE_DEVIATION = 0.02
 # Largest relative change of the true amplitude from the first to the second half of a steady measurement. A transient
 # as large as `_MIN_DIFFERENCE_OF_MOTIONS` decays by more.
@@ -66,7 +66,7 @@ _MIN_DIFFERENCE_OF_MOTIONS = 0.01
 _MAX_DIFFERENCE_OF_METHODS = 1e-3
 # Number of parts of a measurement, each of whole periods, whose amplitudes are compared.
 _COMPARED_PARTS = 10
-# Largest relative deviation of the force for which the first-order correction is accurate to about 1e-5.
+# The first-order correction is accurate to about 1e-5 up to this relative deviation of the force.
 _MAX_FORCE_DEVIATION = 2e-3
 
 

@@ -59,7 +59,7 @@ def test_identical_oscillators_have_simultaneous_events() -> None:
     assert (np.sort(events["damper"], axis=1) == [1, 2, 3]).all()
     assert (events["kind"] == events["kind"][:, :1]).all()
     assert np.ptp(events["time"], axis=1).max() < 1e-14
-    # Simultaneous contacts are processed one after another, so that speeds may differ by rounding.
+    # Simultaneous contacts are processed one after another, so that speeds may differ due to rounding.
     assert np.ptp(events["speed"], axis=1).max() < 1e-14
     assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
 

@@ -254,7 +254,7 @@ def test_mode_without_clearance_has_the_riding_response() -> None:
     result = approximate_response(locked, 3, (47.0, 52.0))
 
     assert result.branches == ()
-    # The single-mode method neglects the change of the mode shape by the damper mass, and the other modes.
+    # The single-mode method neglects the change of the mode shape due to the damper mass, and the other modes.
     band = np.linspace(48.6, 49.2, 601)
     riding_response, exact = result.mode.receptance(band, riding=True), receptance(locked, band)[1]
     assert band[np.abs(riding_response).argmax()] == pytest.approx(band[np.abs(exact).argmax()], rel=1e-3)

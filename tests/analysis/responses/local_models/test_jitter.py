@@ -1,4 +1,4 @@
-"""Responses to hits that are sampled by a clock with jitter: the stated uncertainty contains the error by jitter."""
+"""Responses to hits sampled by a clock with jitter: the stated uncertainty contains the error due to jitter."""
 
 from __future__ import annotations
 

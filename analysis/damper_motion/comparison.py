@@ -36,8 +36,8 @@ class Peak:
     # was omitted
     bound: float
     frequency: float  # Hz
-    lowest_frequency: float  # lower limit of the frequency, Hz
-    highest_frequency: float  # upper limit of the frequency, Hz
+    lowest_frequency: float  # lower bound of the frequency, Hz
+    highest_frequency: float  # upper bound of the frequency, Hz
     lower_limit: float = 0.0  # lower 95 % bound of the highest measured point, m/N
     interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation

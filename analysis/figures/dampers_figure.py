@@ -74,7 +74,7 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
 
 
 def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
-    """Draw the energies against frequency, with upper limits for damper energies whose interval includes zero."""
+    """Draw the energies against frequency, with upper bounds for damper energies whose interval includes zero."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
@@ -94,7 +94,7 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
         energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=4.5, mew=0.8,
-        color=COLORS[1], label="into the dampers, upper limit",
+        color=COLORS[1], label="into the dampers, upper bound",
     )  # fmt: skip
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
     if true_loss is not None:

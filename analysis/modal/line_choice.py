@@ -44,7 +44,7 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
     peaks, _ = scipy.signal.find_peaks(log_magnitude, prominence=np.log(_MIN_PEAK_RATIO))
     highest = peaks[np.argsort(scipy.signal.peak_prominences(log_magnitude, peaks)[0])[::-1][:_MAX_PEAKS]]
     selected = np.zeros(count, dtype=bool)
-    selected[:: -(-2 * count // MAX_LINES)] = True
+    selected[:: -(-2 * count // MAX_LINES)] = True  # rounded up
     for peak in highest:
         below = np.flatnonzero(magnitude < _FLANK_RATIO * magnitude[peak])
         first = below[below < peak].max(initial=0)

@@ -71,7 +71,7 @@ def mode_warnings(
     if narrow.any():
         yield (
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
-            "upper limit of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
+            "upper bound of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
     leaking = widened & ~narrow
     if leaking.any():

@@ -93,7 +93,7 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
     """
     cached: dict[int, Array] = {}
     for start, stop in bounds:
-        numbers = range(start // PIECE_SAMPLES, -(-min(stop, rec.samples) // PIECE_SAMPLES))
+        numbers = range(start // PIECE_SAMPLES, -(-min(stop, rec.samples) // PIECE_SAMPLES))  # rounded up
         cached = {
             number: cached[number] if number in cached else _read_piece(rec, channels, number) for number in numbers
         }

@@ -39,7 +39,7 @@ class EvenlySpaced:
 
 @dataclass(frozen=True)
 class Curve:
-    """One curve of a panel, with its uncertainty limits if they are known.
+    """One curve of a panel, with its uncertainty bounds if they are known.
 
     All arrays have the shape (n,).
     """
@@ -47,8 +47,8 @@ class Curve:
     label: str
     x: ArrayLike | EvenlySpaced
     y: ArrayLike
-    low: ArrayLike | None = None  # lower limit of `y`
-    high: ArrayLike | None = None  # upper limit of `y`
+    low: ArrayLike | None = None  # lower bound of `y`
+    high: ArrayLike | None = None  # upper bound of `y`
     color: int = 0  # index into the palette
 
 

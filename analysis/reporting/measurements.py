@@ -169,7 +169,7 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest compliance peak, near a mode or at another frequency.
 
-    `peaks`: the highest peak near each mode. A peak at another frequency replaces them if its lower limit exceeds them.
+    `peaks`: the highest peak near each mode. A peak at another frequency replaces them if its lower bound exceeds them.
     """
     highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
     height = 0.0 if highest is None else highest[1].value

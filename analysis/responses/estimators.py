@@ -183,7 +183,7 @@ def independent_blocks(window: Array, step: int, blocks: int) -> float:
     """
     power = float(window @ window)
     variance = 1.0
-    for k in range(1, min(blocks, -(-window.size // step))):
+    for k in range(1, min(blocks, -(-window.size // step))):  # rounded up
         overlap = float(window[k * step :] @ window[: window.size - k * step]) / power
         variance += 2.0 * (1.0 - k / blocks) * overlap**2
     return blocks / variance

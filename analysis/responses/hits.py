@@ -223,7 +223,7 @@ class Hits:
         reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
         # The spectrum of several hits is a comb. The power is averaged over one spacing of its teeth and no farther,
         # because the power in peaks of the response is not that in its valleys.
-        n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1
+        n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
         errors = scipy.ndimage.uniform_filter1d(errors, half_width, axis=2, mode="nearest").max(axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):

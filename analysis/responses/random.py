@@ -75,7 +75,7 @@ def averaged_spectra(
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     unsettled = settling_flaws(rec, channels, first, stop, low)
     # Skip whole steps until all channels have settled.
-    first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step
+    first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step  # rounded up
     count = (stop - first - block_samples) // step + 1
     block_s = block_samples / rec.rate
     if block_samples < 16 or count < 2:

@@ -236,7 +236,7 @@ class SegmentFits:
                 f"{rec.path}: the resolution of {rec.rate / size:.3g} Hz leaves no lines between {self.low:.4g} and "
                 f"{self.high:.4g} Hz. Record longer."
             )
-        return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))
+        return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))  # rounded up
 
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:

@@ -244,7 +244,7 @@ def parts_of_whole_periods(
     periods = int((last - first + 0.5) / period)
     if periods < 1:
         return [(first, last)]
-    periods_per_part = -(-periods // max_parts)
+    periods_per_part = -(-periods // max_parts)  # rounded up
     count = periods // periods_per_part
     edges = [first + round(index * periods_per_part * period) for index in range(count + 1)]
     return list(pairwise(edges))

@@ -46,7 +46,7 @@ class Decimator:
         """Return the samples that end in the next `count` intervals, whose moments are in `moments_buffer`."""
         # Index of the first interval that ends a sample and, in `_moments`, of the first interval of its sum.
         first_end = -self._intervals % self._oversampling
-        samples = max(0, -(-(count - first_end) // self._oversampling))
+        samples = max(0, -(-(count - first_end) // self._oversampling))  # rounded up
         if self._samples.size < samples + SUM_BLOCK:
             self._samples = aligned_zeros(samples + SUM_BLOCK)
         _sum_moments(self._weights, self._moments, first_end, self._oversampling, self._samples, samples)
@@ -73,5 +73,5 @@ def _lane_weights(taps: Array, delay: int) -> Array:
 def _sum_moments(weights: Array, moments: Array, first: int, oversampling: int, samples: Array, count: int) -> None:
     """Fill in `count` samples: weighted sums of moments. The first sum begins at interval `first` of `moments`."""
     width = moments.shape[1]
-    registers = -(-count // LANES)
+    registers = -(-count // LANES)  # rounded up
     factored_sums(weights, moments, first * width, 1, LANES * oversampling * width, samples, 0, registers)

@@ -75,14 +75,14 @@ class Disturbances:
         self._n_intervals = stop
         if not self._sources or intervals == 0:
             return np.zeros((len(self._sources), intervals))
-        count = -(-(stop - 1) // self._oversampling) + 1 - self._n_samples
+        count = -(-(stop - 1) // self._oversampling) + 1 - self._n_samples  # rounded up
         voltages = np.empty((len(self._sources), count))
         for row, source in zip(voltages, self._sources, strict=True):
             source.fill(row)
         if self._oversampling > 1:
             # Index of the sample at or after the end of each interval. The voltages of a sample interval that began in
             # the previous block were drawn with that block.
-            sample = -(-np.arange(first, stop) // self._oversampling)
+            sample = -(-np.arange(first, stop) // self._oversampling)  # rounded up
             voltages_with_last = np.concatenate([self._last, voltages], axis=1)
             voltages, self._last = voltages_with_last[:, sample - (self._n_samples - 1)], voltages_with_last[:, -1:]
             self._split_polynomials(voltages, (np.arange(first, stop) - 1) % self._oversampling)

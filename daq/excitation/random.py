@@ -42,7 +42,7 @@ def excite(station: Station, test: Random) -> Excitation:
     # For speed, white noise is drawn at a lower rate than that of the drive: at least four times the highest frequency.
     max_divisor = max(1, period // (4 * int(lines[-1])))
     rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
-    length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)
+    length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)  # rounded up
     impulse_response = shaping_filter(lines, amplitudes, gains, level, period)
     spectrum = rfft(impulse_response, length)[: length // rate_divisor // 2 + 1] * np.sqrt(rate_divisor)
     sources = [generator, *(station.generator(f"random {number}") for number in station.shakers[1:])]

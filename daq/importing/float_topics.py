@@ -235,7 +235,7 @@ def _read_multi_array(data: bytes, number_type: str) -> Array:
 
     def aligned(position: int, size: int) -> int:
         """Return the next position that is a multiple of `size` bytes after the four-byte head."""
-        return 4 + -(-(position - 4) // size) * size
+        return 4 + -(-(position - 4) // size) * size  # rounded up
 
     dimensions, position = read_integer(4), 8
     for _ in range(dimensions):

@@ -103,7 +103,7 @@ class Terminals:
         `mark` adds markers to a recording, `report` receives the progress.
         """
         bench = self.bench
-        first_sample = -(-position // bench.ticks_per_sample)
+        first_sample = -(-position // bench.ticks_per_sample)  # rounded up
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first_sample)
         lead_ticks = first_sample * bench.ticks_per_sample - position
         self._test = BackgroundTest(

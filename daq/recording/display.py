@@ -117,7 +117,7 @@ class DisplayDecimator:
         """
         if self.stop is None:
             self._samples = np.repeat(samples[:, :1], self._half_length, axis=1)
-            self._first, self._next_output = first - self._half_length, -(-first // self.step)
+            self._first, self._next_output = first - self._half_length, -(-first // self.step)  # rounded up
         self._samples = np.concatenate([self._samples, samples], axis=1)
         self.stop = first + samples.shape[1]
         last = (self.stop - 1 - self._half_length) // self.step

@@ -241,7 +241,7 @@ class Objective:
             raise SceneError(
                 f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with at least one"
             )
-        points = 8 + self.density * -(-len(natural) // 2)
+        points = 8 + self.density * -(-len(natural) // 2)  # rounded up
         return np.unique(np.concatenate([select_frequencies(scene, low, high, points), natural]))
 
 

@@ -79,7 +79,7 @@ def _rebound_is_negligible(model: Model, state: State, j: int, rebound_speed: fl
 
     `rebound_speed`: relative to the wall, m/s; `force`: on every coordinate, N.
 
-    With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper limit of its
+    With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper bound of its
     acceleration is used. A damper that is wrongly set to rest has a tensile contact force and separates immediately.
     """
     row = model.position_index[j]

@@ -212,7 +212,7 @@ class FlowTables:
         for name, width in widths.items():
             needed = self.has_series if name == "series" else self.has_step_matrix
             # The product of every step is faster with columns of zeros up to a multiple of SUMS.
-            columns = -(-self.size // SUMS) * SUMS if name == "step_matrix" else self.size
+            columns = -(-self.size // SUMS) * SUMS if name == "step_matrix" else self.size  # rounded up
             shapes[name] = (columns if needed else 0, width)
             shapes[f"{name}_constant"] = (width,)
         shapes["rates"] = (len(self._column),)

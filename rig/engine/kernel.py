@@ -10,7 +10,7 @@ Terms:
 
 - event: contact change of one damper; break: instant at which velocities or accelerations jump;
 - segment: time interval under one drive, such as a sample interval (`rig.engine.propagator`);
-- envelope: upper limit of the magnitude of each state, for which the margins are valid;
+- envelope: upper bound of the magnitude of each state, for which the margins are valid;
 - margin of a guard: a guard above its margin at both ends of a full step has no zero in the step;
 - status: what is known of the present state (`rig.engine.power_series`).
 

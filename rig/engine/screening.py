@@ -5,7 +5,7 @@ The proof is by cubic Hermite interpolation: a guard is positive if the cubic th
 of the step exceeds the error of the interpolation. This error is at most a fixed fraction of the bound of the guard's
 fourth derivative.
 
-For short steps, a coarser test comes first. The *envelope* is an upper limit of the magnitude of each state. While
+For short steps, a coarser test comes first. The *envelope* is an upper bound of the magnitude of each state. While
 every state is within its envelope, a guard that exceeds its *margin* at both ends of a step is positive over the step.
 The margins are computed once for an envelope.
 """

@@ -15,7 +15,7 @@ from rig.numerics.simd import aligned_zeros, padded_length
 class Workspace(NamedTuple):
     """Scratch arrays of one running kernel.
 
-    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper limit of |z|. margin: values
+    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin: values
     of the guards (gaps and contact forces) above which they have no zero in a step, see `rig.engine.screening`.
     bound, derivative: results of the tables of the same names in `Flow`.
     state_series: power series of the state in tau, the time relative to a step; shape (terms, states). series_matrix: a

@@ -31,7 +31,7 @@ def padded_length(count: int) -> int:
     >>> padded_length(0), padded_length(8), padded_length(9)
     (8, 8, 16)
     """
-    return max(LANES, -(-count // LANES) * LANES)
+    return max(LANES, -(-count // LANES) * LANES)  # rounded up
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from rig.numerics.jit import cached_njit
 def exponential(matrix: Array, time: float, norm_bound: float) -> Array:
     """Compute the exponential of `matrix` times `time` by a Taylor series with scaling and squaring.
 
-    `norm_bound`: upper limit of the norm of the matrix after balancing of its rows and columns, 1/s.
+    `norm_bound`: upper bound of the norm of the matrix after balancing of its rows and columns, 1/s.
     """
     norm, halvings = norm_bound * abs(time), 0
     while norm > 0.25 and halvings < 60:

@@ -84,7 +84,7 @@ class _ConfigurationMatrices(NamedTuple):
     """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
 
     `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
-    is pressed on its ceiling. `norm_bound`: upper limit of the norm of the state matrix, 1/s. The first index of each
+    is pressed on its ceiling. `norm_bound`: upper bound of the norm of the state matrix, 1/s. The first index of each
     array is the configuration.
     """
 

@@ -59,13 +59,12 @@ class Motion:
         The block must end at a multiple of `step`. `interval`: sample interval of this motion, s.
         """
         selected = slice(-self.first % step, None, step)
-        # Number of the last retained sample before each break (-(-a // b) rounds up), and the time from it to the last
-        # original sample.
-        last_before = -(-self.break_sample // step) - 1
+        # Number of the last retained sample before each break, and the time from it to the last original sample.
+        last_before = -(-self.break_sample // step) - 1  # rounded up
         skipped = (self.break_sample - 1 - last_before * step) * interval
         return replace(
             self,
-            first=-(-self.first // step),
+            first=-(-self.first // step),  # rounded up
             displacement=self.displacement[:, selected],
             velocity=self.velocity[:, selected],
             acceleration=self.acceleration[:, selected],

@@ -119,7 +119,7 @@ def brute_force(design: rig.Design, locations: list[tuple[int, ...]]) -> Iterato
         + len(locations) * len(GRID_MASS_RATIOS) * GRID_CLEARANCES
         + FINAL_DESIGNS * levels * FINE_DENSITY // COARSE_DENSITY
     )
-    count = -(-COST_FACTOR * search_cost // (levels * len(locations) * len(_MASS_FRACTIONS)))
+    count = -(-COST_FACTOR * search_cost // (levels * len(locations) * len(_MASS_FRACTIONS)))  # rounded up
     points = qmc.Halton(2 * dampers - 1, scramble=False).random(count)
     clearances = np.exp(
         qmc.scale(points[:, :dampers], *np.log(np.array(design.space.clearance)[:, None] * np.ones(dampers)))

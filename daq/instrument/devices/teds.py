@@ -106,7 +106,7 @@ class TedsMemory:
             # A header, then one byte per bit.
             bits = data[_FILE_HEADER_BYTES:]
             value = sum(bit << position for position, bit in enumerate(bits))
-            data = value.to_bytes(-(-len(bits) // 8), "little")
+            data = value.to_bytes(-(-len(bits) // 8), "little")  # rounded up
         basic_teds(data)
         self._virtual[port.name.lower()] = data
 

@@ -35,7 +35,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
         # Other channels use the same memory.
         scratch.rows(1000)[:] = np.nan
     samples = np.concatenate(parts)
-    assert samples.size == -(-intervals // oversampling)
+    assert samples.size == -(-intervals // oversampling)  # rounded up
     for n, sample in enumerate(samples):
         expected = 0.0
         for p in range(oversampling):

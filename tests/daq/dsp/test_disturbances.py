@@ -32,7 +32,7 @@ def test_polynomials_of_intervals_equal_those_of_samples(oversampling, block_end
     interval_time = np.linspace(-1.0, 1.0, 5)  # instants in an interval, from -1 to 1
     # Interval 0 ends at sample 0; the polynomials of a sample are valid since the previous sample.
     for interval in range(n_intervals):
-        sample = -(-interval // oversampling)
+        sample = -(-interval // oversampling)  # rounded up
         position = (interval - 1) % oversampling
         sample_time = (2 * position + 1 + interval_time) / oversampling - 1.0  # in the sample interval, from -1 to 1
         values, expected = legval(interval_time, coefficients[:3, interval]), legval(sample_time, samples[:3, sample])

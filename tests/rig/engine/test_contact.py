@@ -196,7 +196,7 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
     engine = propagator(0.2 if coupled else 0.0)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     # A rebound is negligible if its height v^2 / (2 a) is within the rounding error ROUNDING * coordinate_scale of the
-    # gap. With coupling, a is an upper limit of the acceleration.
+    # gap. With coupling, a is an upper bound of the acceleration.
     state.contact[1], row = wall, model.position_index[1]
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])

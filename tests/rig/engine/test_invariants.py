@@ -130,7 +130,7 @@ def test_contact_force_at_rest_is_compressive(scene: rig.Scene) -> None:
 @settings(max_examples=15)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_envelope_of_a_block_misses_no_event(scene: rig.Scene, seed: int) -> None:
-    # In a block, the engine omits the search for events while the state is within an envelope (upper limits of its
+    # In a block, the engine omits the search for events while the state is within an envelope (upper bounds of its
     # magnitudes) and all gaps and contact forces exceed their margins. Blocks of one sample have no envelope.
     random = np.random.default_rng(seed)
     rate = 800 * scene.test.frequency

@@ -1,8 +1,8 @@
-"""Reading of a channel at a velocity jump of its body, and the matched filters that detect the jump.
+"""Response of a channel to a velocity jump of its body, and the matched filters that detect the jump.
 
 A damper's impact causes a *jump* of the body's velocity, and a *step* and a *kink* (change of slope) of its
-acceleration. Their readings follow from the channel's data sheet. They are computed at *sub-sample times*, because an
-impact occurs between samples.
+acceleration. The channel's responses to them follow from its data sheet. They are computed at *sub-sample times*,
+because an impact occurs between samples.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
 Detection Theory*, 1998, ch. 4. Step, kink and a polynomial for the smooth motion are nuisance signals; the filters are
@@ -42,8 +42,8 @@ _MIN_INSTANTS_PER_SAMPLE = 8
 _RESONANCE_STRIDE = 8
 # The search uses every fourth sub-sample time with a decimation filter.
 _FILTER_STRIDE = 4
-# Smallest angular frequency, rad per sample, of poles that affect the reading of a jump; slower poles cause a slow
-# curvature after it, which the polynomial represents.
+# Poles above this angular frequency, rad per sample, affect the response to a jump; slower poles cause a slow curvature
+# after it, which the polynomial represents.
 _FAST_POLE = 0.3
 # Number of decay times after which the response of a resonance has decayed to 1e-6.
 _DECAY_TIMES = 14.0
@@ -57,8 +57,8 @@ _FILTER_WINDOW_SAMPLES = 12
 _RANK_TOLERANCE = 1e-12
 
 
-class UnitReadings(NamedTuple):
-    """Differenced readings of unit jump, step and kink at one time."""
+class UnitResponses(NamedTuple):
+    """Differenced responses to unit jump, step and kink at one time."""
 
     begin: int
     """Index of the first difference."""
@@ -70,11 +70,11 @@ class UnitReadings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ImpactModel:
-    """Readings of unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
+    """Responses to unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
-    All arrays are differences of the readings, so that the response to a jump is short. The order of the differences is
-    two higher than the number of integrations in the channel. The fit itself is least squares in the readings, whose
-    noise is white.
+    All arrays are differences of successive samples, so that the response to a jump is short. The order of the
+    differences is two higher than the number of integrations in the channel. The fit itself is least squares in the
+    readings, whose noise is white.
 
     The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
     (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.
@@ -94,7 +94,7 @@ class ImpactModel:
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
     unit_differences: Array
-    """Differenced readings of unit jump, step and kink until they have decayed; shape (rows, 3, length)."""
+    """Differenced responses to unit jump, step and kink until they have decayed; shape (rows, 3, length)."""
     unit_start: int
     """Index of the first of `unit_differences` relative to sample 0."""
     polynomial_order: int
@@ -127,7 +127,7 @@ class ImpactModel:
 
     @cached_property
     def templates(self) -> Array:
-        """Readings of unit jump, step and kink without smooth motion; shape (rows, 3, window)."""
+        """Responses to unit jump, step and kink without smooth motion; shape (rows, 3, window)."""
         begin = self.window_start - self.unit_start
         return self.readings(self.unit_differences[..., begin : begin + self.window_length])
 
@@ -143,7 +143,7 @@ class ImpactModel:
 
     @cached_property
     def settling_samples(self) -> int:
-        """Samples until the reading of a jump has decayed."""
+        """Samples until the response to a jump has decayed."""
         return int(self.unit_differences.shape[-1])
 
     @cached_property
@@ -154,9 +154,9 @@ class ImpactModel:
 
     @cached_property
     def template_norm(self) -> float:
-        """Root sum of squares of the readings of a 1 m/s jump in the middle of a window."""
+        """Root sum of squares of the response to a 1 m/s jump in the middle of a window."""
         window = np.zeros(self.window_length)
-        unit = self.unit_readings_at(self.difference_order - self.window_start + 0.5)
+        unit = self.unit_responses_at(self.difference_order - self.window_start + 0.5)
         low, begin = max(0, -unit.begin), max(unit.begin, 0)
         inside = unit.units[0, low : low + self.window_length - begin]
         window[begin : begin + inside.size] = inside
@@ -177,7 +177,7 @@ class ImpactModel:
         for _ in range(self.difference_order):
             differences = np.cumsum(differences, axis=-1)
         polynomials = legendre_basis(length, self.polynomial_order_for(length) if order is None else order)
-        # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
+        # A single projection leaves rounding errors, because the polynomials are much larger than the response to a
         # jump.
         for _ in range(2):
             differences = differences - (differences @ polynomials) @ polynomials.T
@@ -193,11 +193,11 @@ class ImpactModel:
         row = np.clip(np.floor(position), 0, len(self.unit_differences) - 2)
         return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
 
-    def unit_readings_at(self, time: float) -> UnitReadings:
-        """Return the differenced readings of unit jump, step and kink at a time, in samples."""
+    def unit_responses_at(self, time: float) -> UnitResponses:
+        """Return the differenced responses to unit jump, step and kink at a time, in samples."""
         sample, row, weight = self.locate(np.float64(time))
         left, right = self.unit_differences[row], self.unit_differences[row + 1]
-        return UnitReadings(
+        return UnitResponses(
             int(sample) + self.unit_start - self.difference_order,
             left + weight * (right - left),
             (right - left) * self.instants_per_sample,
@@ -252,7 +252,7 @@ def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int
     """Compute the model of a channel from its data sheet, for each polynomial order of `ORDERS`.
 
     `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
-    smooths jump, step and kink alike (None: instant); `decimation`: number of samples that are averaged to one reading.
+    smooths jump, step and kink alike (None: instant); `decimation`: number of samples in each average.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
@@ -290,9 +290,9 @@ def _impact_models(
     # Additional samples in which the response of the filter decays.
     margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
     until_decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
-    readings = _acceleration_readings(info, integrations, instants, before + margin, until_decayed, pulse, decimation)
-    unit_differences = np.diff(readings, 2, axis=-1) / rate**integrations
-    in_window = readings[..., margin : margin + before + after]
+    responses = _acceleration_responses(info, integrations, instants, before + margin, until_decayed, pulse, decimation)
+    unit_differences = np.diff(responses, 2, axis=-1) / rate**integrations
+    in_window = responses[..., margin : margin + before + after]
     filters_of_orders = _filters(in_window, integrations, rate)
     return tuple(
         ImpactModel(
@@ -311,10 +311,10 @@ def _impact_models(
     )
 
 
-def _acceleration_readings(
+def _acceleration_responses(
     info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
 ) -> Array:
-    """Compute the readings of unit jump, step and kink, differentiated to acceleration.
+    """Compute the responses to unit jump, step and kink, differentiated to acceleration.
 
     `instants`: sub-sample times in a sample interval. Returns samples 1 - `before` to `after` for each time of a
     jump; shape (rows, 3, before + after).
@@ -335,7 +335,7 @@ def _acceleration_readings(
         # Velocity change within half a sub-sample interval on either side.
         edges = (np.arange(n_samples * instants + 1) - 0.5) / (rate * instants)
         response *= fft.rfft(np.diff(pulse.velocity_change_ratio(edges)))
-    # A difference of the readings over one sample is an average of the derivative over a sample interval.
+    # A difference of successive samples is an average of the derivative over a sample interval.
     interval_averages = integrations + int(info.average)
     if not info.average:
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
@@ -353,27 +353,27 @@ def _acceleration_readings(
     jump_time = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
     indices = (before + MAX_SHIFT + sample) * instants - jump_time[:, None] - 1
-    return np.stack([reading[indices] for reading in (jump, step, kink)], axis=1)
+    return np.stack([response[indices] for response in (jump, step, kink)], axis=1)
 
 
-def _filters(acceleration_readings: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
+def _filters(acceleration_responses: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
     """Compute `ImpactModel.filters` and `ImpactModel.r_factors` for each order of `ORDERS`."""
-    shape = (*acceleration_readings.shape[:-1], integrations)
-    readings = np.concatenate([np.zeros(shape), acceleration_readings], axis=-1)
+    shape = (*acceleration_responses.shape[:-1], integrations)
+    responses = np.concatenate([np.zeros(shape), acceleration_responses], axis=-1)
     for _ in range(integrations):
-        readings = np.cumsum(readings, axis=-1) / rate
-    columns = np.swapaxes(readings[:, ::-1], 1, 2)
+        responses = np.cumsum(responses, axis=-1) / rate
+    columns = np.swapaxes(responses[:, ::-1], 1, 2)
     filters_of_orders = []
     for order in ORDERS:
-        polynomials = legendre_basis(readings.shape[-1], order + integrations)
+        polynomials = legendre_basis(responses.shape[-1], order + integrations)
         without_smooth = columns
-        # A single projection leaves rounding errors, because the polynomials are much larger than the readings of a
+        # A single projection leaves rounding errors, because the polynomials are much larger than the response to a
         # jump.
         for _ in range(2):
             without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
         basis, r_factors = np.linalg.qr(without_smooth)
         filters = np.swapaxes(basis, 1, 2)
-        # Summation by parts: these filters give the same outputs from the differences as `basis` from the readings.
+        # Summation by parts: these filters give the same outputs from the differences as `basis` from the responses.
         for _ in range(integrations + 2):
             filters = -np.cumsum(filters, axis=-1)[..., :-1]
         filters_of_orders.append((np.ascontiguousarray(filters), r_factors))

@@ -69,7 +69,7 @@ class Deviations(NamedTuple):
 
 def add_jump(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
     """Add a multiple of a jump to the differenced readings."""
-    unit = model.unit_readings_at(jump.time)
+    unit = model.unit_responses_at(jump.time)
     _add_row(residual, unit.begin, factor * (jump.amplitudes @ unit.units))
 
 
@@ -194,9 +194,9 @@ def _regressors(model: ImpactModel, times: Array, amplitudes: Array | None, firs
     per_jump = 3 if amplitudes is None else 4
     regressors = np.zeros((per_jump * times.size, last - first))
     for k, time in enumerate(times):
-        unit = model.unit_readings_at(time)
-        for row, reading in enumerate(unit.units):
-            _add_row(regressors[per_jump * k + row], unit.begin - first, reading)
+        unit = model.unit_responses_at(time)
+        for row, response in enumerate(unit.units):
+            _add_row(regressors[per_jump * k + row], unit.begin - first, response)
         if amplitudes is not None:
             _add_row(regressors[per_jump * k + 3], unit.begin - first, amplitudes[k] @ unit.time_derivatives)
     return regressors

@@ -1,4 +1,4 @@
-"""Delay of a channel by the filter of its converter: the samples that contain an event at a given time."""
+"""Delay of a channel due to the filter of its converter: the samples that contain an event at a given time."""
 
 from __future__ import annotations
 

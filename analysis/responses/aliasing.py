@@ -1,4 +1,4 @@
-"""Aliasing: the error of a response by components above half the sample rate, in channels without anti-aliasing filter.
+"""Aliasing: errors of responses due to components above half the sample rate, in channels without anti-aliasing filter.
 
 An *image* of the drive is its component at a multiple of the sample rate plus its own frequency.
 """

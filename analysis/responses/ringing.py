@@ -1,4 +1,4 @@
-"""Error of a stepped-sine response by *ringing*: residual free vibration of the previous step.
+"""Error of a stepped-sine response due to *ringing*: residual free vibration of the previous step.
 
 A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a transient in it that decays
 slowly and is close to the frequency of the tone. The transient is therefore predicted from the response. Around each
@@ -33,7 +33,7 @@ _TRANSITION_RATIO = 0.5
 
 
 def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Array, error: Array) -> Array:
-    """Compute the largest deviation of each point of a response by ringing.
+    """Compute the maximum error of each point of a response due to ringing.
 
     The initial amplitude c of the free vibration at a pole s is the difference of the pole's contributions to the two
     steady responses. After a wait t (`wait_s`) it shifts the mean over a window of length L (`window_s`) by

@@ -1,4 +1,4 @@
-"""Quantity and SI scale of a unit, in the spellings of measurement programs."""
+"""Quantity and SI scale of a unit, in the notations of measurement programs."""
 
 from __future__ import annotations
 

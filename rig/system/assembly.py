@@ -1,4 +1,4 @@
-"""From a scene to the hybrid linear system of the kernel.
+"""Assembly of the hybrid linear system of a scene, which the engine simulates.
 
 A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on the
 floor of the cavity; otherwise it *flies*.

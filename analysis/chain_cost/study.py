@@ -96,7 +96,7 @@ def chain_study(
 
     A structure without moving dampers is linear: the reference is its exact compliance. With dampers the compliance
     depends on the level. The reference is then the engine's steady motion under the drive amplitude that the controller
-    reached, which is in the recording; it is computed until it repeats within 1e-10. `rig cost` compares the engine
+    reached, as recorded; it is computed until it repeats within 1e-10. `rig cost` compares the engine
     with arithmetic of 40 digits. Both references are independent of the measurement chain.
 
     `scene`: with a shaker, and a test with a level and, unless `frequencies` is given, a frequency; `frequencies`:

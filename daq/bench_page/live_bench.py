@@ -56,7 +56,7 @@ class TestController:
     reason why there is no live frequency response.
     """
 
-    # Name under which the chassis lists this client, which keeps the clock of the bench running.
+    # Name of this client in the chassis' list; the client keeps the clock of the bench running.
     name = "daq bench"
 
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:

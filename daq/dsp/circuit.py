@@ -13,8 +13,8 @@ import numpy as np
 
 from rig.arrays import Array
 
-# Names of sections with nonlinear effects: integrators, whose state is limited by the amplifier's supply, and the zero
-# shift of a sensor, which is zero until an overload.
+# Names of sections with nonlinear effects: the amplifier's supply limits the state of
+# integrators, and the zero shift of a sensor is zero until an overload.
 INTEGRATION = "integration"
 RECOVERY = "overload recovery"
 

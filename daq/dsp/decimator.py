@@ -43,7 +43,7 @@ class Decimator:
         return self._moments[begin:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples that end in the next `count` intervals, whose moments are in `moments_buffer`."""
+        """Return the samples that end in the next `count` intervals (their moments: `moments_buffer`)."""
         # Index of the first interval that ends a sample and, in `_moments`, of the first interval of its sum.
         first_end = -self._intervals % self._oversampling
         samples = max(0, -(-(count - first_end) // self._oversampling))  # rounded up

@@ -74,7 +74,7 @@ class Limits(NamedTuple):
     varying_contributions: Array
     output_limit: float  # largest magnitude of the sensor's output, V
     output_weights: Array  # sensor's output, as a linear function of the vector; (size,)
-    # Contribution to the vector over a step of an excess that falls from 1 V to 0, and of one that rises from 0 to 1 V;
+    # Contributions to the vector over a step: of an excess falling from 1 V to 0, and of one rising from 0 to 1 V;
     # (2, 2, width).
     excess_contributions: Array
     # Ratio of the excess at the end of a step to the excess without the zero shift that this excess causes; (2,).
@@ -166,7 +166,7 @@ def tabulate_limits(
 
 
 def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Array:
-    """Return the contributions of an input that falls from 1 to 0 over a step, and of one that rises; (2, width).
+    """Return the contributions of an input falling from 1 to 0 over a step, and of one rising from 0 to 1; (2, width).
 
     `steps`: number of steps in an interval.
     """

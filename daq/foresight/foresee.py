@@ -363,7 +363,7 @@ class _Assessment:
     def _settling_times(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
         """Yield the times until the tones of a part are steady, s.
 
-        A tone that did not settle in a rehearsal may settle soon after it, or take all the time that the test allows.
+        If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
         The geometric mean of both times is assumed.
         """
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):

@@ -42,8 +42,8 @@ class Terminals:
     """
 
     def __init__(self, scene: Scene) -> None:
-        # The tick rate is the smallest multiple of the converter's rate that reaches the fastest rate of each module
-        # and the rate that oversampling requires. Samples of modules that divide one clock then coincide with ticks.
+        # The tick rate is the smallest multiple of the converter's rate that is at least the fastest rate of each
+        # module and the rate for oversampling. Samples of modules that divide one clock then coincide with ticks.
         sample_rate, input_preset = scene.converter.sample_rate, scene.converter.preset
         output_presets = [None if shaker.output is None else shaker.output.preset for shaker in scene.shakers]
         inputs = None if input_preset is None else module(input_preset).inputs

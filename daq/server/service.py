@@ -201,8 +201,8 @@ class Server:
                 print(f"task {name} was closed, because its client has disconnected", file=sys.stderr, flush=True)
 
 
-# Calls that register for events: the function that registers the queue of a stream, and that which returns the fields
-# of a response from the fields of the request and the value of the event.
+# Calls that register for events: a function that registers the queue of a stream, and a function that returns the
+# fields of a response, given the fields of the request and the value of the event.
 _EVENTS: dict[str, tuple[Callable[[Task, dict[str, Any], Any], None], Callable[..., dict[str, Any]]]] = {
     "RegisterEveryNSamplesEvent": (
         lambda task, fields, queue_event: task.events.listen_every(

@@ -109,7 +109,7 @@ class Chain:
             if isinstance(interpolator, MotionInterpolator):
                 cubics = interpolator.interpolate(motion)
             else:
-                # An input that is not given is zero, such as the force of a hammer that is not used.
+                # An omitted input is zero, such as the force of an unused hammer.
                 name, factor = self._sources[row]
                 signal = np.zeros(count)
                 if forces is not None and name in self._inputs:

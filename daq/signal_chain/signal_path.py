@@ -133,7 +133,7 @@ class SignalPath:
 
 
 class Overloads:
-    """Flags samples that depend on an interval in overload, or on an interval with a zero shift that is not negligible.
+    """Flags samples that depend on an interval in overload or with a significant zero shift.
 
     The zero shift is the offset of a sensor after an overload; it decays exponentially. `rate` is in intervals per
     second, `affecting_intervals` the number of intervals on which a sample depends.

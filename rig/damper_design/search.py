@@ -181,7 +181,7 @@ class _NotComputed(Exception):
 
 
 def _requested_designs(search: Callable[..., object], start: Choice, known_trials: KnownTrials) -> list[Choice]:
-    """Return the designs that a search requests, up to the first whose result is unknown."""
+    """Return the designs that a search requests, up to the first design without a result."""
     # The search restarts each time and uses the stored results up to the first unknown design.
     requested = []
 

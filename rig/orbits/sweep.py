@@ -60,7 +60,7 @@ MAX_PREDICTION_ERROR = 0.3
 MAX_PREDICTION_RATIO = 10.0
 # Number of points used for extrapolation.
 EXTRAPOLATION_POINTS = 4
-# Periods of the drive after which a motion that does not repeat is classified as irregular.
+# A motion without repetition after this number of periods of the drive is irregular.
 MAX_PERIODS = 1500
 # Periods over which an irregular motion is averaged.
 AVERAGED_PERIODS = 64

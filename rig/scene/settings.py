@@ -48,7 +48,7 @@ class Problem:
 
     key_path: KeyPath
     message: str
-    absent: str = ""  # missing key that causes the problem, which is not reported if that key is only misspelt
+    absent: str = ""  # missing key that causes the problem; the problem is not reported if the key is only misspelt
 
 
 def problems_of(error: ValidationError) -> list[Problem]:

@@ -224,7 +224,7 @@ def _simulate_tone(
 def _segment_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the ends of all segments in order, s, and which of them are samples and which are period starts.
+    """Return the ends of all segments in order, s, and flags for samples and for period starts among them.
 
     They are the times of samples, the period starts, and the end of the run.
     """

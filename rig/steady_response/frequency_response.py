@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 LEVEL_TOLERANCE = 1e-6
 #: Maximum number of drive levels tried for one point.
 MAX_LEVEL_TRIALS = 25
-#: Number of periods over which a motion that does not repeat is averaged.
+#: Number of periods over which a motion without repetition is averaged.
 IRREGULAR_PERIODS = 16
 #: Largest difference of the compliances of two computations of the same motion, relative to the largest compliance.
 SAME_MOTION_TOLERANCE = 1e-5
@@ -388,7 +388,7 @@ def _next_level(trials: list[tuple[float, float]]) -> float:
         previous_level, previous_error = trials[-2]
         change = log_level - previous_level
         secant = (log_error - previous_error) / change if change else 1.0
-        # A force that hardly rises with the level (or falls, near a jump) would give a step that is too large.
+        # If the force hardly rises with the level (or falls, near a jump), the step would be too large.
         slope = secant if secant > 0.1 else 1.0
     step = -log_error / slope
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))

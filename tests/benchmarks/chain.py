@@ -31,7 +31,7 @@ BLOCK_SAMPLES = 5120
 RECORDED_SECONDS = 20
 LOCATIONS = ("body 1", "body 2", "body 3", "table")
 
-# Name of the effects that each step adds, and the keys that it adds to accelerometer, integrator and converter.
+# Effects added by each step: their name, and the keys added to accelerometer, integrator and converter.
 EFFECT_STEPS: tuple[tuple[str, dict[str, Any], dict[str, Any] | None, dict[str, Any]], ...] = (
     ("ideal", {}, None, {}),
     ("resonance, low cut-off", {"resonance": "30 kHz", "low_cutoff": "0.5 Hz"}, None, {}),

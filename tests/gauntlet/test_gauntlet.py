@@ -8,7 +8,7 @@ from tests.gauntlet.scenes import KINDS
 from tests.gauntlet.trial import run_trial
 
 SEED = 5
-# Numbers of scenes whose results are all compared, not refused, and which take a few seconds at most.
+# Numbers of scenes that take a few seconds at most, with all results compared and none refused.
 SCENE_NUMBERS = {
     "random": 1,
     "burst_random": 6,

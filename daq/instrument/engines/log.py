@@ -269,7 +269,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
 def _with_names(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[ChannelInfo]:
     """Set the names of channels in a recording: the name in the script, otherwise the name on the bench.
 
-    A channel that the script did not name has the name of its terminal, which contains a slash. If two modules read one
+    A channel without a name in the script has the name of its terminal, which contains a slash. If two modules read one
     sensor, the device is added to its name on the bench.
     """
     named: list[ChannelInfo] = []

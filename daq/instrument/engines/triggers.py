@@ -49,7 +49,7 @@ def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
 
 
 class CrossingFinder:
-    """Finds the first sample that fires a trigger after a sample that armed it.
+    """Finds the sample that fires a trigger: the first to do so after the trigger was armed.
 
     >>> finder = CrossingFinder(edge(Slope.RISING, 1.0))
     >>> finder.find(np.array([2.0, 1.0, 1.5, 3.0]))

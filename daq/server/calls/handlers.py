@@ -13,7 +13,7 @@ from daq.server.attributes import attribute_handler
 from daq.server.calls import channels, samples, settings, tasks
 from daq.server.calls.call import Call, Handler
 
-# Names of the calls that create inputs, and of those that create any channel (A: analog, C: counter, D: digital).
+# Names of calls: creation of inputs, and creation of any channel (A: analog, C: counter, D: digital).
 _CREATE_INPUT = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CREATE_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 # Boundaries between the words of a call's name.

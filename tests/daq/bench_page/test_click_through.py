@@ -30,7 +30,7 @@ from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
 TIMEOUT_S = 120.0
-# JavaScript that returns names and data of the curves of the chart whose title begins with a text.
+# JavaScript for the names and data of the curves of a chart; the argument is the beginning of its title.
 CURVES = """
 const charts = [...document.querySelectorAll('.nicegui-echart')].map(each => getElement(each).chart);
 const chart = charts.find(each => each && each.getOption().title[0].text.startsWith(arguments[0]));

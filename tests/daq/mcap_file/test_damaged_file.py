@@ -118,7 +118,7 @@ def test_intact_file_is_read_in_order(tmp_path):
 
 
 def positions_of_chunk_lengths():
-    """Return the positions of the bytes that state a chunk's length, which is stated twice."""
+    """Return the positions of the bytes of a chunk's length, which is stated twice."""
     positions = set()
     for each in (PLAIN_CHUNK, ZSTD_CHUNK, LZ4_CHUNK):
         name_length = CHUNK_HEAD.unpack_from(each.content)[4]

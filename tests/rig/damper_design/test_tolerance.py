@@ -28,7 +28,7 @@ SPACE = SearchSpace(((1,),), 0.1, (1e-4, 1e-2))
 
 
 class WorkersInThisProcess:
-    """Workers that compute in this process, including pieces that are added during the computation."""
+    """Workers in this process, which also compute pieces added during the computation."""
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         yield from ((number, function(piece)) for number, piece in enumerate(pieces))

@@ -51,7 +51,7 @@ class Peak:
         return self.value if isinf(self.bound) else max(self.value - self.bound, self.lower_limit)
 
 
-def peak(frf: Response, low: float, high: float) -> Peak | None:
+def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     """Estimate the peak of a receptance between two frequencies.
 
     Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
@@ -62,17 +62,17 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     the bound contained the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the
     curve is within the bound of its peak.
 
-    `frf`: FRF with respect to force; `low`, `high`: limits of the band, Hz. Returns None if there are fewer than
-    three points in the band.
+    `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
+    points in the band.
     """
-    in_band = frf.to("displacement").sorted().between(low, high)
+    in_band = frf.to("displacement").sorted().between(band_low, band_high)
     valid = np.isfinite(in_band.value) & (abs(in_band.value) > 0)
     f, inverse_frf, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
     if f.size < 3:
         return None
-    scatter = np.nan_to_num(in_band.random_bound()[valid])
+    random_bound = np.nan_to_num(in_band.random_bound()[valid])
     point_bound = np.nan_to_num(in_band.bound()[valid])
-    highest = _highest_local_maximum(magnitude, scatter)
+    highest = _highest_local_maximum(magnitude, random_bound)
     five_points = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
     if highest in (0, f.size - 1):
         return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True)
@@ -94,7 +94,7 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     measured_bound = curve[peak_index] ** 2 * float(
         sensitivity @ (point_bound[three_points] / magnitude[three_points] ** 2)
     )
-    leave_one_out_error = _leave_one_out_error(f, inverse_frf, scatter / magnitude**2, highest)
+    leave_one_out_error = _leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest)
     interpolation_bound = 2.0 * float(
         abs(curve_of_five.max() - curve[peak_index]) + leave_one_out_error * curve[peak_index]
     )
@@ -113,11 +113,11 @@ def peak(frf: Response, low: float, high: float) -> Peak | None:
     )
 
 
-def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
+def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> int:
     """Return the index of the highest point, or of the highest significant local maximum if that point is at an end.
 
     Without such a maximum, return the highest point. A maximum is significant if it exceeds the minima on both sides by
-    more than their scatter.
+    more than their random bounds.
     """
     highest, best_maximum = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:
@@ -127,15 +127,15 @@ def _highest_local_maximum(magnitude: np.ndarray, scatter: np.ndarray) -> int:
         if not is_maximum or (best_maximum >= 0 and magnitude[k] <= magnitude[best_maximum]):
             continue
         minima = [int(np.argmin(magnitude[: k + 1])), k + int(np.argmin(magnitude[k:]))]
-        if all(magnitude[k] - magnitude[minimum] > scatter[k] + scatter[minimum] for minimum in minima):
+        if all(magnitude[k] - magnitude[minimum] > random_bound[k] + random_bound[minimum] for minimum in minima):
             best_maximum = k
     return highest if best_maximum < 0 else best_maximum
 
 
-def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond scatter, with which neighbors predict the three points at the peak.
+def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, random_bound: np.ndarray, highest: int) -> float:
+    """Estimate the relative error, beyond the random bounds, with which neighbors predict the three points at the peak.
 
-    `inverse_frf`, `scatter`: 1/H and its scatter at the frequencies f; `highest`: index of the highest point.
+    `inverse_frf`, `random_bound`: 1/H and its random 95 % bound at f; `highest`: index of the highest point.
     """
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
@@ -144,8 +144,8 @@ def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, scatter: np.nda
             continue
         weights = _interpolate(f[others], np.eye(others.size), f[[k]])[:, 0]
         predicted = weights @ inverse_frf[others]
-        scatter_of_difference = abs(weights) @ scatter[others] + scatter[k]
-        errors.append(float((abs(predicted - inverse_frf[k]) - scatter_of_difference) / abs(predicted)))
+        bound_of_difference = abs(weights) @ random_bound[others] + random_bound[k]
+        errors.append(float((abs(predicted - inverse_frf[k]) - bound_of_difference) / abs(predicted)))
     return max(errors)
 
 

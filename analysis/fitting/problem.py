@@ -97,16 +97,16 @@ class Group:
             return float(np.nan_to_num(whitened, nan=np.inf).max())
 
         residuals = np.array([largest_residual(k, predicted[:, k]) for k in range(frequency.size)])
-        limit = _OUTLIER_LIMIT * max(1.0, float(np.median(residuals)))
+        outlier_limit = _OUTLIER_LIMIT * max(1.0, float(np.median(residuals)))
         changed = False
-        for k in np.flatnonzero(residuals > limit).tolist():
-            for orbit, ratio in self.orbits.alternatives(test_scene, level, frequency, k):
-                residual = largest_residual(k, channel_gains / reference_gain * ratio[list(curves.bodies)])
+        for k in np.flatnonzero(residuals > outlier_limit).tolist():
+            for orbit, displacement_ratio in self.orbits.alternatives(test_scene, level, frequency, k):
+                residual = largest_residual(k, channel_gains / reference_gain * displacement_ratio[list(curves.bodies)])
                 if residual < 0.5 * residuals[k]:
                     self.orbits.current[k], residuals[k], changed = orbit, residual, True
-                if residuals[k] <= limit:
+                if residuals[k] <= outlier_limit:
                     break
-        self.is_fitted, self.cached = residuals <= limit, None
+        self.is_fitted, self.cached = residuals <= outlier_limit, None
         return changed or bool(np.any(self.is_fitted != previously_fitted))
 
 
@@ -206,8 +206,8 @@ class Problem:
         It is NaN where no steady motion exists. `search`: as in `SweepOrbits.response`.
         """
         channel_gains, reference_gain = self.gains(x, group.curves)
-        ratio = self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
-        return channel_gains[:, None] / reference_gain * ratio
+        displacement_ratio = self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
+        return channel_gains[:, None] / reference_gain * displacement_ratio
 
     def _displacement_ratio(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
@@ -219,10 +219,10 @@ class Problem:
         if group.cached is None or group.cached[0] != key or (search and not group.cached[1]):
             test_scene = scene_of_test(scene, curves)
             if group.orbits is None:
-                ratio = linear_response(test_scene, curves, frequency)[0]
+                displacement_ratio = linear_response(test_scene, curves, frequency)[0]
             else:
-                ratio = group.orbits.response(test_scene, level, frequency, search)
-            group.cached = (key, search, ratio)
+                displacement_ratio = group.orbits.response(test_scene, level, frequency, search)
+            group.cached = (key, search, displacement_ratio)
         return group.cached[2]
 
     def normalized_residuals(
@@ -292,8 +292,8 @@ class Problem:
                 for group, derivative in zip(groups, derivatives, strict=True):
                     residual = self.normalized_residuals(shifted, group, shifted_scene, model_error, search=False)
                     derivative[..., column] += sign * residual / (2.0 * _UNKNOWN_STEP)
-        for group, ratio in zip(groups, stored_ratios, strict=True):
-            group.cached = ratio
+        for group, displacement_ratio in zip(groups, stored_ratios, strict=True):
+            group.cached = displacement_ratio
         return derivatives
 
     def _linear_derivatives(
@@ -313,7 +313,7 @@ class Problem:
         frequency = self.operating_points(x, curves)[1]
         by_value, by_frequency = linear_derivatives(scene_of_test(scene, curves), curves, frequency, changed_scenes)
         channel_gains, bodies = channel_gains[:, None], list(curves.bodies)
-        ratio = self._displacement_ratio(x, group, scene)[bodies]
+        displacement_ratio = self._displacement_ratio(x, group, scene)[bodies]
         derivatives = np.zeros((len(indices), *curves.value.shape), dtype=complex)
         for column, k in enumerate(indices):
             if k in effective:
@@ -325,7 +325,7 @@ class Problem:
                 measures_response = np.array([[float(other == sensor)] for other in curves.sensors])
                 measures_reference = float(curves.reference_sensor == sensor)
                 by_sensor = (measures_response - measures_reference * channel_gains / reference_gain) / reference_gain
-                derivatives[column] = by_sensor * ratio
+                derivatives[column] = by_sensor * displacement_ratio
             elif k >= count:
                 derivatives[column] = channel_gains / reference_gain * by_frequency[bodies] * curves.frequency
         whitened = np.einsum("nij,cjn->nic", curves.whitening[is_fitted], derivatives[:, :, is_fitted])

@@ -97,9 +97,9 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
         panels.append(Panel("impacts", "per period", impacts, height=170))
     energy = result.energy
     if energy is not None:
-        share, bound = _percent(energy.dampers, energy.supplied), _percent(energy.bound, energy.supplied)
-        low, high = (share - bound)[order], (share + bound)[order]
-        curve = Curve("dampers", frequency[order], share[order], low, high)
+        percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
+        low, high = (percent - bound)[order], (percent + bound)[order]
+        curve = Curve("dampers", frequency[order], percent[order], low, high)
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
     level = f"drive level {result.sweep.level:.4g}"
     if getattr(measurement.rec.scene.test, "force", None) is not None:

@@ -174,12 +174,12 @@ class LocalErrors:
         covariance = np.empty((n_lines, elements, elements), dtype=complex)
         step = max(1, _MAX_ELEMENTS // (width * elements**2))
         for begin in range(0, n_lines, step):
-            part = slice(begin, begin + step)
+            lines = slice(begin, begin + step)
             local_noise, bin_weights = (
-                bin_covariance[self.first_bin[part, None] + np.arange(width)],
-                self.bin_weights[part],
+                bin_covariance[self.first_bin[lines, None] + np.arange(width)],
+                self.bin_weights[lines],
             )
-            covariance[part] = np.einsum(
+            covariance[lines] = np.einsum(
                 "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
             )
         covariance = covariance + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
@@ -229,12 +229,12 @@ class LocalCovariance:
         bins, width = len(self.bin_covariance), errors.bin_weights.shape[3]
         total = np.zeros((weights.shape[2],) * 2)
         columns = (errors.first_bin[:, None] + np.arange(width)).ravel()
-        ends = np.arange(0, columns.size + 1, width)
+        row_pointer = np.arange(0, columns.size + 1, width)
         for segment in range(errors.bin_weights.shape[2]):
             by_element = []
             for k in range(errors.bin_weights.shape[1]):
                 bin_weights = errors.bin_weights[:, k, segment].ravel()
-                matrix = csr_array((bin_weights, columns, ends), shape=(len(errors.first_bin), bins))
+                matrix = csr_array((bin_weights, columns, row_pointer), shape=(len(errors.first_bin), bins))
                 by_element.append((matrix.T @ weights[:, k].conj()).T)
             by_bin = np.stack(by_element, axis=2)
             total += np.einsum("pbi,bij,qbj->pq", by_bin, self.bin_covariance, by_bin.conj(), optimize=True).real
@@ -249,8 +249,8 @@ def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
     """Scale covariances to stated standard uncertainties of either quadrature component."""
     stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
     with np.errstate(invalid="ignore"):
-        ratio = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
-    return np.asarray(covariance * ratio[:, :, None] * ratio[:, None])
+        scale = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
+    return np.asarray(covariance * scale[:, :, None] * scale[:, None])
 
 
 def _add_uncorrelated(covariance: ComplexArray) -> ComplexArray:
@@ -301,5 +301,5 @@ def _separate_noise(
         response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)
         expected = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
     mean_power = local_mean(reference_power)
-    ratio = np.divide(reference, mean_power, out=np.zeros_like(mean_power), where=mean_power > 0.0)
-    return np.asarray(reference), np.asarray(response_noise), ratio
+    noise_ratio = np.divide(reference, mean_power, out=np.zeros_like(mean_power), where=mean_power > 0.0)
+    return np.asarray(reference), np.asarray(response_noise), noise_ratio

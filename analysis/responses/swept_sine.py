@@ -213,15 +213,15 @@ def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, va
 
 def _segment(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
     """Return the first and one-past-last sample of the segment around a frequency."""
-    ratio = _MIN_FREQUENCY_RATIO
+    frequency_ratio = _MIN_FREQUENCY_RATIO
     while True:
-        edges = frequency / ratio**0.5, frequency * ratio**0.5
+        edges = frequency / frequency_ratio**0.5, frequency * frequency_ratio**0.5
         ends = sorted(first + _sample_at(marker, edge, rate) for edge in edges)
         begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
-        excited_bins = (ratio**0.5 - 1.0) * frequency * (end - begin) / rate
+        excited_bins = (frequency_ratio**0.5 - 1.0) * frequency * (end - begin) / rate
         if excited_bins >= FIT_HALF_WIDTH or (begin == first and end == stop):
             return begin, end
-        ratio *= _RATIO_INCREASE
+        frequency_ratio *= _RATIO_INCREASE
 
 
 def spectrum_at_bins(block: Array, bins: NDArray[np.int64], shift: float) -> ComplexArray:

@@ -206,8 +206,8 @@ def _constant_range(phase: Array) -> tuple[int, int]:
     middle = slice(size // 4, size - size // 4)
     block = np.arange(size)
     deviation = phase - np.polyval(np.polyfit(block[middle], phase[middle], 1), block)
-    limit = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN_RAD)
-    outside = np.flatnonzero(abs(deviation) > limit)
+    max_deviation = max(_END_SIGMAS * float(deviation[middle].std()), _END_MIN_RAD)
+    outside = np.flatnonzero(abs(deviation) > max_deviation)
     first_half, second_half = outside[outside < size // 2], outside[outside >= size // 2]
     return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
-#: Relative distance below which a clearance counts as a limit of the search.
+#: A clearance is at a limit of the search up to this relative distance.
 LIMIT_TOLERANCE = 0.02
 
 
@@ -48,10 +48,10 @@ def summary(design: Design) -> str:
         *_tables(design),
     ]
     if best.peak.irregular_share > 0.0:
-        share = f"at {format_number(best.peak.level)} N, {best.peak.irregular_share:.0%} of the frequencies"
-        lines += ["", f"{share} have irregular motion: their compliance is averaged, accurate to a few percent"]
-    for limit, name in zip(space.clearance, ("smallest", "largest"), strict=True):
-        if any(abs(np.log(clearance / limit)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
+        location = f"at {format_number(best.peak.level)} N, {best.peak.irregular_share:.0%} of the frequencies"
+        lines += ["", f"{location} have irregular motion: their compliance is averaged, accurate to a few percent"]
+    for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
+        if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
             lines += ["", f"the chosen clearance is the {name} allowed. Widen the range with --clearance."]
     return "\n".join(lines)
 

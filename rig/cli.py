@@ -115,7 +115,7 @@ def explain(
         bool, typer.Option("--measure", help="Also add the effects one by one and measure the computing time of each.")
     ] = False,
 ) -> None:
-    """List the modeled effects of a scene, their states, and the expected maxima."""
+    """List the modeled effects, their states, and expected maxima."""
     import rig
     from rig.effects.extensions import test_predictions
 

@@ -147,7 +147,7 @@ def test_lost_samples_do_not_count_as_extremes():
 
 
 def test_unmeasured_points_are_labeled():
-    view = RigView(SCENE, Extremes(), gaps_known=True, unknown=["body 2", "table"])
+    view = RigView(SCENE, Extremes(), gaps_known=True, unmeasured=["body 2", "table"])
     names = {path: part for path, part in view.static_parts() if path.endswith("/name")}
     texts = {path: str(part.labels.as_arrow_array()) for path, part in names.items()}
     unmeasured = {path for path, text in texts.items() if "not measured" in text}

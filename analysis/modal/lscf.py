@@ -47,8 +47,8 @@ def poles_by_order(
     IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of `value`, shape
     (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
     """
-    low, high = float(frequency.min()), float(frequency.max())
-    phase = np.pi * (frequency - low) / (high - low)
+    f_min, f_max = float(frequency.min()), float(frequency.max())
+    phase = np.pi * (frequency - f_min) / (f_max - f_min)
     basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
     bases = [
         (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
@@ -61,15 +61,15 @@ def poles_by_order(
             residual = denominator[:, : order + 1]
             residual = residual - numerator_basis @ (numerator_basis.conj().T @ residual)
             reduced_normal_matrix += residual.conj().T @ residual
-        left, right = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]
-        coefficients = np.linalg.lstsq(left, right, rcond=None)[0]
+        matrix, right_side = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]
+        coefficients = np.linalg.lstsq(matrix, right_side, rcond=None)[0]
         roots = np.roots(np.append(coefficients, 1.0)[::-1])
         with np.errstate(divide="ignore"):
             # z = exp(-(s - 2 pi i f_min) T) with T = 1 / (2 (f_max - f_min)).
-            s = -np.log(roots[roots != 0]) * 2.0 * (high - low) + 2j * np.pi * low
+            s = -np.log(roots[roots != 0]) * 2.0 * (f_max - f_min) + 2j * np.pi * f_min
         # Poles in the outermost hundredth of the band are spurious, because the polynomial is poorly determined there.
-        edge = 0.01 * (high - low)
-        inside = (s.real < 0) & (s.imag > 2 * np.pi * (low + edge)) & (s.imag < 2 * np.pi * (high - edge))
+        edge = 0.01 * (f_max - f_min)
+        inside = (s.real < 0) & (s.imag > 2 * np.pi * (f_min + edge)) & (s.imag < 2 * np.pi * (f_max - edge))
         yield order, s[inside]
 
 

@@ -87,8 +87,8 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
     lines: list[str] = []
 
     def heading(frf: Response) -> str:
-        size, low, high = frf.frequency.size, frf.frequency.min(), frf.frequency.max()
-        return f"{frf.label}, {frf.name}, {frf.input}: {size} points, {low:.4g} to {high:.4g} Hz"
+        points, lowest, highest = frf.frequency.size, frf.frequency.min(), frf.frequency.max()
+        return f"{frf.label}, {frf.name}, {frf.input}: {points} points, {lowest:.4g} to {highest:.4g} Hz"
 
     for title, group in groupby(curves, heading):
         frfs = list(group)

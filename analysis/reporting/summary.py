@@ -47,17 +47,16 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
             )
             continue
         change = max(bounded, key=_initial_height)
-        best, low, high = change.decibel
+        change_db, low_db, high_db = change.decibel
         peak_text = f"the peak at {change.mode:.2f} Hz ({change.response})"
-        if low <= 0.0 <= high:
-            text = (
-                f"“{label}” against “{first.label}”: no significant change of {peak_text}, {low:+.1f} to {high:+.1f} dB"
-            )
+        if low_db <= 0.0 <= high_db:
+            interval = f"{low_db:+.1f} to {high_db:+.1f} dB"
+            text = f"“{label}” against “{first.label}”: no significant change of {peak_text}, {interval}"
         else:
-            verb = "lowers" if best < 0.0 else "raises"
-            smallest, largest = sorted((abs(low), abs(high)))
+            verb = "lowers" if change_db < 0.0 else "raises"
+            smallest, largest = sorted((abs(low_db), abs(high_db)))
             text = (
-                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(best):.1f} dB "
+                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(change_db):.1f} dB "
                 f"(95 % interval {smallest:.1f} to {largest:.1f} dB), "
                 f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
             )

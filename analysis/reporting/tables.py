@@ -131,16 +131,16 @@ def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     unit, factor = curve.shown_in
     contributions = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
-    contributions |= {name: ("B", float(limit[point])) for name, limit in curve.limits.items()}
+    contributions |= {name: ("B", float(bound[point])) for name, bound in curve.limits.items()}
     total = sum(bound**2 for _, bound in contributions.values() if isfinite(bound))
     rows = [
         (
             name,
-            kind,
+            evaluation,
             format_number(float(f"{factor * bound:.2g}")),
             f"{100 * bound**2 / total:.0f} %" if isfinite(bound) and total else "–",
         )
-        for name, (kind, bound) in sorted(contributions.items(), key=lambda item: -item[1][1])
+        for name, (evaluation, bound) in sorted(contributions.items(), key=lambda item: -item[1][1])
         if bound > 0.0
     ]
     title = f"{measurement.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"

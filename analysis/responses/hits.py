@@ -204,19 +204,19 @@ class Hits:
         """
         steps = quantization_steps(rec, names)[:, None]
         step = np.where(steps > 0.0, steps, 1.0)
-        size = 2 * (spectra[0].shape[1] - 1)
+        n_samples = 2 * (spectra[0].shape[1] - 1)
         # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
-        n_after_hit = int(size * (ORDER + 1) / half_width)
+        n_after_hit = int(n_samples * (ORDER + 1) / half_width)
         power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
-        errors, noise, largest = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(steps.shape)
+        errors, noise, max_counts = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(steps.shape)
         for block, (start, stop) in zip(blocks, segments, strict=True):
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 counts = np.rint(block[:, first : first + n_after_hit] / step)
-                largest = np.maximum(largest, abs(counts).max(axis=1, keepdims=True))
+                max_counts = np.maximum(max_counts, abs(counts).max(axis=1, keepdims=True))
                 for error, (coarse_step, ratio) in zip(errors, _COARSER_CONVERTERS, strict=True):
-                    change = coarse_step * np.rint(counts / coarse_step) - counts
-                    error += abs(fft.rfft(change, size, axis=1)) ** 2 / ratio
+                    added_rounding = coarse_step * np.rint(counts / coarse_step) - counts
+                    error += abs(fft.rfft(added_rounding, n_samples, axis=1)) ** 2 / ratio
                 before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
@@ -229,7 +229,7 @@ class Hits:
         with np.errstate(divide="ignore", invalid="ignore"):
             # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
             gain_error = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
-        gain_error = np.where((largest < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
+        gain_error = np.where((max_counts < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
         gain_error = np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf)
         return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))
 

@@ -160,16 +160,17 @@ class PeriodSpectra:
 def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> PeriodSpectra:
     """Transform the periods without overload or lost samples; the result has no periods if there are fewer than two."""
     number = marker.fields["realisation"]
-    size, periods = int(marker.fields["period"]), int(marker.fields["periods"])
-    low, high = marker.fields["lines"]
-    lines = np.arange(int(low), int(high) + 1)
-    frequency = lines * rec.rate / size
-    bounds = [(marker.first_sample + k * size, marker.first_sample + (k + 1) * size) for k in range(periods)]
-    all_flaws = [flaws(rec, names, *bound) for bound in bounds]
+    period_samples, periods = int(marker.fields["period"]), int(marker.fields["periods"])
+    first_line, last_line = marker.fields["lines"]
+    lines = np.arange(int(first_line), int(last_line) + 1)
+    frequency = lines * rec.rate / period_samples
+    starts = marker.first_sample + period_samples * np.arange(periods)
+    intervals = [(start, start + period_samples) for start in starts.tolist()]
+    all_flaws = [flaws(rec, names, *interval) for interval in intervals]
     clean = [
-        bound
-        for bound, period_flaws in zip(bounds, all_flaws, strict=True)
-        if not period_flaws and bound[1] <= rec.samples
+        interval
+        for interval, period_flaws in zip(intervals, all_flaws, strict=True)
+        if not period_flaws and interval[1] <= rec.samples
     ]
     notes = []
     if marker.fields.get("settled") is False:
@@ -183,8 +184,9 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))
-    without_drift = _without_drift(samples, np.array([(first - marker.first_sample) // size for first, _ in clean]))
-    spectra = fft.rfft(without_drift, axis=2)[:, :, lines] * (2.0 / size)
+    numbers = np.array([(first - marker.first_sample) // period_samples for first, _ in clean])
+    without_drift = _without_drift(samples, numbers)
+    spectra = fft.rfft(without_drift, axis=2)[:, :, lines] * (2.0 / period_samples)
     return PeriodSpectra(frequency, spectra, samples, tuple(notes))
 
 

@@ -189,10 +189,10 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     curves: dict[MotionType, list[continuation.Curve]] = {"I": [], "II": [], "III": []}
     kinds: list[MotionType] = ["I"] if np.isinf(mode.clearance) else ["I", "II", "III"]
     if mode.clearance > 0:
-        for kind, ratio in product(kinds, _search_ratios(mode, low, high, searches)):
-            for candidate in solutions(kind, dimensionless(mode, ratio)):
+        for kind, frequency_ratio in product(kinds, _search_ratios(mode, low, high, searches)):
+            for candidate in solutions(kind, dimensionless(mode, frequency_ratio)):
                 solution = continuation.solve_at(
-                    _equations(mode, kind), np.append(candidate, ratio), ratio, _scale(mode, kind)
+                    _equations(mode, kind), np.append(candidate, frequency_ratio), frequency_ratio, _scale(mode, kind)
                 )
                 if not any(_passes_through(mode, kind, curve, solution) for curve in curves[kind]):
                     curves[kind].append(_follow(mode, kind, solution, (low, high)))

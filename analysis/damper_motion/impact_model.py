@@ -177,8 +177,7 @@ class ImpactModel:
         for _ in range(self.difference_order):
             differences = np.cumsum(differences, axis=-1)
         polynomials = legendre_basis(length, self.polynomial_order_for(length) if order is None else order)
-        # A single projection leaves rounding errors, because the polynomials are much larger than the response to a
-        # jump.
+        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
         for _ in range(2):
             differences = differences - (differences @ polynomials) @ polynomials.T
         return differences
@@ -367,8 +366,7 @@ def _filters(acceleration_responses: Array, integrations: int, rate: float) -> l
     for order in ORDERS:
         polynomials = legendre_basis(responses.shape[-1], order + integrations)
         without_smooth = columns
-        # A single projection leaves rounding errors, because the polynomials are much larger than the response to a
-        # jump.
+        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
         for _ in range(2):
             without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
         basis, r_factors = np.linalg.qr(without_smooth)

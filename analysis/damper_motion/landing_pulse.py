@@ -1,7 +1,6 @@
 """Force pulse of a finite-duration impact: change of the body's velocity from first contact to release.
 
-Floor and ceiling of the damper's cavity act as springs with dashpots, so the pulse of each impact is known from the
-scene.
+Floor and ceiling of the damper's cavity are springs with dashpots, so the scene determines the pulse of each impact.
 """
 
 from __future__ import annotations

@@ -190,8 +190,7 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 
     `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². After a
     rebound of at most `rebound_speed` m/s the damper stays if it returns while the ceiling still pushes, for
-    `push_time` s. Under an acceleration that falls linearly from a to zero in a time t, a rebound slower than a t / 3
-    returns.
+    `push_time` s. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
     """
     finite = apparent_gravity[np.isfinite(apparent_gravity)]
     median = float(np.median(finite)) if finite.size else 0.0

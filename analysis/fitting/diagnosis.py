@@ -120,8 +120,7 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     factor = float(np.exp(np.mean((x - problem.start)[masses])))
     if 1.0 / _MAX_MASS_RATIO < factor < _MAX_MASS_RATIO:
         return ""
-    # Receptances are displacements over forces: these masses need readings of motion lower, or of force higher, by the
-    # factor.
+    # Receptances are displacements over forces: such masses need lower motion or higher force by the factor.
     unit_error = _unit_error(1.0 / factor) or _unit_error(factor, _FORCE_UNIT_ERRORS)
     return (
         f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "

@@ -177,8 +177,7 @@ def fit(
     The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
     sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
     motions. Initial values come from the identified modes. Each free value has a prior: its value in the scene, with a
-    standard deviation of a factor of e. It affects only values that the recordings do not determine; these are
-    reported.
+    standard deviation of a factor of e. It affects only undetermined values, which are reported.
 
     Parameters
     ----------

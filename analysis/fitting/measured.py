@@ -1,7 +1,6 @@
 """Measured data of a fit: responses to one reference, the covariance of their errors, and their sensors.
 
-The *reference* is the quantity that divides the responses: the force, or with a coil spring the displacement of the
-table.
+The *reference* divides the responses: the force, or with a coil spring the displacement of the table.
 """
 
 from __future__ import annotations

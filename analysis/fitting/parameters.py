@@ -1,7 +1,6 @@
 """Parameters of a fit: the values of a scene that can be fitted, by their keys as in `--set`.
 
-A parameter is fitted as its *unknown*, on which no bounds are needed: its logarithm, or the log odds of a ratio below
-1.
+A parameter is fitted as its *unknown*, which has no bounds: its logarithm, or the log odds of a ratio below 1.
 """
 
 from __future__ import annotations

@@ -129,8 +129,8 @@ class Modes(Result):
         # A channel with an unknown position is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
-        # The largest element, which scales a shape, has zero error; it gets the weight of the most precise other
-        # element.
+        # The largest element, which scales a shape, has zero error and gets the weight of the most precise of the
+        # others.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
         for key in dict.fromkeys(keys):

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Maximum number of evaluations: a fit from good initial values converges earlier, and a fit from poor values is
-# stopped.
+# Maximum number of evaluations: a fit from good initial values converges earlier, others are stopped.
 _MAX_EVALUATIONS = 25
 # Number of terms of the series that represents modes above the band.
 UPPER_TERMS = 3
@@ -234,8 +233,7 @@ class Projection:
     def reduced_jacobian(self, x: Array) -> Array:
         """Return the triangular factor of the Jacobian with the residuals as last column.
 
-        It is sufficient for a Gauss-Newton step, because its columns have the same scalar products as the complete
-        ones.
+        It is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete ones.
         """
         if self._stored_jacobian is None or not np.array_equal(self._stored_jacobian[0], x):
             jacobian = self.jacobian(x)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 # Multiples of the sample rate whose images are summed individually.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
-# Factor by which all further images increase the sum; it is exact for images that decrease as 1/k², the slowest
-# decrease.
+# Factor by which all further images increase the sum; exact for images that decrease as 1/k², the slowest decrease.
 _FURTHER_IMAGES = 1.08
 # Smallest aliased component of a reading, relative to the reading times (frequency / sample rate)².
 _MIN_IMAGE_RATIO = 0.1

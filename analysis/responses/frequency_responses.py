@@ -188,8 +188,7 @@ def frequency_responses(
     overlap : float, optional
         Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
     window : str, optional
-        Window of each block, by its name in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for
-        hits.
+        Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for hits.
 
     Returns
     -------

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from daq.recording.markers import Marker
     from daq.recording.recording import Recording
 
-# Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are as long as this number
-# permits.
+# Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are then as long as possible.
 DEFAULT_BLOCKS = 30
 # Largest response at the end of a block without leakage into the next burst, relative to its maximum.
 _MAX_END_RATIO = 0.02

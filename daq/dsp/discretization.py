@@ -60,8 +60,7 @@ class DiscreteCircuit(NamedTuple):
     # Contributions to each state over an interval: from the input's start, end, mean and moment, from 1 V of each
     # disturbance, and from the states; (states, 4 + disturbances + states).
     state_weights: Array
-    # Contributions of the same inputs, disturbances and states to the moments, padded; (4 + disturbances + states,
-    # LANES).
+    # Contributions of the same quantities to the moments, padded; (4 + disturbances + states, LANES).
     moment_weights: Array
     # Contributions to states and moments over an interval: from each state, from the input's start, end, mean and
     # moment, and from 1 V of each disturbance; (states + 4 + disturbances, width).

@@ -43,11 +43,9 @@ FINE = 1
 STEPS_PER_PERIOD = (32, 128)
 # Minimum number of steps in an interval.
 MIN_STEPS = (8, 32)
-# A voltage whose ratio to its limit is below this value at every check or coarse step does not reach the limit between
-# them.
+# A voltage whose ratio to its limit is below this value at all checks or coarse steps stays below it between them.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
-# An impulse counts as an overload if it is at least the limit times this duration, s. Smaller impulses are rounding
-# errors.
+# An impulse counts as an overload if it is at least the limit times this duration, s. Smaller ones are rounding errors.
 MIN_IMPULSE_S = 1e-9
 
 

@@ -95,8 +95,7 @@ def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     gain. The 1/f spectrum is approximated by a sum of first-order low-pass spectra with logarithmically spaced corners,
     and the filter is its spectral factor. As functions of y = 4 sin^2(pi f / rate), all spectra are rational with real
     poles, and the sum has real zeros between the poles. The density is accurate to 0.3 % for corners up to a hundredth
-    of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at half the
-    rate.
+    of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at 0.5.
     """
     # Imported here, because the import is slow and few scenes have 1/f noise.
     from scipy.optimize import brentq, nnls

@@ -100,8 +100,7 @@ def _sweep_controlled(
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final complex amplitude of the drive.
 
-    `start_phase`: phase of the tone at the start of the sweep, rad; `amplitude`: initial complex amplitude of the
-    drive.
+    `start_phase`: phase of the tone at the start, rad; `amplitude`: initial complex amplitude of the drive.
     """
     total, completed, rate = station.samples(test.duration), 0, station.rate
     rows = list(station.spring_rows)

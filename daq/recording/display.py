@@ -112,8 +112,7 @@ class DisplayDecimator:
     def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
         """Filter the next samples, shape (signals, samples), the first with the number `first`.
 
-        Returns the sample numbers of the outputs, and their values, shape (signals, outputs). Call `finish` before a
-        gap.
+        Returns sample numbers and values of the outputs, shape (signals, outputs). Call `finish` before a gap.
         """
         if self.stop is None:
             self._samples = np.repeat(samples[:, :1], self._half_length, axis=1)

@@ -41,8 +41,7 @@ BLOCK_S = 0.1
 MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5
-# Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More groups hardly reduce the
-# cost.
+# Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More hardly reduce the cost.
 MAX_DISPLAY_GROUPS = 4
 # Largest product of channels and groups that are converted at once; it limits the memory for samples not yet displayed.
 MAX_DISPLAY_CHANNELS = 64

@@ -30,8 +30,7 @@ class Group:
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the acquired samples in blocks that end at multiples of `length`, or where the samples end.
 
-        Each item consists of the number of the first sample, and successive blocks of equal size, shape (rows, blocks,
-        samples).
+        An item is the number of the first sample, and successive blocks of equal size, shape (rows, blocks, samples).
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]

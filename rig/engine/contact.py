@@ -8,8 +8,7 @@ the instant are solved together (`rig.numerics.complementarity`).
 The gap is the distance from a damper to its wall, the opening speed its rate of change. A closing speed or approach
 speed is the negative of the opening speed.
 
-A Zeno sequence is an infinite number of ever lower rebounds in a finite time. It ends where a rebound is within
-rounding.
+A Zeno sequence is infinitely many, ever lower rebounds in a finite time. It ends where a rebound is within rounding.
 
 Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains displacements
 and velocities of the bodies, `state.height` and `state.velocity` those of the dampers in flight. The `multiplicity` of

@@ -66,8 +66,7 @@ class Model(NamedTuple):
     step: step length, s. mass: of each damper. position_index, velocity_index: of the position and velocity of each
     damper's body in the state. first_velocity: index of the first velocity, which equals the number of coordinates.
     first_acceleration: index of the accelerations that are stored after the state. inverse_mass: inverse of the mass
-    matrix. force, force_constant: forces on the coordinates. coupled: whether the contacts of one instant affect each
-    other.
+    matrix. force, force_constant: forces on the coordinates. coupled: whether simultaneous contacts affect each other.
     """
 
     gravity: float

@@ -266,8 +266,7 @@ class FlowTables:
         terms = _exponential_terms(step_generator)
         constants = np.zeros((TERMS, size), dtype=self._precision)
         constants[1:] = terms[:-1] @ offset * h / np.arange(1, TERMS)[:, None]
-        # The tables are stored [column, row]. The rows of accelerations and their derivatives follow those of the
-        # state.
+        # The tables are stored [column, row]. The state is followed by the accelerations and their derivatives.
         state_rows, after_state = slice(0, size), slice(size, size + 2 * nq)
         # Small terms first, so that the sum is accurate to its last bits.
         step_matrix, step_constant = terms[::-1].sum(axis=0), constants[::-1].sum(axis=0)

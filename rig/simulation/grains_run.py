@@ -43,9 +43,8 @@ class GrainsState(NamedTuple):
 class GrainsRun:
     """Simulation of a scene with beds of grains in sections.
 
-    `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz;
-    `drive`, shape (inputs, samples): a tone is evaluated at every grain time step; a sampled drive is interpolated
-    linearly.
+    `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz; `drive`,
+    shape (inputs, samples): a tone is evaluated at every grain time step; samples are interpolated linearly.
     """
 
     def __init__(self, scene: Scene, samples: int, rate: float, drive: ToneDrive | ArrayLike) -> None:

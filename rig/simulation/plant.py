@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 class Plant:
     """A scene's rig under sampled drive with first-order hold.
 
-    The motion between samples is exact, including contacts, and independent of the division of the drive into
-    blocks.
+    The motion between samples is exact, including contacts, for any division of the drive into blocks.
 
     Attributes
     ----------

@@ -187,9 +187,8 @@ class PeriodicMotion:
     def affine_conditions(self) -> Array:
         """Evaluate the conditions that are affine in (q_0, q'_0, a, b), shape (4 or 5, ...).
 
-        The conditions are: periodicity of q; periodicity of the velocity across the floor impact; zero contact force
-        at take-off; damper on the floor at 2 pi; for Type III, zero contact force at the end of the stay at the
-        ceiling.
+        The conditions are: periodicity of q; periodicity of the velocity across the floor impact; zero contact force at
+        take-off; damper on the floor at 2 pi; for Type III, zero contact force at the end of the ceiling contact.
         """
         floor, first_flight = self.phases[0], self.phases[1]
         conditions = [

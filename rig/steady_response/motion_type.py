@@ -20,10 +20,9 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, 
     `trajectory`: one repetition; `repetition`: its length in periods of the drive, 0 if the motion does not repeat;
     `duration`: duration of the segments of the trajectory, s.
 
-    Returns one of these types for each damper: "riding" (always at rest on the floor), "I" (one floor impact a
-    period), "II" (one floor and one ceiling impact a period, no stay at the ceiling), "III" (the same with a stay),
-    "k per n" (k impacts in n periods), "irregular" (no repetition). In finite-duration contact, a touch counts as an
-    impact.
+    Returns one of these types for each damper: "riding" (always at rest on the floor), "I" (one floor impact a period),
+    "II" (one floor and one ceiling impact a period, no stay at the ceiling), "III" (the same with a stay), "k per n" (k
+    impacts in n periods), "irregular" (no repetition). A touch in finite-duration contact is an impact.
     """
     times = trajectory.event_segment * duration + trajectory.event_offset
     cycle = len(trajectory.state) * duration

@@ -210,8 +210,7 @@ class Channel:
     def get(self, name: str) -> Any:
         """Return a property by NI's name.
 
-        Raises `DaqError` -200452 if channels of this direction do not have it, -200694 or -200695 for a limit that was
-        reset.
+        Raises `DaqError` -200452 if channels of this direction do not have it, -200694 or -200695 for a reset limit.
         """
         if name in self.unset_limits:
             raise DaqError(

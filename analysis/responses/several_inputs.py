@@ -317,10 +317,10 @@ def _from_local_fits(
     for a, name in enumerate(names):
         reading_to_motion = motion_of(rec, name, motion).row(rec, [name], frequency)[0]
         channel_to_motion = reading_to_motion * rec.channels[name].response(frequency)
-        reading = spectra.reading(rec, name)
+        output = spectra.output(rec, name)
         for k in range(len(inputs)):
             others = np.delete(forces, k, axis=0)
-            fit = local_fit(reading, forces[k], *fit_settings, others)
+            fit = local_fit(output, forces[k], *fit_settings, others)
             value[:, a, k] = fit.value * channel_to_motion
             error[:, a, k] = np.sqrt(fit.variance) * abs(channel_to_motion)
             model_error[:, a, k] = fit.model_error * abs(channel_to_motion)
@@ -331,7 +331,7 @@ def _from_local_fits(
             all_bin_weights.append(fit.bin_weights.reshape(frequency.size, -1) * channel_to_motion[:, None])
         residuals.append(fit.residual.reshape(frequency.size, -1))
         noise[:, a] = fit.noise_power * abs(reading_to_motion) ** 2
-        local_power = spectra.power(reading.spectra, spectra.half_width)
+        local_power = spectra.power(output.spectra, spectra.half_width)
         coherence[:, a] = np.clip(1.0 - fit.noise_power / np.maximum(local_power, 1e-300), 0.0, 1.0)
     # Upper bound of the noise power of each force: its power that is not coherent with an output.
     force_power = np.stack([spectra.power(force, spectra.half_width) for force in forces], axis=1)

@@ -68,8 +68,8 @@ class ToneControls:
 
 
 @dataclass(frozen=True)
-class ToneReading:
-    """Readings of the tone in one window; phases of force and displacement have the same reference."""
+class ToneEstimate:
+    """Amplitudes of the tone in one window; phases of force and displacement have the same reference."""
 
     frequency: float  # requested, Hz
     level: float  # requested, N
@@ -85,10 +85,10 @@ class ToneReading:
 
 @dataclass
 class ManualTone:
-    """Excitation by a tone with the operator's settings; `report` is called with the readings of every window."""
+    """Excitation by a tone with the operator's settings; `report` is called with the estimate of every window."""
 
     controls: ToneControls
-    report: Callable[[ToneReading], None]
+    report: Callable[[ToneEstimate], None]
     _is_steady: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
 
@@ -107,7 +107,7 @@ class ManualTone:
                 phase, drive = tone.phase, next(drives)
                 while True:
                     readings = yield drive
-                    self.report(self._reading(tone, readings, phase, requested))
+                    self.report(self._estimate(tone, readings, phase, requested))
                     if self.controls.quit or self.controls.settings != requested:
                         break
                     phase, drive = tone.phase, drives.send(readings)
@@ -155,7 +155,9 @@ class ManualTone:
                     "measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **fields
                 )
 
-    def _reading(self, tone: SteadyTone, readings: Array, phase: float, requested: tuple[float, float]) -> ToneReading:
+    def _estimate(
+        self, tone: SteadyTone, readings: Array, phase: float, requested: tuple[float, float]
+    ) -> ToneEstimate:
         motions, station = tone.amplitudes(readings, phase), tone.station
         # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
         force = -1j * tone.amplitude
@@ -163,4 +165,4 @@ class ManualTone:
             force, motions = complex(motions[0]), motions[1:]
         names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
         displacement = {name: complex(value) for name, value in zip(names, motions, strict=True)}
-        return ToneReading(*requested, self._is_steady, tone.amplitude, force, displacement)
+        return ToneEstimate(*requested, self._is_steady, tone.amplitude, force, displacement)

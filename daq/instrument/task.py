@@ -22,7 +22,7 @@ from daq.instrument.events import Events
 from daq.instrument.plans import check_timing, trigger_sources
 from daq.instrument.settings.scales import Scale
 from daq.instrument.settings.task_settings import TaskSettings
-from daq.instrument.task_input import Reading, TaskInput
+from daq.instrument.task_input import ReadResult, TaskInput
 from daq.instrument.task_output import TaskOutput, check_volts
 from daq.instrument.values import TaskMode
 from rig.arrays import Array
@@ -271,7 +271,7 @@ class Task:
 
     def read(
         self, samples: int, timeout: float, raw: bool = False, check: Callable[[int], None] = lambda samples: None
-    ) -> Reading:
+    ) -> ReadResult:
         """Read samples; start the task if necessary.
 
         Parameters
@@ -287,7 +287,7 @@ class Task:
 
         Returns
         -------
-        Reading
+        ReadResult
             The samples before an error, and the error: -200284 after the timeout, -200279 if samples were overwritten
             (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or the
             error that ended the acquisition.
@@ -308,9 +308,9 @@ class Task:
             if timeout == 0:
                 self.note_query("read")
             try:
-                reading = self.input.read(indices, out, timeout, raw)
-                self._was_failure_raised |= reading.error is not None and reading.error is self.failure
-                return reading
+                result = self.input.read(indices, out, timeout, raw)
+                self._was_failure_raised |= result.error is not None and result.error is self.failure
+                return result
             finally:
                 # A read that started a finite task and read all its samples also stops it.
                 if self._was_started_by_read and self.running and self.finished and self.input.all_read:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Reading:
+class ReadResult:
     """Result of a read."""
 
     samples: NDArray[Any]  # shape (channels, n)
@@ -163,7 +163,7 @@ class TaskInput:
                 Code.READ_NOT_SUPPORTED_FOR_LOGGING_MODE,
             )
 
-    def read_on_demand(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+    def read_on_demand(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> ReadResult:
         """Acquire samples at once, at the rate of the bench; see `_collect`."""
         chassis = self._chassis
         chassis.set_conditioning(self._task, self._settings.channels)
@@ -175,7 +175,7 @@ class TaskInput:
             chassis.halt(self._task)
             self.run = None
 
-    def read(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> Reading:
+    def read(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> ReadResult:
         """Read from the position that the script has set; see `_collect`."""
         assert self.run is not None
         self._seek(self.run)
@@ -215,7 +215,7 @@ class TaskInput:
 
     def _collect(
         self, run: Acquisition, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
-    ) -> Reading:
+    ) -> ReadResult:
         """Read from the present position into `out`, shape (len(indices), n), and return the part that was read.
 
         `indices` are those of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
@@ -228,12 +228,12 @@ class TaskInput:
             # A read may be longer than the buffer: it waits for half the buffer at a time.
             return min(n_requested - n_read, max(1, run.plan.buffer_size // 2))
 
-        def reading(error: DaqError | None) -> Reading:
-            return Reading(out[:, :n_read], first, error)
+        def result(error: DaqError | None) -> ReadResult:
+            return ReadResult(out[:, :n_read], first, error)
 
         while True:
             if lost := run.skip_lost():
-                return reading(
+                return result(
                     DaqError(
                         f"{lost} samples per channel were overwritten before they were read; the next read begins "
                         "with the oldest stored sample. Read more often or more at a time, or enlarge "
@@ -253,7 +253,7 @@ class TaskInput:
                 if self.log is not None:
                     self.log.write_new(run)
             if n_read == n_requested:
-                return reading(None)
+                return result(None)
             if run.done and run.readable_end <= run.position:
                 # A read that ends with the acquisition is complete; an error is reported if it has no sample at all.
                 no_samples_left = DaqError(
@@ -261,7 +261,7 @@ class TaskInput:
                     "(samps_per_chan), or stop and start the task to acquire again.",
                     Code.SAMPLES_WILL_NEVER_BE_AVAILABLE,
                 )
-                return reading(None if n_read and run.error is None else run.error or no_samples_left)
+                return result(None if n_read and run.error is None else run.error or no_samples_left)
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))
             ready = chassis.wait(
                 lambda: run.done or run.readable_end - run.position >= chunk_size(),
@@ -269,7 +269,7 @@ class TaskInput:
                 time_left,
             )
             if not ready and run.readable_end <= run.position:
-                return reading(
+                return result(
                     DaqError(
                         f"only {n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"
                         f"{_missing_trigger(run)}. Increase the timeout, read fewer samples, or check the triggers.",

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation.manual_tone import ManualTone, ToneControls, ToneReading
-from daq.live_scope.screen import Screen, reading_line
+from daq.excitation.manual_tone import ManualTone, ToneControls, ToneEstimate
+from daq.live_scope.screen import Screen, tone_line
 from daq.measurement.run import MeasurementRun
 from daq.recording.recorded_test import TestKind
 from daq.viewing.outputs import recording_stream, server, window
@@ -82,15 +82,15 @@ def record_live(
     channel exceeds its abort limit, or the recording cannot be written; `KeyboardInterrupt` at Ctrl-C, after the
     recording was completed.
     """
-    # Frequency (Hz) and level (N) of the previous reading, and whether it was steady.
+    # Frequency (Hz) and level (N) of the previous estimate, and whether it was steady.
     last_state = (0.0, 0.0, False)
 
-    def on_reading(reading: ToneReading) -> None:
+    def on_estimate(estimate: ToneEstimate) -> None:
         nonlocal last_state
-        screen.show_reading(reading)
-        state = reading.frequency, reading.level, reading.is_settled
-        if reading.is_settled and state != last_state:
-            report(reading_line(reading))
+        screen.show_tone(estimate)
+        state = estimate.frequency, estimate.level, estimate.is_settled
+        if estimate.is_settled and state != last_state:
+            report(tone_line(estimate))
         last_state = state
 
     def listener(block: Block, readings: NDArray[np.float64]) -> None:
@@ -100,7 +100,7 @@ def record_live(
     rate = float(scene.converter.sample_rate)
     block = max(1, round(_BLOCK_S * rate))
     run = MeasurementRun(
-        scene, path, block, excite=ManualTone(controls, on_reading).excite, listener=listener, kind=TestKind.TONES
+        scene, path, block, excite=ManualTone(controls, on_estimate).excite, listener=listener, kind=TestKind.TONES
     )
     screen = Screen(stream, scene, run.bench.channels, run.bench.rate)
     return run.run(overwrite)

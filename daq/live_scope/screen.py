@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
-from daq.excitation.manual_tone import ToneReading
+from daq.excitation.manual_tone import ToneEstimate
 from daq.viewing.blueprint import live_layout
 from daq.viewing.viewer_stream import CurveSender, plots
 from rig.escaping import escape_markdown
@@ -29,8 +29,8 @@ _FRAMES_PER_S = 200.0
 # increases only by a factor of `_MIN_INCREASE` or more, after the motion has been small for `_SMALL_MOTION_S`.
 _MIN_INCREASE = 4.0
 _SMALL_MOTION_S = 2.0
-# Maximum number of displayed readings of the tone per second.
-_READINGS_PER_S = 5.0
+# Maximum number of displayed estimates of the tone per second.
+_ESTIMATES_PER_S = 5.0
 
 
 class Screen:
@@ -52,7 +52,7 @@ class Screen:
             live_layout(plots(by_name), len(scene.dampers), self._view.camera), make_active=True, make_default=True
         )
         self._sender = CurveSender(stream, rate, by_name, scene.dampers)
-        self._next_reading = 0
+        self._next_estimate = 0
         self._position = 0
 
     def show_block(self, block: Block, readings: NDArray[np.float64]) -> None:
@@ -76,15 +76,15 @@ class Screen:
             self._adapt_exaggeration(rig_motion)
             self._sender.send_motion(self._view, motion.first + indices, rig_motion)
 
-    def show_reading(self, reading: ToneReading) -> None:
-        """Show a reading of the tone (its frequency, force and displacements), at most a few times per second."""
+    def show_tone(self, estimate: ToneEstimate) -> None:
+        """Show an estimate of the tone (its frequency, force and displacements), at most a few times per second."""
         import rerun as rr
 
-        if self._position < self._next_reading:
+        if self._position < self._next_estimate:
             return
-        self._next_reading = self._position + round(self._rate / _READINGS_PER_S)
+        self._next_estimate = self._position + round(self._rate / _ESTIMATES_PER_S)
         self._stream.set_time("time", duration=np.timedelta64(round(self._position / self._rate * 1e9), "ns"))
-        self._stream.log("reading", rr.TextDocument(reading_page(reading), media_type="text/markdown"))
+        self._stream.log("reading", rr.TextDocument(tone_page(estimate), media_type="text/markdown"))
 
     def _redraw(self, extremes: Extremes) -> None:
         """Draw the rig with the exaggeration for the largest motions `extremes`."""
@@ -107,30 +107,30 @@ class Screen:
             self._redraw(largest)
 
 
-def reading_page(reading: ToneReading) -> str:
+def tone_page(estimate: ToneEstimate) -> str:
     """Return the values of a tone as a page in Markdown."""
     # Held: steady state; silent: no excitation; settling: transient.
-    state = "held" if reading.is_settled else "silent" if reading.level == 0.0 else "settling"
+    state = "held" if estimate.is_settled else "silent" if estimate.level == 0.0 else "settling"
     lines = [
-        f"## {reading.frequency:.2f} Hz, {reading.level:g} N: {state}",
-        f"force {abs(reading.force):.3f} N, drive amplitude {reading.drive:.4g}",
+        f"## {estimate.frequency:.2f} Hz, {estimate.level:g} N: {state}",
+        f"force {abs(estimate.force):.3f} N, drive amplitude {estimate.drive:.4g}",
         "",
         "| channel | displacement | over force | phase |",
         "|---|---|---|---|",
     ]
-    for name, displacement in reading.displacement.items():
-        ratio = reading.receptance(name)
+    for name, displacement in estimate.displacement.items():
+        ratio = estimate.receptance(name)
         ratio_cells = f"{abs(ratio) * 1e3:.4g} mm/N | {math.degrees(cmath.phase(ratio)):.1f}°"
-        if not reading.is_settled:
+        if not estimate.is_settled:
             ratio_cells = "- | -"
         lines.append(f"| {escape_markdown(name)} | {abs(displacement) * 1e3:.4g} mm | {ratio_cells} |")
     return "\n".join(lines) + "\n"
 
 
-def reading_line(reading: ToneReading) -> str:
+def tone_line(estimate: ToneEstimate) -> str:
     """Return the values of a settled tone as a line of text."""
     responses = ", ".join(
-        f"{name} {abs(displacement) * 1e3:.3g} mm ({math.degrees(cmath.phase(reading.receptance(name))):.0f}°)"
-        for name, displacement in reading.displacement.items()
+        f"{name} {abs(displacement) * 1e3:.3g} mm ({math.degrees(cmath.phase(estimate.receptance(name))):.0f}°)"
+        for name, displacement in estimate.displacement.items()
     )
-    return f"{reading.frequency:g} Hz: {abs(reading.force):.3g} N held; {responses}"
+    return f"{estimate.frequency:g} Hz: {abs(estimate.force):.3g} N held; {responses}"

@@ -47,8 +47,8 @@ _MAX_ELEMENTS = 1 << 16
 
 
 @dataclass(frozen=True)
-class Reading:
-    """Reading of a channel in some segments."""
+class OutputSpectra:
+    """Spectra of a channel, the output of a local fit, in some segments."""
 
     # spectra of segments brought to equal length, without a window; complex, shape (segments, bins)
     spectra: ComplexArray
@@ -71,11 +71,11 @@ class LocalFit(NamedTuple):
     # share of the reference power that is linearly independent of all other terms of the fit; shape (lines,). It is
     # large for noise, and small for a linear sweep, because its spectrum resembles a transient
     independent_share: Array
-    noise_power: Array  # noise power of a bin, from the residual; squared unit of the reading; shape (lines,)
-    # change of the value per unit change of the reading at each bin of the fit; shape (lines, segments, width)
+    noise_power: Array  # noise power of a bin, from the residual; squared unit of the output; shape (lines,)
+    # change of the value per unit change of the output at each bin of the fit; shape (lines, segments, width)
     bin_weights: ComplexArray
-    residual: ComplexArray  # residual of the reading; shape (lines, segments, width)
-    fitted_response: ComplexArray  # fitted reading per unit of the reference; shape (lines, 1, width)
+    residual: ComplexArray  # residual of the output; shape (lines, segments, width)
+    fitted_response: ComplexArray  # fitted output per unit of the reference; shape (lines, 1, width)
     first_bin: Lines  # first bin of each fit; shape (lines,)
     criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
     # change of the value if the fit has the next higher order, at the line or as root mean square around it, less the
@@ -84,7 +84,7 @@ class LocalFit(NamedTuple):
 
 
 def local_fit(
-    reading: Reading,
+    output: OutputSpectra,
     reference: ComplexArray,
     end_phases: ComplexArray,
     lines: Lines,
@@ -104,19 +104,19 @@ def local_fit(
     >>> bins = np.arange(200)
     >>> force = random.standard_normal((1, 200)) + 1j * random.standard_normal((1, 200))
     >>> pole = 1j * (bins - 100.0) + 2.0
-    >>> reading = Reading(force / pole + 5.0 / pole, np.ones(200), np.zeros((0, 200)))
-    >>> fit = local_fit(reading, force, np.zeros((1, 200)), np.array([100, 103]), 12)
+    >>> output = OutputSpectra(force / pole + 5.0 / pole, np.ones(200), np.zeros((0, 200)))
+    >>> fit = local_fit(output, force, np.zeros((1, 200)), np.array([100, 103]), 12)
     >>> np.allclose(fit.value, 1.0 / pole[[100, 103]])
     True
     """
     fits = []
     for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1)):
         inputs = 1 if other_inputs is None else 1 + len(other_inputs)
-        unknowns = inputs * (order + 1) + poles + 2 * len(reference) * (order + 1 + len(reading.high_pass_transients))
+        unknowns = inputs * (order + 1) + poles + 2 * len(reference) * (order + 1 + len(output.high_pass_transients))
         step = max(1, _MAX_ELEMENTS // ((2 * half_width + 1) * unknowns))
         parts = [
             _fit(
-                reading, reference, end_phases, lines[start : start + step], half_width, measured_share, order, poles,
+                output, reference, end_phases, lines[start : start + step], half_width, measured_share, order, poles,
                 other_inputs,
             )
             for start in range(0, lines.size, step)
@@ -137,7 +137,7 @@ def local_fit(
 
 
 def _fit(
-    reading: Reading,
+    output: OutputSpectra,
     reference: ComplexArray,
     end_phases: ComplexArray,
     lines: Lines,
@@ -158,15 +158,15 @@ def _fit(
     bins = first_bin[:, None] + np.arange(width)
     offset = ((bins - lines[:, None]) / half_width)[:, None, :]
     output, reference_input, phase = (
-        np.moveaxis(spectra[:, bins], 1, 0) for spectra in (reading.spectra, reference, end_phases)
+        np.moveaxis(spectra[:, bins], 1, 0) for spectra in (output.spectra, reference, end_phases)
     )
-    channel = reading.response[bins][:, None, :]
+    channel = output.response[bins][:, None, :]
     reference_input = reference_input * channel
     output_rms, input_rms = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (output, reference_input))
     output, reference_input = output / output_rms, reference_input / input_rms
     powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
     columns = [powers]
-    columns += [((local := decay[bins][:, None, :]) / _rms(local))[..., None] for decay in reading.high_pass_transients]
+    columns += [((local := decay[bins][:, None, :]) / _rms(local))[..., None] for decay in output.high_pass_transients]
     transients = np.concatenate(columns, axis=-1)
     if separate:
         # The columns are zero if a segment has no separate transient at its beginning; the regularization omits them.
@@ -207,7 +207,7 @@ def _fit(
     constant = unknown.numerator[:, 0]
     # Zero padding correlates neighboring bins and reduces the degrees of freedom.
     equations = segments * width
-    n_transients = (segments + len(separate)) * (order + 1 + len(reading.high_pass_transients))
+    n_transients = (segments + len(separate)) * (order + 1 + len(output.high_pass_transients))
     unknowns = terms.numerator.shape[-1] + poles + n_transients
     n_free = max(measured_share * equations - unknowns, 0.5)
     noise_power = residual_squares / n_free
@@ -255,7 +255,7 @@ class _Terms(NamedTuple):
         return self._numerator(unknown.numerator) / self._denominator(unknown.denominator)
 
     def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
-        """Compute the model of the reading at the bins, transients included, and its denominator."""
+        """Compute the model of the output at the bins, transients included, and its denominator."""
         denominator = self._denominator(unknown.denominator)
         transients = (self.transients @ unknown.transients[..., None])[..., 0]
         return self._numerator(unknown.numerator) / denominator + transients / denominator, denominator

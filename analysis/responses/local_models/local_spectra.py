@@ -15,7 +15,7 @@ from scipy import special
 from analysis.responses.budget import assemble_budget
 from analysis.responses.force_pulse import slow_and_fast
 from analysis.responses.local_models.jitter import jitter_bound
-from analysis.responses.local_models.local_rational import ORDER, POWER_RATIO_95, LocalFit, Reading, local_fit
+from analysis.responses.local_models.local_rational import ORDER, POWER_RATIO_95, LocalFit, OutputSpectra, local_fit
 from analysis.responses.measurands import Measurand, reject_zero_reference
 from analysis.responses.random_errors import LocalErrors
 from analysis.responses.systematic import (
@@ -172,11 +172,11 @@ class LocalSpectra:
             self.stored_spectra[measurand] = np.einsum("cn,scn->sn", row, self.channel_spectra)
         return self.stored_spectra[measurand]
 
-    def reading(self, rec: Recording, name: str) -> Reading:
+    def output(self, rec: Recording, name: str) -> OutputSpectra:
         """Return the spectra of a channel, its response, and the transients of its high-pass filters."""
         info = rec.channels[name]
         transients = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
-        return Reading(
+        return OutputSpectra(
             self.channel_spectra[:, self.channels.index(name)],
             info.response(self.frequency),
             np.array(transients).reshape(-1, self.frequency.size),
@@ -190,11 +190,11 @@ class LocalSpectra:
     def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
         """Fit the response of the quantity that a channel measures to the measurand `to`; the fit is stored."""
         if (name, to) not in self.stored_fits:
-            reading = self.reading(rec, name)
+            output = self.output(rec, name)
             half_width = min(self.half_width, (self.frequency.size - 1) // 2)
             spectrum = self.spectrum(rec, to)
             self.stored_fits[name, to] = local_fit(
-                reading, spectrum, self.end_phases, self.lines, half_width, self.measured_share
+                output, spectrum, self.end_phases, self.lines, half_width, self.measured_share
             )
         return self.stored_fits[name, to]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.instrument.errors import Code, DaqError, unsupported
 from daq.instrument.task import Task
-from daq.instrument.task_input import Reading
+from daq.instrument.task_input import ReadResult
 from daq.server.calls.call import Call, Handler, ResponseFields
 
 # NI's number of the sample order in an array: all samples of one channel, then those of the next.
@@ -56,26 +56,26 @@ def _read(count_type: _CountType | None = None) -> Handler:
             _check_array_size(fields["array_size_in_samps"], required * channels, "samples")
             call.instrument.check_size(required * channels * 8)
 
-        reading = task.read(samples, fields["timeout"], count_type is not None, check)
-        by_channel, values = fields["fill_mode"] == _BY_CHANNEL, reading.samples
+        result = task.read(samples, fields["timeout"], count_type is not None, check)
+        by_channel, values = fields["fill_mode"] == _BY_CHANNEL, result.samples
         samples_read = values.shape[1]
         if count_type is not None:
             values = values.astype(count_type)
-        if by_channel and reading.error is None and samples_read < samples:
+        if by_channel and result.error is None and samples_read < samples:
             # A finite task has ended: pad the samples, so that each channel begins where the client expects it.
             values = np.pad(values, ((0, 0), (0, samples - samples_read)))
         values = values if by_channel else values.T
-        return _with_status(call, reading, {"read_array": values, "samps_per_chan_read": samples_read})
+        return _with_status(call, result, {"read_array": values, "samps_per_chan_read": samples_read})
 
     return read
 
 
-def _with_status(call: Call, reading: Reading, response: ResponseFields) -> ResponseFields:
+def _with_status(call: Call, result: ReadResult, response: ResponseFields) -> ResponseFields:
     """Add the error of a read to its response as status; raise the error if there are no samples."""
-    error = reading.error
+    error = result.error
     if error is None:
         return response
-    samples_read = reading.samples.shape[1]
+    samples_read = result.samples.shape[1]
     if not samples_read:
         raise DaqError(str(error), error.code, samples_done=0)
     call.instrument.store_error(call.peer, error, call.task.name)
@@ -83,10 +83,10 @@ def _with_status(call: Call, reading: Reading, response: ResponseFields) -> Resp
 
 
 def _read_scalar(call: Call) -> ResponseFields:
-    reading = call.task.read(1, call.fields["timeout"])
-    if reading.error is not None:
-        raise reading.error
-    return {"value": float(reading.samples[0, 0])}
+    result = call.task.read(1, call.fields["timeout"])
+    if result.error is not None:
+        raise result.error
+    return {"value": float(result.samples[0, 0])}
 
 
 def _read_raw(call: Call) -> ResponseFields:
@@ -100,13 +100,11 @@ def _read_raw(call: Call) -> ResponseFields:
     def check(required: int) -> None:
         _check_array_size(array_bytes, required * channels * width, "bytes")
 
-    reading = task.read(samples, fields["timeout"], True, check)
+    result = task.read(samples, fields["timeout"], True, check)
     count_type = np.int16 if width == 2 else np.int32
-    data = reading.samples.T.astype(count_type).tobytes().ljust(array_bytes, b"\0")
-    count = reading.samples.shape[1]
-    return _with_status(
-        call, reading, {"read_array": data, "samps_read": count, "num_bytes_per_samp": channels * width}
-    )
+    data = result.samples.T.astype(count_type).tobytes().ljust(array_bytes, b"\0")
+    count = result.samples.shape[1]
+    return _with_status(call, result, {"read_array": data, "samps_read": count, "num_bytes_per_samp": channels * width})
 
 
 def _read_waveforms(call: Call) -> ResponseFields:
@@ -115,14 +113,14 @@ def _read_waveforms(call: Call) -> ResponseFields:
     from ni.protobuf.types.waveform_pb2 import DoubleAnalogWaveform, WaveformAttributeValue
 
     task, mode = call.task, call.fields.get("waveform_attribute_mode", 0)
-    reading = task.read(call.fields["num_samps_per_chan"], call.fields["timeout"])
+    result = task.read(call.fields["num_samps_per_chan"], call.fields["timeout"])
     assert waveform_conversion is not None
     waveforms = []
-    for index, samples in zip(task.settings.indices_to_read(), reading.samples, strict=True):
+    for index, samples in zip(task.settings.indices_to_read(), result.samples, strict=True):
         channel = task.settings.channels[index]
         waveform = DoubleAnalogWaveform(y_data=samples.tolist())
         if mode & 1:
-            start = task.input.time_of_sample(reading.first)
+            start = task.input.time_of_sample(result.first)
             # Waveform times count from 1904, in seconds and in fractions of 2^-64 s.
             seconds, remainder = divmod(start, 10**9)
             waveform.t0.seconds = seconds + _SECONDS_1904_TO_1970
@@ -133,7 +131,7 @@ def _read_waveforms(call: Call) -> ResponseFields:
             unit = "Volts" if channel.unit == "V" else channel.unit
             waveform.attributes["NI_UnitDescription"].CopyFrom(WaveformAttributeValue(string_value=unit))
         waveforms.append(waveform)
-    return _with_status(call, reading, {"waveforms": waveforms, "samps_per_chan_read": reading.samples.shape[1]})
+    return _with_status(call, result, {"waveforms": waveforms, "samps_per_chan_read": result.samples.shape[1]})
 
 
 def _rows_by_channel(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.responses.local_models import local_rational
-from analysis.responses.local_models.local_rational import Reading, local_fit
+from analysis.responses.local_models.local_rational import OutputSpectra, local_fit
 from analysis.responses.random_errors import LocalErrors
 
 BINS = 400
@@ -23,7 +23,7 @@ def gaussian(random, *shape):
 
 def ideal_reading(spectra):
     """Return the reading of a channel with the response 1."""
-    return Reading(spectra, np.ones(spectra.shape[1]), np.zeros((0, spectra.shape[1])))
+    return OutputSpectra(spectra, np.ones(spectra.shape[1]), np.zeros((0, spectra.shape[1])))
 
 
 def resonance(width):
@@ -51,7 +51,7 @@ def test_rational_response_is_exact(transients):
     if transients == "separate":
         spectra = spectra + end_phases * transient(random, 3, width)
     lines = np.array([0, 3, 150, 199, 205, 390, 399])
-    fit = local_fit(Reading(spectra, response, np.zeros((0, BINS))), force, end_phases, lines, HALF_WIDTH)
+    fit = local_fit(OutputSpectra(spectra, response, np.zeros((0, BINS))), force, end_phases, lines, HALF_WIDTH)
     np.testing.assert_allclose(fit.value, resonance(width)[lines], rtol=1e-7)
     assert (np.sqrt(fit.variance) < 1e-7 * abs(fit.value)).all()
     assert (fit.model_error < 1e-6 * abs(fit.value)).all()
@@ -63,7 +63,7 @@ def test_slow_transient_is_separated_from_response():
     force, slow_transient = gaussian(random, 2, BINS), 1.0 / (1j * np.arange(BINS) + 0.4)
     spectra = 2.0 * force + 50.0 * gaussian(random, 2, 1) * slow_transient
     lines = np.arange(1, 40)
-    fit = local_fit(Reading(spectra, np.ones(BINS), slow_transient[None]), force, AT_REST[:2], lines, HALF_WIDTH)
+    fit = local_fit(OutputSpectra(spectra, np.ones(BINS), slow_transient[None]), force, AT_REST[:2], lines, HALF_WIDTH)
     np.testing.assert_allclose(fit.value, 2.0, rtol=1e-7)
 
 

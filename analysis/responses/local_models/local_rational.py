@@ -157,13 +157,13 @@ def _fit(
     first_bin = np.clip(lines - half_width, 0, reference.shape[1] - width)
     bins = first_bin[:, None] + np.arange(width)
     offset = ((bins - lines[:, None]) / half_width)[:, None, :]
-    output, reference_input, phase = (
+    local_output, reference_input, phase = (
         np.moveaxis(spectra[:, bins], 1, 0) for spectra in (output.spectra, reference, end_phases)
     )
     channel = output.response[bins][:, None, :]
     reference_input = reference_input * channel
-    output_rms, input_rms = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (output, reference_input))
-    output, reference_input = output / output_rms, reference_input / input_rms
+    output_rms, input_rms = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (local_output, reference_input))
+    local_output, reference_input = local_output / output_rms, reference_input / input_rms
     powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
     columns = [powers]
     columns += [((local := decay[bins][:, None, :]) / _rms(local))[..., None] for decay in output.high_pass_transients]
@@ -172,7 +172,7 @@ def _fit(
         # The columns are zero if a segment has no separate transient at its beginning; the regularization omits them.
         at_start = np.where(np.isin(np.arange(segments), separate)[:, None], phase, 0.0)[..., None]
         transients = np.concatenate(
-            [np.broadcast_to(transients, (*output.shape, transients.shape[-1])), at_start * transients], axis=-1
+            [np.broadcast_to(transients, (*local_output.shape, transients.shape[-1])), at_start * transients], axis=-1
         )
     numerator = [reference_input[..., None] * powers]
     for other in () if other_inputs is None else other_inputs:
@@ -181,15 +181,15 @@ def _fit(
     terms = _Terms(np.concatenate(numerator, axis=-1), transients, offset[..., None] ** np.arange(1, poles + 1))
     # The first fit is linear, because the equations are multiplied by the denominator. The denominator thereby weights
     # the noise, and the poles are partly fitted to it; a Gauss-Newton step corrects both.
-    unknown, bin_weights = _solve(terms, output, output)
+    unknown, bin_weights = _solve(terms, local_output, local_output)
     model, denominator = terms.quotient(unknown)
-    residual = output - model
+    residual = local_output - model
     if poles:
         divisor = denominator[..., None]
         linearized = terms._replace(numerator=terms.numerator / divisor, transients=terms.transients / divisor)
         step, bin_weights = _solve(linearized, model / denominator, residual)
         stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, step, strict=True)))
-        stepped_residual = output - terms.quotient(stepped)[0]
+        stepped_residual = local_output - terms.quotient(stepped)[0]
         is_improved = _sum_of_squares(stepped_residual) < _sum_of_squares(residual)
         unknown = _select(is_improved, stepped, unknown)
         residual = np.where(is_improved[:, None, None], stepped_residual, residual)

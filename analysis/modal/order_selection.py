@@ -114,7 +114,7 @@ def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> Modal
 
 
 def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, n_poles: int) -> float:
-    """Compute the misfit reduction from a model of `n_poles` to a larger one, less that by noise."""
+    """Compute the misfit reduction from a model of `n_poles` to a larger model, less that due to noise."""
     added_unknowns = curves.unknowns(larger.poles.size) - curves.unknowns(n_poles)
     scale = max(larger.misfit / curves.degrees_of_freedom(larger.poles.size), 1.0) * correlation_length(larger.residual)
     return misfit - larger.misfit - float(_PENALTY_FACTOR * added_unknowns * np.log(curves.n_values) * scale)

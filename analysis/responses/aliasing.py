@@ -118,7 +118,7 @@ def _inverse_mass(scene: Scene, body: int) -> float:
 def _image_ratio(
     shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, spring_share: ComplexArray
 ) -> Array:
-    """Compute the ratio of a table's acceleration by images of the drive to that by the drive, shape (images, lines).
+    """Compute the ratio of table accelerations due to images of the drive and due to the drive, shape (images, lines).
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
     practically at rest, and the full spring force acts on the table. The image is smaller by the square of the

@@ -159,7 +159,7 @@ def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: R
 def square_root(matrices: ComplexArray) -> ComplexArray:
     """Factorize positive semidefinite matrices into ``F F^H``, to the rounding error of each diagonal element.
 
-    Eigenvalues that are negative by rounding are set to zero: the nearest semidefinite matrix (N. J. Higham,
+    Eigenvalues that are negative due to rounding are set to zero: the nearest semidefinite matrix (N. J. Higham,
     Linear Algebra and its Applications 103 (1988) 103-118).
 
     >>> factor = square_root(np.array([[[1.0, 2e9j], [-2e9j, 4e18]]]))

@@ -42,7 +42,7 @@ _MIN_POWER_RATIO = 1e-2
 # Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
 # of the resulting changes, relative to that of the original rounding (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
-# Smallest signal that a coarser converter resolves without dither by noise, in counts.
+# Smallest signal that a coarser converter resolves without dither from noise, in counts.
 _MIN_COUNTS = 6.0
 # Largest share of the rounding error equal in every hit if noise dithers the signal: that of half a count of noise.
 _MAX_REPRODUCIBLE = 0.007

@@ -201,7 +201,7 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
 
 
 def _is_distorted(measured: Lines, noise: Lines) -> bool:
-    """Return whether realisations scatter more than by noise, residual transients and rounding to counts."""
+    """Return whether realisations scatter more than expected from noise, residual transients and rounding."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
     bounds = [bound for bound in (measured.residual_transient, measured.resolution) if bound is not None]
     distorted = scatter > _NOISE_RATIO * expected + np.sum(bounds, axis=0)

@@ -1,8 +1,9 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-Computed from the covariance C as ``w C w*``, a variance may be negative by rounding if C is singular, such as that of
-four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few degrees of freedom
-may be close to zero by chance. They are moderated by those of neighboring lines, as empirical Bayes estimates [1]_.
+Computed from the covariance C as ``w C w*``, a variance may be negative due to rounding if C is singular, such as that
+of four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few degrees of
+freedom may be close to zero by chance. They are moderated by those of neighboring lines, as empirical Bayes estimates
+[1]_.
 
 References
 ----------

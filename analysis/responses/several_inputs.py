@@ -376,7 +376,7 @@ def _from_experiments(
             notes += [note for experiment in experiments for note in experiment.notes]
             continue
         frequency = experiments[0].frequency
-        # Of a single realisation; several scatter more than by noise.
+        # Of a single realisation; several scatter more than due to noise.
         noise_degrees = 2.0 * sum(len(experiment.spectra) - 1 for experiment in experiments)
         rows = _rows(rec, channels, frequency, names, inputs, motion)
         means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
@@ -400,7 +400,7 @@ def _from_experiments(
             cross = np.einsum("ran,rbn->nab", residual, residual.conj()) / (periods * (periods - 1.0))
             residual_power += periods * np.einsum("naa->na", cross).real
             output_power += np.square(abs(outputs[:, :, e]))
-            # Covariance of the matrix elements by noise of this experiment.
+            # Covariance of the matrix elements due to noise of this experiment.
             contribution = np.einsum("nab,nk,nl->nakbl", cross, inverse[:, e], inverse[:, e].conj())
             noise += contribution.reshape(noise.shape)
             # Bound of the error of each element due to the residual transient of this experiment.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Number of neighboring lines at which transients are assumed to decay equally.
+# Transients are assumed to decay equally at this number of neighboring lines.
 _COMMON_DECAY_LINES = 5
 # Assumed decay factor of a transient from part to part if only two parts are available, which do not determine it.
 _ASSUMED_DECAY = 0.5
@@ -57,7 +57,7 @@ class Lines:
     scatter: Scatter  # random deviation of the mean
     label: str = ""  # for legends
     warnings: tuple[str, ...] = field(default=())  # in full sentences
-    # largest error of each mean by residual transients; shape (channels, n)
+    # maximum error of each mean due to residual transients; shape (channels, n)
     residual_transient: Array | None = None
     # lines at which steady state was not reached; shape (n,). None for a multisine
     unsteady: NDArray[np.bool_] | None = None
@@ -174,13 +174,13 @@ def residual_transient(successive: ComplexArray) -> Array:
         successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _AVERAGED_PARTS)])
     count = len(successive)
     changes = np.diff(successive, axis=0)
-    factor = np.full(successive.shape[1:], _ASSUMED_DECAY, dtype=complex)
+    decay_factor = np.full(successive.shape[1:], _ASSUMED_DECAY, dtype=complex)
     if count > 2:
         power = _sum_of_neighbors(np.sum(abs(changes[:-1]) ** 2, axis=0))
         product = _sum_of_neighbors(np.sum(changes[:-1].conj() * changes[1:], axis=0))
-        factor = product / np.maximum(power, 1e-300)
-        factor *= np.minimum(1.0, _MAX_DECAY / np.maximum(abs(factor), 1e-300))
-    decay_power = np.sum([abs(factor) ** (2 * k) for k in range(count - 1)], axis=0)
+        decay_factor = product / np.maximum(power, 1e-300)
+        decay_factor *= np.minimum(1.0, _MAX_DECAY / np.maximum(abs(decay_factor), 1e-300))
+    decay_power = np.sum([abs(decay_factor) ** (2 * k) for k in range(count - 1)], axis=0)
     power = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise_of_changes(changes), 0.0)
-    initial = np.sqrt(power / decay_power) / abs(1.0 - factor)
-    return np.asarray(initial * abs(1.0 - factor**count) / (count * abs(1.0 - factor)))
+    initial = np.sqrt(power / decay_power) / abs(1.0 - decay_factor)
+    return np.asarray(initial * abs(1.0 - decay_factor**count) / (count * abs(1.0 - decay_factor)))

@@ -2,7 +2,7 @@
 
 A bench counts its time in ticks, the steps of its simulation. Its position is the number of ticks that have passed.
 Only the clock decides when the next ticks are due. A call that must wait (a read, a write into a full buffer,
-`wait_until_done`) waits by the clock, and its timeout is in the clock's time.
+`wait_until_done`) waits according to the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
   deterministic: no time passes between two calls. Repeated queries of a task's progress count as waiting

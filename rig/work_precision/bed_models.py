@@ -1,7 +1,7 @@
-"""Cost and error of models of a bed of grains: one mass, contacts of finite duration, and simpler grains.
+"""Cost and error of models of a bed of grains: one mass, finite-duration contact, and coarser or softer grains.
 
 The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
-another packing of the same grains is the smallest error that can be resolved.
+another packing of the same grains is the resolution of the errors.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rig.system.open_loop_drive import with_ideal_force
 from rig.work_precision.motion_study import Point, failure_reason, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 
-#: Durations of a landing with finite-duration contact, s.
+#: Contact durations, s.
 CONTACT_DURATIONS_S = (1e-3, 2e-3, 4e-3, 8e-3)
 #: Restitution of these contacts.
 CONTACT_RESTITUTION = 0.05

@@ -1,4 +1,4 @@
-"""Cost and error of models of a bed of grains: one mass, finite-duration contact, and coarser or softer grains.
+"""Cost and error of models of a bed of grains: one mass, finite-duration contact, longer time steps, and softer grains.
 
 The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
 another packing of the same grains is the resolution of the errors.

@@ -93,13 +93,13 @@ def frf(
     recordings : daq.Recording, str, Path or a sequence of these
         Recordings, or .uff and .csv files with responses that other programs have estimated.
     response : sequence of str, optional
-        Channels; if omitted, all on bodies.
+        Channels; if omitted, all channels on bodies.
     reference : {'force', 'table'}
         Input: force on the structure, or displacement of the table.
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        Average the spectra of blocks, for random tests and hits. If omitted, the whole record is evaluated, without
+        Average the spectra of blocks, for random and impact tests. If omitted, the whole record is evaluated, without
         leakage.
     block, overlap, window
         Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in

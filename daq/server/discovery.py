@@ -37,7 +37,7 @@ class Discovery:
 
 
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
-    """Return the handler of a service; an invalid request is reported to the client, without a traceback here."""
+    """Return the handler of a service; an invalid request is reported to the client and not printed by the server."""
     # Some releases of the packages describe calls that their servicers do not implement.
     implemented = [method for method in service.methods if method.name in vars(type(servicer))]
     return grpc.method_handlers_generic_handler(

@@ -49,7 +49,7 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 _RATIO = ("ratio", "1")
-# Largest ratio of the expanded uncertainty of the highest value to this value, if it is to count as the peak.
+# The highest value counts as the peak if its expanded uncertainty is at most this fraction of it.
 _MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 # By SI unit: the unit in which curves are drawn and printed, and the factor to it.
 _DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
@@ -524,9 +524,9 @@ class Response(Result, Sequence["Response"]):
                 ms=2.5,
             ),
         )
-        # A logarithmic axis needs a positive lower limit.
-        low = np.maximum(magnitude - bound, 1e-3 * magnitude)
-        ax.fill_between(curve.frequency, low, magnitude + bound, color=line.get_color(), alpha=0.2, lw=0)
+        # A logarithmic axis needs positive values.
+        lower_edge = np.maximum(magnitude - bound, 1e-3 * magnitude)
+        ax.fill_between(curve.frequency, lower_edge, magnitude + bound, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
 
     def to(self, motion: str) -> Response:

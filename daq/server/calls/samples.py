@@ -26,7 +26,7 @@ def _check_width(count_type: _CountType, width: int, code: Code) -> None:
     bits = np.iinfo(count_type).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits, the numbers of this call {bits}. Use numbers of {width} bits.",
+            f"the converter's counts have {width} bits, this call transfers {bits} bits. Use numbers of {width} bits.",
             code,
             samples_done=0,
         )
@@ -160,10 +160,10 @@ def _write(count_type: _CountType | None = None) -> Handler:
         else:
             _check_width(count_type, _count_bits(task), Code.WRITE_DATA_TYPE_TOO_SMALL)
             limits, numbers = np.iinfo(count_type), np.array(fields["write_array"], dtype=np.int64)
-            is_outside = (numbers < limits.min) | (numbers > limits.max)
-            if is_outside.any():
+            outside = (numbers < limits.min) | (numbers > limits.max)
+            if outside.any():
                 raise DaqError(
-                    f"{numbers[is_outside][0]} is not a {limits.bits}-bit number. Write {limits.min} to {limits.max}.",
+                    f"{numbers[outside][0]} is not a {limits.bits}-bit number. Write {limits.min} to {limits.max}.",
                     Code.INVALID_AO_DATA_WRITE,
                     samples_done=0,
                 )

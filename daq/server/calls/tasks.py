@@ -44,7 +44,7 @@ def _nth_name(list_names: Callable[[Task], list[str]]) -> Handler:
 
 
 def _check_device(call: Call) -> ResponseFields:
-    """Check that the device exists, and do nothing else; `DaqError` -200220 if it does not."""
+    """Check that the device exists: a simulated device needs no other action; `DaqError` -200220 if it does not."""
     call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
@@ -130,7 +130,7 @@ CALLS: dict[str, Handler] = {
         "error_string": call.instrument.latest_message(call.peer, call.fields["error_code"])
     },
     "UnregisterEveryNSamplesEvent": task_action(
-        lambda task, fields: task.events.listen_every(fields["every_n_samples_event_type"], 0, None)
+        lambda task, fields: task.events.listen_every(fields["every_n_samples_event_type"], n_samples=0, listener=None)
     ),
     "UnregisterDoneEvent": task_action(lambda task, fields: task.events.listen_done(None)),
     "UnregisterSignalEvent": task_action(lambda task, fields: task.events.listen_signal(fields["signal_id"], None)),

@@ -21,10 +21,10 @@ def test_residual_transients_stay_within_limit() -> None:
     change = np.diff(steady, prepend=steady[:1])
     rate = POLE - 1j * omega
     transient = -change * np.exp(rate * wait_s) * np.expm1(rate * window_s) / (rate * window_s)
-    limit = ringing(steady + transient, frequency, np.full(25, wait_s), np.full(25, window_s), np.zeros(25))
-    assert (limit[1:] >= abs(transient[1:])).all()
+    bound = ringing(steady + transient, frequency, np.full(25, wait_s), np.full(25, window_s), np.zeros(25))
+    assert (bound[1:] >= abs(transient[1:])).all()
     # The transition to the next tone ends within the first half of a window.
-    assert (limit[1:] <= 1.8 * abs(transient[1:])).all()
+    assert (bound[1:] <= 1.8 * abs(transient[1:])).all()
 
 
 def test_transients_of_close_resonances_are_limited() -> None:
@@ -40,11 +40,11 @@ def test_transients_of_close_resonances_are_limited() -> None:
     noise = error * (random.standard_normal(40) + 1j * random.standard_normal(40))
 
     measured = steady.sum(axis=0) + transient + noise
-    limit = ringing(measured, frequency, np.full(40, wait_s), np.full(40, window_s), error)
+    bound = ringing(measured, frequency, np.full(40, wait_s), np.full(40, window_s), error)
 
     significant = abs(transient) > 3.0 * error
     assert significant.sum() > 5
-    assert (limit >= 0.9 * abs(transient))[significant].all()
+    assert (bound >= 0.9 * abs(transient))[significant].all()
 
 
 def test_points_far_from_resonances_have_no_transient() -> None:

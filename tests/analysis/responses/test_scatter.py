@@ -113,7 +113,7 @@ def test_limit_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 
-    (limit,) = jitter_bound(factor, orthogonal, np.ones(5)).values()
+    (bound,) = jitter_bound(factor, orthogonal, np.ones(5)).values()
 
-    assert (limit >= 0.0).all()
-    assert limit.max() < 1e-12
+    assert (bound >= 0.0).all()
+    assert bound.max() < 1e-12

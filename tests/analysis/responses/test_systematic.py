@@ -41,10 +41,10 @@ def recording(*channels, converter="rate: 5120 Hz"):
     return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
 
 
-def only_limit(limits):
-    """Return the limit of the only error in a dictionary."""
-    [limit] = limits.values()
-    return limit
+def only_bound(bounds):
+    """Return the bound of the only error in a dictionary."""
+    [bound] = bounds.values()
+    return bound
 
 
 def channels_with_tolerance(*tolerances):
@@ -88,9 +88,9 @@ def test_sensor_tolerances_bound_the_response(tolerances):
         weights[:, None] * readings / reference for weights in (response_weights, reference_weights)
     )
     rec = recording(*channels_with_tolerance(*tolerances))
-    bound = only_limit(sensitivity_bound(rec, contributions_of(value, in_response, in_reference, names="abc")))
+    bound = only_bound(sensitivity_bound(rec, contributions_of(value, in_response, in_reference, names="abc")))
     max_error = np.zeros(40)
-    for errors in product(*((-limit, limit) for limit in tolerances)):
+    for errors in product(*((-size, size) for size in tolerances)):
         true_readings = readings / (1.0 + np.array(errors))[:, None]
         true_value = (response_weights @ true_readings) / (reference_weights @ true_readings)
         max_error = np.maximum(max_error, abs(true_value - value))
@@ -103,7 +103,7 @@ def test_single_sensor_tolerance_is_exact():
     rec = recording(*channels_with_tolerance(0.2, 0.0))
 
     def bound(in_response, in_reference):
-        return only_limit(sensitivity_bound(rec, contributions_of(value, value * in_response, in_reference)))
+        return only_bound(sensitivity_bound(rec, contributions_of(value, value * in_response, in_reference)))
 
     assert bound(first_channel, second_channel) == pytest.approx(abs(value / 0.8 - value))
     # A reference that reads 20 % high makes the true response 20 % larger.
@@ -124,11 +124,11 @@ def test_h1_bias_reaches_its_bound():
 def test_smaller_reference_increases_the_error():
     deviation = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first_error = np.full(6, 0.3)
-    total = np.hypot(first_error, only_limit(uncertain_reference_bound(first_error, deviation)))
+    total = np.hypot(first_error, only_bound(uncertain_reference_bound(first_error, deviation)))
     assert total[:4] == pytest.approx(first_error[:4] / (1.0 - deviation[:4]))
     assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
-    assert only_limit(uncertain_reference_bound(np.array([np.inf]), np.array([0.0]))) == 0.0
+    assert only_bound(uncertain_reference_bound(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_gaussian_rounding_gain_is_bounded():
@@ -161,11 +161,11 @@ def test_rounding_of_all_channels_is_summed():
     value = np.array([2.0 + 0j])
     in_response, in_reference = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
     contributions = contributions_of(value, in_response, in_reference)
-    assert only_limit(rounding_bound(np.array([[0.1], [0.02]]), contributions)) == pytest.approx([2.0 * (0.1 + 0.02)])
+    assert only_bound(rounding_bound(np.array([[0.1], [0.02]]), contributions)) == pytest.approx([2.0 * (0.1 + 0.02)])
     assert rounding_bound(np.zeros((2, 1)), contributions) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
     no_contributions = contributions_of(value, 0 * in_response, 0 * in_reference)
-    assert only_limit(rounding_bound(np.array([[np.inf], [0.0]]), no_contributions)) == np.inf
+    assert only_bound(rounding_bound(np.array([[np.inf], [0.0]]), no_contributions)) == np.inf
 
 
 @pytest.mark.parametrize(("motion", "order"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
@@ -174,14 +174,14 @@ def test_clock_error_shifts_and_scales_curve(motion, order):
     value = (3.0 - 4.0j) * frequency
     force = ChannelInfo("f", "shaker", "force", sensitivity=0.5, rate=RATE)
 
-    def limit(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
+    def bound(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
         rec = recording(channel(), force, converter=converter)
         return clock_bound(rec, ratio_contributions(frequency[:points], value[:points], motion, ["a1", "f"]))
 
-    assert only_limit(limit(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
+    assert only_bound(bound(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
     # Two lines may lie on the flank of a peak: the assumed slope of 10 |H| / f exceeds the slope between them.
-    assert (only_limit(limit(2)) > 2.0 * only_limit(limit(4))[:2]).all()
-    assert limit(4, "rate: 5120 Hz") == {}
+    assert (only_bound(bound(2)) > 2.0 * only_bound(bound(4))[:2]).all()
+    assert bound(4, "rate: 5120 Hz") == {}
 
 
 def test_steeper_neighboring_chord_determines_the_slope():
@@ -191,7 +191,7 @@ def test_steeper_neighboring_chord_determines_the_slope():
 
     def slope(points):
         f = frequency[:points]
-        return only_limit(clock_bound(rec, ratio_contributions(f, value[:points]))) / (50e-6 * f)
+        return only_bound(clock_bound(rec, ratio_contributions(f, value[:points]))) / (50e-6 * f)
 
     first_slope, last_slope = (5.0 - 1.0) / (12.0 - 10.0), abs(8.0 - 4.0j)
     # Two points at one frequency have no slope between them.
@@ -211,7 +211,7 @@ def test_clock_limit_contains_shifted_peak(ppm):
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
     value = curve(frequency)
-    bound = only_limit(clock_bound(rec, ratio_contributions(frequency, value, "displacement")))[1:-1]
+    bound = only_bound(clock_bound(rec, ratio_contributions(frequency, value, "displacement")))[1:-1]
     shifted_errors = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
     ratio = bound / np.maximum(*shifted_errors)
     # On the flanks the bound uses the steeper chord to a neighboring line, which exceeds the slope.
@@ -222,7 +222,7 @@ def test_clock_error_cancels_between_equal_channels():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
     contributions = ratio_contributions(np.arange(1.0, 5.0), value, "displacement")
-    assert only_limit(clock_bound(rec, contributions)).max() < 1e-18
+    assert only_bound(clock_bound(rec, contributions)).max() < 1e-18
 
 
 def test_bias_by_shared_noise_reaches_its_bound():

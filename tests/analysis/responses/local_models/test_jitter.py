@@ -36,7 +36,7 @@ def test_jitter_limit_contains_error_by_jitter(repeats, tmp_path):
     without_jitter = frf.without(JITTER)
     assert np.mean(error <= without_jitter.bound()) < 0.8
     assert np.mean(error <= frf.bound()) > 0.9
-    # The limit is twice the standard deviation.
+    # The bound is twice the standard deviation.
     exceeding = error > without_jitter.bound()
     assert 0.3 < np.sqrt(np.mean((error / frf.limits[JITTER])[exceeding] ** 2)) < 0.9
 

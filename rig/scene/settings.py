@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import ast
 import inspect
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, cached_property
 from itertools import pairwise
-from textwrap import dedent
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 from pydantic import (
@@ -294,12 +294,21 @@ def descriptions(cls: type[Settings]) -> dict[str, str]:
     """Return the field docstrings by field name, parsed on demand because pydantic's own parsing is slow."""
     texts: dict[str, str] = {}
     for base in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
-        tree = ast.parse(dedent(inspect.getsource(base))).body[0]
-        assert isinstance(tree, ast.ClassDef)
-        for statement, following in pairwise(tree.body):
-            match statement, following:
-                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
-                    texts[name] = inspect.cleandoc(text)
+        texts |= _module_descriptions(base.__module__)[base.__name__]
+    return texts
+
+
+@cache
+def _module_descriptions(module: str) -> dict[str, dict[str, str]]:
+    """Return the field docstrings of a module by class and field name."""
+    texts: dict[str, dict[str, str]] = {}
+    for cls in ast.walk(ast.parse(inspect.getsource(sys.modules[module]))):
+        if isinstance(cls, ast.ClassDef):
+            texts[cls.name] = {}
+            for statement, following in pairwise(cls.body):
+                match statement, following:
+                    case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(text))):
+                        texts[cls.name][name] = inspect.cleandoc(text)
     return texts
 
 

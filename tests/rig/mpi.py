@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from rig.errors import RunError
 from rig.ranks import OneRankError, communicators, sum_over_ranks
@@ -17,6 +16,9 @@ _MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
 
 def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
     """Run Python code on two ranks and return its output; skip the test without mpi4py or MPICH."""
+    # Imported here, because the ranks import this module as well.
+    import pytest
+
     pytest.importorskip("mpi4py", reason="the optional dependencies are not installed: pip install 'shotrig[grains]'")
     if not _MPIEXEC.is_file():
         pytest.skip(

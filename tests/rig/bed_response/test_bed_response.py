@@ -16,7 +16,7 @@ from tests.rig.grain_beds.scenes import with_grains, without_grains
 def test_resting_bed_equals_one_mass() -> None:
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
 
-    grains, mass = steady_grains(scene, 30.0, 2, 10), steady_mass(scene, 30.0)
+    grains, mass = steady_grains(scene, 30.0, 1, 10), steady_mass(scene, 30.0)
 
     assert grains.steady
     assert grains.compliance == pytest.approx(mass.compliance, rel=5e-3)
@@ -46,11 +46,11 @@ def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path, monke
     # As one of several ranks, this process computes the first response itself; a worker computes the second.
     with monkeypatch.context() as patch:
         patch.setattr("rig.workers.rank_count", lambda: 2)
-        first = bed_response(scene, [25.0, 30.0], periods=1, table=table)
+        first = bed_response(scene, [250.0, 300.0], periods=1, table=table)
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
-    second = bed_response(scene, [25.0, 30.0], periods=1, table=table, progress=lambda *counts: progress.append(counts))
+    second = bed_response(scene, [250.0, 300.0], periods=1, table=table, progress=lambda *counts: progress.append(counts))
 
     assert progress == [(1, 2), (2, 2)]
     for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):

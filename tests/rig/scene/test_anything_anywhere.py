@@ -33,7 +33,7 @@ def set_value(content: Any, path: tuple[Any, ...], value: Any) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_value_anywhere_loads_or_is_rejected(data: st.DataObject, tmp_path: Path) -> None:
     content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(VALID_SCENES))))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -112,6 +112,7 @@ def scenes(draw: st.DrawFn) -> Scene:
 
 # A ratio is written without a unit, which causes a warning where the unit may have been forgotten.
 @pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
+@settings(max_examples=40)
 @given(scenes())
 def test_any_scene_is_written_without_loss(scene: Scene) -> None:
     loaded = rig.loads(scene.to_yaml())
@@ -119,6 +120,7 @@ def test_any_scene_is_written_without_loss(scene: Scene) -> None:
     assert loaded.to_yaml() == scene.to_yaml()
 
 
+@settings(max_examples=40)
 @given(st.integers(1, 4), st.integers(0, 2**32))
 def test_any_matrices_are_written_without_loss(n: int, seed: int) -> None:
     random = np.random.default_rng(seed)

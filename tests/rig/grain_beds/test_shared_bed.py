@@ -24,8 +24,8 @@ def coupled_bed() -> CoupledPropagator:
 def flying_grains() -> tuple[dict[str, NDArray[np.float64]], CoupledPropagator]:
     """Return the motion of grains that were accelerated into flight, and the engine in its last state."""
     coupled = coupled_bed()
-    # Push the body up for 150 time steps, then down for 100, N.
-    force = np.repeat([1.5, -1.5], [150, 100])[None]
+    # Push the body up for 60 time steps, then down for 60, N.
+    force = np.repeat([1.5, -1.5], [60, 60])[None]
     coupled.set_state(coupled.system.initial, force[:, 0])
     initial_momentum = coupled.momentum
     trajectory, beds = coupled.propagate_steps(force)
@@ -75,7 +75,7 @@ def two_ranks(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.Comp
             "(motion, coupled), (repeated, other) = flying_grains(), flying_grains()",
             "assert all(np.array_equal(motion[name], repeated[name]) for name in motion)",
             f"np.savez({str(file)!r}, **motion, local=coupled.beds[0]._array_sizes()[0])",
-            "push = -0.5 * np.ones((1, 60))",
+            "push = 1.5 * np.ones((1, 60))",
             "state = other.state()",
             "_, expected = other.propagate_steps(push)",
             "restored = coupled_bed()",

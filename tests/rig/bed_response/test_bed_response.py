@@ -50,7 +50,9 @@ def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path, monke
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])
 
-    second = bed_response(scene, [250.0, 300.0], periods=1, table=table, progress=lambda *counts: progress.append(counts))
+    second = bed_response(
+        scene, [250.0, 300.0], periods=1, table=table, progress=lambda *counts: progress.append(counts)
+    )
 
     assert progress == [(1, 2), (2, 2)]
     for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):

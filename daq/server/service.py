@@ -9,6 +9,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import grpc
@@ -34,6 +35,27 @@ PORT = 31763
 # Interval at which Python switches threads. A response waits several times for the simulation to release the
 # interpreter lock: Python's default of 5 ms is too long.
 _SWITCH_INTERVAL_S = 0.0005
+
+
+class _Handlers(grpc.GenericRpcHandler):
+    """Creates the gRPC handler of a method when it is first called: of hundreds of methods, clients call few."""
+
+    def __init__(self, create: Callable[[Method], Any]) -> None:
+        self._create = cache(create)
+
+    def service(self, handler_call_details: grpc.HandlerCallDetails) -> Any:
+        """Return the handler of a call; None if no service has its method."""
+        method = _methods_by_path().get(handler_call_details.method)
+        return None if method is None else self._create(method)
+
+
+@cache
+def _methods_by_path() -> dict[str, Method]:
+    return {
+        f"/{service.full_name}/{method.name}": method
+        for service in (SERVICE, SESSION_SERVICE)
+        for method in methods(service)
+    }
 
 
 class Server:
@@ -67,13 +89,8 @@ class Server:
             ],
         )
         self._discovery = Discovery()
-        services = [
-            grpc.method_handlers_generic_handler(
-                service.full_name, {method.name: self._handler(method) for method in methods(service)}
-            )
-            for service in (SERVICE, SESSION_SERVICE)
-        ]
-        self._server.add_generic_rpc_handlers((*services, *self._discovery.handlers, *other_handlers))
+        handlers = (_Handlers(self._handler), *self._discovery.handlers, *other_handlers)
+        self._server.add_generic_rpc_handlers(handlers)
         if credentials is None:
             self.port = self._server.add_insecure_port(address)
         else:

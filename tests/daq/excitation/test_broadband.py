@@ -222,9 +222,9 @@ def test_released_mode_decays_freely() -> None:
 @pytest.mark.parametrize(
     "test",
     [
-        {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "5 s"},
+        {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "2 s"},
         {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "period": "1 s", "force": "2.6 N", "realisations": 1},
-        {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "3 s"},
+        {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "1.5 s"},
     ],
 )
 def test_block_size_does_not_change_readings(test: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from math import ceil
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.instrument.engines.triggers import AnalogSource, AtTime, OtherTask, SyncPulse, digital_source, edge, window
@@ -73,6 +73,7 @@ def test_skipped_trigger_disarms(cuts):
     assert find_in_blocks(edge(Slope.RISING, 0.0, 0.0), [-1.0, 1.0, 1.0, 1.0, 1.0], 2, cuts) is None
 
 
+@settings(max_examples=40)
 @given(
     rate=st.sampled_from([Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]),
     second=st.integers(0, 3000),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
@@ -53,6 +53,7 @@ def flagged_intervals_of(flags):
     return intervals
 
 
+@settings(max_examples=50)
 @given(
     flags=st.lists(st.lists(st.booleans(), min_size=40, max_size=40), min_size=3, max_size=3),
     flag_spacing=st.integers(1, 7),
@@ -88,6 +89,7 @@ def test_gap_at_slow_rate_divides_intervals():
     assert marked == [(0, 2), (3, 5)]
 
 
+@settings(max_examples=50)
 @given(st.lists(st.lists(st.integers(-6, 6).map(float), min_size=12, max_size=12), min_size=3, max_size=3))
 def test_first_reading_above_limit_aborts(readings):
     readings, marked = np.array(readings), []

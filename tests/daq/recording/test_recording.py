@@ -9,7 +9,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
@@ -59,6 +59,7 @@ def small_file(tmp_path_factory):
 # -- samples ---------------------------------------------------------------------------------------------
 
 
+@settings(max_examples=30)
 @given(data=st.data())
 def test_range_is_part_of_all_samples(recorded, data):
     start = data.draw(st.integers(0, SAMPLES))

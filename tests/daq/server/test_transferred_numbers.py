@@ -19,7 +19,7 @@ COUNT_TYPES = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uin
 # Calls that read or write samples.
 TRANSFER_METHODS = [method for method in methods() if method.name.startswith(("Read", "Write"))]
 FEW_EXAMPLES = settings(
-    max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 
 

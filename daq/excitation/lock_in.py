@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from rig.arrays import Array, ComplexArray
 
@@ -71,14 +70,20 @@ def _weights(frequency: float, rate: float, samples: int) -> Array:
 
 def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -> Array:
     """Return the tone, its harmonics and a drift at samples [first, stop) of a window; shape (terms, n)."""
-    sample = np.arange(first, stop)
-    phase = 2 * np.pi * np.fmod(frequency / rate * sample, 1.0)
-    # Integrated channels drift and dampers shift the mean: a cubic polynomial models this drift. Without harmonics
-    # in the model, the polynomial would also fit part of the harmonics, which would bias the tone.
-    drift = legvander(np.linspace(-1.0, 1.0, samples)[first:stop], 3)
+    phase = 2 * np.pi * np.fmod(frequency / rate * np.arange(first, stop), 1.0)
     highest = max(1, min(_MAX_HARMONIC, int(_MAX_HARMONIC_RATIO * rate / frequency)))
-    harmonics = [part(h * phase) for h in range(2, highest + 1) for part in (np.cos, np.sin)]
-    return np.stack([np.cos(phase), -np.sin(phase), *drift.T, *harmonics])
+    model = np.empty((4 + 2 * highest, phase.size))
+    np.cos(phase, out=model[0])
+    np.negative(np.sin(phase), out=model[1])
+    # Integrated channels drift and dampers shift the mean: Legendre polynomials up to the third degree model this
+    # drift. Without harmonics in the model, they would also fit part of the harmonics, which would bias the tone.
+    u = np.linspace(-1.0, 1.0, samples)[first:stop]
+    quadratic = (3 * (u * u) - 1) / 2
+    model[2], model[3], model[4], model[5] = 1.0, u, quadratic, (5 * (quadratic * u) - 2 * u) / 3
+    for h in range(2, highest + 1):
+        np.cos(h * phase, out=model[2 * h + 2])
+        np.sin(h * phase, out=model[2 * h + 3])
+    return model
 
 
 def _amplitude_parts(samples: Array, frequency: float, rate: float) -> Array:

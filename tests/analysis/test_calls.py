@@ -15,6 +15,7 @@ import daq
 import rig
 from analysis.cli import app
 from rig.errors import RecordingError
+from tests.analysis.responses import synthetic
 
 UNDAMPED = Path("recordings/demo-sweep-no-damper.mcap")
 DAMPED = Path("recordings/demo-sweep-three-dampers.mcap")
@@ -45,7 +46,7 @@ def test_modes_of_two_recordings_are_compared_by_mac():
     assert np.diag(analysis.mac(result[0].shapes, result[1].shapes)).min() > 0.99
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("undrawn_figures")
 def test_dampers_returns_rows_of_the_command(tmp_path, axes):
     test = {"kind": "stepped_sine", "frequencies": [48.6, 49.0], "force": 3.3, "measure": {"periods": 25}}
     path = daq.record(rig.load("fig9").replace(test=test), tmp_path / "fig9.mcap")
@@ -72,7 +73,8 @@ def test_compare_returns_the_changes_of_the_peaks(axes):
 def test_export_and_report_return_their_files(tmp_path):
     target = analysis.export(UNDAMPED, tmp_path / "a.npz", ["body1"], stop=1.0)
     assert target.exists()
-    page = analysis.report(Path("recordings/demo-impulse-no-damper.mcap"), tmp_path / "page.html")
+    hit = synthetic.impulses(tmp_path / "hit.mcap", interval=1.0)
+    page = analysis.report(hit, tmp_path / "page.html")
     assert page == tmp_path / "page.html" and page.exists()
 
 

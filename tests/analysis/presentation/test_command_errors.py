@@ -81,7 +81,7 @@ def test_error_of_wrong_option_names_right_ones(stepped_path, tmp_path, options,
     assert getattr(result.exception, "exit_code", result.exit_code) == 2
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("undrawn_figures")
 def test_unused_option_names_its_recordings(stepped_path, tmp_path):
     (tmp_path / "b.csv").write_text("f [Hz],x re [m/N],x im [m/N]\n10,1,0\n20,2,0\n")
     arguments = ["frf", str(stepped_path), str(tmp_path / "b.csv"), "--unit", "mm/N", "-o", str(tmp_path)]

@@ -9,6 +9,7 @@ from analysis.presentation.demo import demonstrate
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("undrawn_figures")
 def test_demo_makes_recordings_figures_and_commands(tmp_path):
     lines: list[str] = []
     # Three frequencies at each resonance, less than half its bandwidth apart, and one between each two resonances.

@@ -55,6 +55,7 @@ def test_figures_and_table_lie_next_to_recording(folder):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("undrawn_figures")
 def test_two_recordings_share_one_figure(folder, tmp_path):
     result = present_frf([folder / "one.mcap", folder / "two.mcap"], tmp_path, ["body3"])
     assert [path.name for path in result.files] == ["one+two-frf.png", "one+two-frf.svg", "one+two-frf.csv"]
@@ -63,6 +64,7 @@ def test_two_recordings_share_one_figure(folder, tmp_path):
 
 
 @pytest.mark.thorough
+@pytest.mark.usefixtures("undrawn_figures")
 def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
     synthetic.stepped_sine(tmp_path / "again.mcap", FREQUENCIES, noise=1e-6, seed=2, name="first scene")
     result = present_frf([folder / "one.mcap", tmp_path / "again.mcap"], tmp_path, ["body3", "body1"])
@@ -77,6 +79,7 @@ def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
     assert [line.split(",")[0] for line in result.lines if not line.startswith(" ")] == ["one", "again"]
 
 
+@pytest.mark.usefixtures("undrawn_figures")
 def test_overlaid_decays_are_named_by_file(folder, tmp_path):
     synthetic.impulses(tmp_path / "again.mcap", interval=3.0, name="hit scene")
     result = present_decay([folder / "hit.mcap", tmp_path / "again.mcap"], tmp_path)
@@ -94,12 +97,12 @@ def test_error_for_force_channel_lists_motion_channels(folder):
 
 
 @pytest.mark.thorough
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("undrawn_figures")
 def test_command_prints_results_and_names_of_files(folder, tmp_path):
     result = CliRunner().invoke(app, ["modes", str(folder / "one.mcap"), "-o", str(tmp_path)])
     assert result.exit_code == 0
     assert "13.03" in result.output and "wrote" in result.output
-    assert (tmp_path / "one-modes.csv").exists()
+    assert (tmp_path / "one-modes.png").exists()
 
 
 def test_error_for_missing_recording_suggests_record_command(tmp_path):

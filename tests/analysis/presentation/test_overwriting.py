@@ -7,14 +7,13 @@ import warnings
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 import daq
 from rig.errors import ShotrigError
-
-SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
-HIT = SWEEP.with_name("demo-impulse-no-damper.mcap")
+from tests.analysis.responses import synthetic
 
 
 def run_command(package: str, *arguments: str) -> Result:
@@ -24,28 +23,26 @@ def run_command(package: str, *arguments: str) -> Result:
         return CliRunner().invoke(import_module(f"{package}.cli").app, arguments)
 
 
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
+    # Five frequencies at each resonance.
+    frequencies = np.ravel([np.linspace(0.994, 1.006, 5) * f for f in synthetic.NATURAL_FREQUENCIES])
+    synthetic.stepped_sine(folder / "sweep.mcap", frequencies, noise=1e-6)
+    synthetic.impulses(folder / "hit.mcap", interval=1.0)
+    return folder
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for file in (SWEEP, HIT):
+def folder(recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for file in recordings.iterdir():
         shutil.copy(file, tmp_path / file.name)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("command", "output"),
-    [
-        (f"analysis frf {SWEEP.name} --response body3", f"{SWEEP.stem}-frf.csv"),
-        (f"analysis modes {SWEEP.name}", f"{SWEEP.stem}-modes.png"),
-        (f"analysis decay {HIT.name}", f"{HIT.stem}-decay-damping.csv"),
-        (f"analysis report {HIT.name} -o page.html", "page.html"),
-        (f"analysis export {SWEEP.name} -o out.csv --to 0.1", "out.csv"),
-        ("rig simulate fig9 --duration 0.05s -o run.npz", "run.npz"),
-        ("rig simulate fig9 --duration 0.05s -o run.csv", "run.csv"),
-        ("rig response fig9 --from 20Hz --to 21Hz --points 2 -o response.csv", "response.csv"),
-    ],
-)
-def test_command_replaces_only_its_own_output(folder: Path, command: str, output: str) -> None:
+def check_replacement(folder: Path, command: str, output: str) -> None:
+    """Check that a command replaces an output file of its own, with the same bytes, and no other file."""
     (folder / output).write_bytes(b"mine")
     rejected = run_command(*command.split())
     assert isinstance(rejected.exception, ShotrigError) and f"{output} exists" in str(rejected.exception)
@@ -58,11 +55,32 @@ def test_command_replaces_only_its_own_output(folder: Path, command: str, output
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == written
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        ("analysis frf sweep.mcap --response body3", "sweep-frf.csv"),
+        ("analysis modes sweep.mcap", "sweep-modes.png"),
+        ("analysis report hit.mcap -o page.html", "page.html"),
+        ("analysis export sweep.mcap -o out.csv --to 0.1", "out.csv"),
+        ("rig simulate fig9 --duration 0.05s -o run.npz", "run.npz"),
+        ("rig simulate fig9 --duration 0.05s -o run.csv", "run.csv"),
+        ("rig response fig9 --from 20Hz --to 21Hz --points 2 -o response.csv", "response.csv"),
+    ],
+)
+def test_command_replaces_only_its_own_output(folder: Path, command: str, output: str) -> None:
+    check_replacement(folder, command, output)
+
+
+@pytest.mark.usefixtures("undrawn_figures")
+def test_decay_command_replaces_only_its_own_output(folder: Path) -> None:
+    check_replacement(folder, "analysis decay hit.mcap", "hit-decay-damping.csv")
+
+
+@pytest.mark.usefixtures("undrawn_figures")
 def test_output_is_replaced_with_other_options(folder: Path) -> None:
     for motion in ("displacement", "velocity"):
-        assert run_command("analysis", "frf", SWEEP.name, "--response", "body3", "--motion", motion).exit_code == 0
-    assert "m/(N s)" in (folder / f"{SWEEP.stem}-frf.csv").read_text(encoding="utf-8")
+        assert run_command("analysis", "frf", "sweep.mcap", "--response", "body3", "--motion", motion).exit_code == 0
+    assert "m/(N s)" in (folder / "sweep-frf.csv").read_text(encoding="utf-8")
 
 
 def test_response_of_another_scene_is_not_replaced(folder: Path) -> None:
@@ -74,10 +92,10 @@ def test_response_of_another_scene_is_not_replaced(folder: Path) -> None:
 
 def test_recorded_test_is_not_repeated(folder: Path) -> None:
     command = ("daq", "record", "fig10b-no-damper", "--set", "test.repeats=1", "--set", "test.interval=0.3s")
-    assert run_command(*command, "-o", "hit.mcap").exit_code == 0
-    before = (folder / "hit.mcap").stat()
-    repeated = run_command(*command, "-o", "hit.mcap")
+    assert run_command(*command, "-o", "recorded.mcap").exit_code == 0
+    before = (folder / "recorded.mcap").stat()
+    repeated = run_command(*command, "-o", "recorded.mcap")
     assert repeated.exit_code == 0 and "already contains the complete test" in repeated.output
-    assert (folder / "hit.mcap").stat().st_mtime_ns == before.st_mtime_ns
-    other_seed = run_command(*command, "--set", "seed=2", "-o", "hit.mcap")
+    assert (folder / "recorded.mcap").stat().st_mtime_ns == before.st_mtime_ns
+    other_seed = run_command(*command, "--set", "seed=2", "-o", "recorded.mcap")
     assert isinstance(other_seed.exception, ShotrigError) and "exists" in str(other_seed.exception)

@@ -85,7 +85,7 @@ def test_table_headings_state_components_and_units(heading, columns, tmp_path):
         np.testing.assert_allclose(result[name].value, row[1:] * 9.80665, rtol=1e-9)
 
 
-@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.usefixtures("undrawn_figures")
 def test_commands_accept_files_of_other_programs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_uff(tmp_path / "a.uff", accelerance(1e-3), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")

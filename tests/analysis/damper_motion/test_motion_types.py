@@ -301,7 +301,7 @@ def test_restitution_lies_within_its_bounds(tmp_path, true_restitution, clearanc
     scene = rig.load("fig8-no-damper").replace(
         dampers=[{"body": 2, "mass_ratio": 0.08, "clearance": clearance, "restitution": true_restitution}],
         shaker={"kind": "force", "body": 1},
-        test={"kind": "sine", "frequency": 49.5, "force": 2.6, "duration": 2.0},
+        test={"kind": "sine", "frequency": 49.5, "force": 2.6, "duration": 1.0},
         channels=[{"name": "body2", "at": "body 2", "accelerometer": sensor}, {"name": "force", "at": "shaker"}],
         recording={"display": False},
     )

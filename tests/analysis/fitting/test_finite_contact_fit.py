@@ -20,13 +20,17 @@ recording: {display: false}
 
 
 @pytest.mark.parametrize(
-    "contact", ["contact: {duration: 3 ms}, restitution: 0.1", "contact: {stiffness: 120 kN/m, damping: 150 N s/m}"]
+    ("contact", "free"),
+    [
+        ("contact: {duration: 3 ms}, restitution: 0.1", None),
+        ("contact: {stiffness: 120 kN/m, damping: 150 N s/m}", ["dampers"]),
+    ],
 )
-def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
+def test_finite_duration_contact_is_fitted(contact: str, free: list[str] | None, tmp_path) -> None:
     scene = rig.loads(SCENE % contact)
     daq.record(scene.replace(dampers=()), tmp_path / "bare.mcap")
     daq.record(scene, tmp_path / "damped.mcap")
-    parameters = free_parameters(scene)
+    parameters = free_parameters(scene, free)
     deviations = np.where(np.arange(len(parameters)) % 2, 1.15, 1 / 1.15)
     initial_scene = with_values(
         scene,
@@ -36,7 +40,7 @@ def test_finite_duration_contact_is_fitted(contact: str, tmp_path) -> None:
         },
     )
 
-    result = analysis.fit([tmp_path / "bare.mcap", tmp_path / "damped.mcap"], initial_scene)
+    result = analysis.fit([tmp_path / "bare.mcap", tmp_path / "damped.mcap"], initial_scene, free)
 
     assert not result.misfit
     assert any(parameter.key.startswith("dampers[1].contact") for parameter in result.parameters)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,16 @@ from analysis.fitting.sweep_orbits import SweepOrbits
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
 
-def nearest_points(*requested_frequencies):
-    """Return the curves of the demo, and frequency and level of the points nearest to the requested frequencies."""
+@cache
+def curves_of_demo():
     with daq.open(DAMPED) as recording:
         [curves] = measured_curves(recording, "demo")
+    return curves
+
+
+def nearest_points(*requested_frequencies):
+    """Return the curves of the demo, and frequency and level of the points nearest to the requested frequencies."""
+    curves = curves_of_demo()
     assert curves.level is not None
     indices = [int(np.argmin(abs(curves.frequency - frequency))) for frequency in requested_frequencies]
     return curves, curves.frequency[indices], curves.level[indices]

@@ -163,6 +163,7 @@ def test_shared_sensors_cancel_in_changes() -> None:
     assert same_sensors.decibel[2] - same_sensors.decibel[1] < 0.1
 
 
+@pytest.mark.usefixtures("undrawn_figures")
 def test_same_structure_shows_no_change(tmp_path) -> None:
     frequencies = np.unique(np.append(np.linspace(8.0, 60.0, 105), [13.0366, 34.7773, 49.6628]))
     path = synthetic.stepped_sine(tmp_path / "a.mcap", frequencies)

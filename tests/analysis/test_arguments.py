@@ -31,6 +31,7 @@ BRACKET = {
         {"name": "left", "at": "arm"},
         {"name": "right", "at": "body arm"},
     ],
+    "converter": {"rate": "5120 Hz"},
 }
 
 

@@ -170,7 +170,7 @@ def test_covariance_of_padded_segments_equals_scatter(measured_share):
     samples = int(measured_share * size)
     end_phases = np.exp(-2j * np.pi * np.arange(size // 2 + 1) * (1.0 - measured_share))[None]
     means, variances = [], []
-    for _ in range(40):
+    for _ in range(20):
         force = random.standard_normal(samples)
         noisy = force + 0.1 * random.standard_normal(samples)
         spectra = np.fft.rfft(np.pad([force, noisy], ((0, 0), (size - samples, 0))))[:, None]

@@ -132,17 +132,6 @@ class SteadyTone(Tone):
         phase = self.phase
         return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
 
-    def mean_amplitudes(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone for a number of samples, in pieces that limit the memory; return the mean amplitudes."""
-        piece_samples = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate)
-        total: ComplexArray = np.zeros(0, dtype=complex)
-        remaining = samples
-        while remaining:
-            window = piece_samples if remaining >= 2 * piece_samples else remaining
-            weighted = window / samples * (yield from self.observe(window))
-            total, remaining = (total + weighted if total.size else weighted), remaining - window
-        return total
-
     def settle(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float
     ) -> Generator[Array, Array, bool]:
@@ -191,11 +180,20 @@ class SteadyTone(Tone):
 
         `settled` and `fields` are fields of the marker.
         """
-        first = self.station.now
-        amplitudes = yield from self.mean_amplitudes(max(samples, min_samples(self.frequency, self.rate)))
+        first, samples = self.station.now, max(samples, min_samples(self.frequency, self.rate))
+        # The tone is held in pieces, which limits the memory. Their amplitudes matter only if the force is controlled.
+        piece_samples, remaining = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate), samples
+        amplitude: complex = 0.0
+        while remaining:
+            window = piece_samples if remaining >= 2 * piece_samples else remaining
+            remaining -= window
+            if self.control is None:
+                yield self.station.drive(self.hold(window))
+            else:
+                amplitude += window / samples * (yield from self.observe(window))[0]
         force = fields["level"] if self.station.force_is_drive else None
         if self.control is not None:
-            force = float(abs(amplitudes[0]))
+            force = float(abs(amplitude))
         self.station.mark(
             "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **fields
         )

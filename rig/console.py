@@ -15,7 +15,7 @@ from typing import IO, Any, ClassVar
 from rig.escaping import escape_terminal
 from rig.progress import CountProgress, FractionProgress
 
-# Time without output after which a command reports that it is still running.
+# A command reports that it is still running after this time without output.
 MAX_SILENCE_S = 12.0
 # Delays separated by less than this count as one delay.
 _MAX_DELAY_GAP_S = 5.0

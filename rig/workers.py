@@ -35,7 +35,7 @@ Result = TypeVar("Result")
 MAX_RESTARTS = 2
 # Longest wait for the pool's thread to read the exit code of a killed worker.
 _EXIT_CODE_TIMEOUT_S = 1.0
-# Time without a result after which the workers of a cluster are counted.
+# The workers of a cluster are counted after this time without a result.
 _WORKER_CHECK_INTERVAL_S = 5.0
 
 

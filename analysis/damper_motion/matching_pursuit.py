@@ -58,15 +58,15 @@ _MIN_DISTANCE_SAMPLES = 4
 MIN_RESOLVED_SAMPLES = 6
 # Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
-# Residual above which a segment is searched for groups of jumps, in detection limits.
+# A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0
 # Maximum number of windows in such a segment.
 _MAX_WINDOWS = 4
-# Residual sum of squares at which that search ends, relative to that of a jump at the detection limit.
+# That search ends at this residual sum of squares, relative to that of a jump at the detection limit.
 _SUFFICIENT_RATIO = 0.1
-# Residual above which a segment is unresolved, in detection limits ...
+# A segment is unresolved if its residual exceeds this multiple of the detection limit ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
-# ... and relative to its largest jump; both are required.
+# ... and this fraction of its largest jump.
 _UNRESOLVED_JUMP_RATIO = 0.5
 # Additional polynomial orders for the smooth motion.
 _HIGHER_ORDERS = (2, 4, 6)
@@ -78,7 +78,7 @@ NOISE_REDUCTION = 0.7
 _MAX_JOINT_JUMPS = 5
 # Offsets from which the time of a new jump is fitted, samples.
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
-# Distance of two jumps below which one of them may be spurious.
+# If two jumps are closer than this, one of them may be spurious.
 _SPURIOUS_DISTANCE_SAMPLES = 10.0
 # Prior standard deviation of steps of the acceleration, relative to the 90th percentile of the smoothed acceleration.
 _STEP_PRIOR_RATIO = 0.2

@@ -45,7 +45,7 @@ _ROBUST_MODEL_ERROR = 1e-6
 # Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
-# Factor of the clearances at which no damper reaches its ceiling.
+# With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
 # Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5

@@ -35,7 +35,7 @@ _UNKNOWN_STEP = 1e-6
 _PARAMETER_STEP = 1e-6
 # Residual assigned to a point where the model has no periodic solution, in standard deviations.
 _FAILED_RESIDUAL = 30.0
-# Residual above which a point is an outlier, in standard deviations or, if larger, in medians of the residuals.
+# A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
 # Points are neighbors up to this ratio of their frequencies.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15

@@ -25,7 +25,7 @@ from rig.results.uncertainty import Covariance
 _MAX_STEPS = 12
 # Maximum number of halvings of a step that would increase the misfit.
 _MAX_HALVINGS = 6
-# Largest step after which the iteration has converged, in standard deviations of the unknowns.
+# The iteration has converged if its step is at most this, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
 # Maximum number of array elements in memory for a block of lines.
 _MAX_ELEMENTS = 1 << 20

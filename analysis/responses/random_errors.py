@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
-# Frequency range over which the noise level is assumed constant, in widths of a local fit.
+# The noise level is assumed constant over this frequency range, in widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
 # Number of iterations of the weighted fit that separates the noise of the reference from that of the responses.
 _ITERATIONS = 4

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Maximum time for the start of the web server, s.
 _MAX_START_S = 30.0
-# Time within which a browser may reconnect, s.
+# A browser may reconnect within this time, s.
 _RECONNECT_S = 60.0
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0
-# Time for which an overload is indicated, s.
+# An overload is indicated for this time, s.
 OVERLOAD_HOLD_S = 2.0
 # Rate (1/s) and duration (s) of the stored motion of the rig.
 _MOTION_RATE = 400.0

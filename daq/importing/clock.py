@@ -26,7 +26,7 @@ TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 _RATE_ROUNDING = 1e-12
 # Largest deviation of a time from evenly spaced times, samples. Beyond it samples are missing, or there is no clock.
 _MAX_DEVIATION = 0.5
-# Deviation from evenly spaced times, in addition to rounding, above which jitter is reported, samples.
+# Jitter is reported if times deviate from even spacing by more than this and rounding, samples.
 _MAX_UNREPORTED_JITTER = 0.02
 # Longest interval between successive times without missing rows, sample intervals.
 _MAX_REGULAR_INTERVALS = 1.5

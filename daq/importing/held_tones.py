@@ -36,11 +36,11 @@ _MAX_DRIFT = 0.25
 _MIN_HELD_SHARE = 0.3
 # Level below which there is no signal, as a ratio to the median amplitude of the held tones.
 _SILENCE_RATIO = 0.05
-# Distance, in blocks, at which blocks scatter independently, although they share half of their samples.
+# Blocks at this distance scatter independently, although neighboring blocks share half of their samples.
 _INDEPENDENT_BLOCKS = 2
 # Largest deviation of a settled channel from its mean, as a multiple of its scatter.
 _STEADY_SIGMAS = 3.0
-# Deviation from the mean, as a share of the tolerance, within which a block counts as settled.
+# A block is settled if it deviates from the mean by at most this fraction of the tolerance.
 _SETTLED_TOLERANCE_SHARE = 0.1
 # Shares of a segment, at its end, that are tested for steady state; the second only if the first is not steady.
 _FINAL_SHARES = (0.5, 0.25)

@@ -16,7 +16,7 @@ from rig.ending_signals import handle_interrupts
 
 # Time from the signal that requests the end of a script until it is killed.
 GRACE_PERIOD_S = 1.0
-# Time after which a signal to a process group has reached all its processes.
+# A signal to a process group has reached all its processes after this time.
 _DELIVERY_S = 1.0
 
 

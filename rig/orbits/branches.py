@@ -34,7 +34,7 @@ MAX_BRANCHES = 60
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
 # Relative deviation of responses below which an orbit beyond a border is the neighbor of the orbit at the border.
 NEIGHBOR_RESPONSE = 0.05
-# Distance from the end of a branch, relative to the parameter, at which an orbit is compared with this end.
+# An orbit is compared with the end of a branch at this distance from the end, relative to the parameter.
 END_DISTANCE = 1e-3
 
 

@@ -17,7 +17,7 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, ComputedMotion, FirstOrderForm
 
-#: Time for which the guard of a wall is disabled after a damper leaves it, s. Its value is then at rounding level.
+#: Event detection at a wall is suspended for this time after a damper leaves it, s: its guard is at rounding level.
 GUARD_PAUSE_S = 2e-5
 #: Events per period after which a solver is stopped: a damper leaves its wall and lands endlessly (chattering).
 MAX_EVENTS_PER_PERIOD = 400

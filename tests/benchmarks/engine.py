@@ -25,7 +25,7 @@ from rig.work_precision.first_order_form import FirstOrderForm
 
 # Number of periods for all solvers; many, because the first periods have few events.
 PERIODS = 100
-# Time for which the guard of a wall is disabled after a damper leaves the wall.
+# Event detection at a wall is suspended for this time after a damper leaves it.
 GUARD_PAUSE_S = 2e-5
 RATE = 51200.0  # samples per second
 BLOCK_SAMPLES = 5120

@@ -21,7 +21,7 @@ from rig.ending_signals import TERMINATION_SIGNALS
 
 # Longest time without output before a command counts as hanging.
 SILENCE_LIMIT_S = 20.0
-# Time after which a command is killed.
+# A command is killed after this time.
 TIME_LIMIT_S = 60.0
 # Largest resident memory of a command.
 MEMORY_LIMIT_BYTES = 1 << 30

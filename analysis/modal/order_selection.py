@@ -54,13 +54,13 @@ def narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.
 
 
 def select_model(
-    curves: Curves, stable: ComplexArray, candidates: ComplexArray, max_modes: int = MAX_MODES
+    curves: Curves, initial: ComplexArray, candidates: ComplexArray, max_modes: int = MAX_MODES
 ) -> ModalModel:
     """Select the best model with all significant poles [1]_, at most `max_modes` inside the band.
 
-    `stable`, `candidates`: initial poles, and poles that may be added, rad/s.
+    `initial`, `candidates`: initial poles, and poles that may be added, rad/s.
     """
-    model = fit(curves, stable)
+    model = fit(curves, initial)
     # Spurious poles are removed, the least significant first.
     while (spurious := spurious_poles(curves, model)).size:
         least_significant = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]

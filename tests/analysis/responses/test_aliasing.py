@@ -72,7 +72,7 @@ def test_images_of_flat_acceleration_are_bounded():
         assert (bound <= np.maximum(1.25 * expected, MIN_IMAGES * abs(value))).all()
 
 
-def test_limit_of_suppressed_images_is_not_zero():
+def test_bound_of_suppressed_images_is_not_zero():
     # The images of a force still move the body that it drives.
     low_pass = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
@@ -208,7 +208,7 @@ converter: {rate: 1024 Hz, sampling: point}
 """
 
 
-def test_error_by_impacts_between_samples_is_bounded(tmp_path):
+def test_error_due_to_impacts_between_samples_is_bounded(tmp_path):
     scene = rig.loads(IMPACTS, where="a test")
     exact = rig.orbit_response(scene, [14.0, 21.0]).compliance[0]
     for sampling, expected_limit in (("point", 0.09), ("average", 0.002)):

@@ -104,7 +104,7 @@ def test_other_channels_remain_after_overload(tmp_path):
     assert not frf.warnings
 
 
-def test_uncertainty_contains_error_by_settling_bias(tmp_path):
+def test_uncertainty_contains_error_due_to_settling_bias(tmp_path):
     scene = rig.loads(
         HAMMER_TEST.format(cutoff="", converter="{preset: NI 9234, rate: 2560 Hz}")
         .replace("sensitivity: 100 mV/g, low_cutoff: 0.3 Hz", "preset: PCB 352C33")
@@ -121,7 +121,7 @@ def test_uncertainty_contains_error_by_settling_bias(tmp_path):
 
 
 @pytest.mark.parametrize(("interval", "is_reported"), [(6.0, False), (2.0, True)])
-def test_uncertainty_contains_error_by_motion_before_hit(interval, is_reported, tmp_path):
+def test_uncertainty_contains_error_due_to_motion_before_hit(interval, is_reported, tmp_path):
     settings = {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V, remove_delay: true}"}
     scene = rig.loads(HAMMER_TEST.format(**settings).replace("6 s", f"{interval} s"))
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:

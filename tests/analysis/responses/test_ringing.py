@@ -13,7 +13,7 @@ from rig.system.structural_model import receptance
 POLE = -0.9 + 2j * np.pi * 19.0  # 1/s, of a mode at 19 Hz.
 
 
-def test_residual_transients_stay_within_limit() -> None:
+def test_residual_transients_stay_within_bound() -> None:
     frequency = np.linspace(18.55, 19.45, 25)
     omega, wait_s, window_s = 2 * np.pi * frequency, 7.0, 1.1
     steady = 1.0 / (1j * omega - POLE)
@@ -26,7 +26,7 @@ def test_residual_transients_stay_within_limit() -> None:
     assert (bound[1:] <= 1.8 * abs(transient[1:])).all()
 
 
-def test_transients_of_close_resonances_are_limited() -> None:
+def test_transients_of_close_resonances_are_bounded() -> None:
     frequency = np.linspace(36.1, 41.5, 40)
     omega, wait_s, window_s = 2 * np.pi * frequency, 6.0, 0.52
     poles = np.array([[-1.2 + 2j * np.pi * 38.44], [-1.3 + 2j * np.pi * 39.0]])

@@ -109,7 +109,7 @@ def test_harmonics_change_all_parts_of_a_window_equally():
     assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
-def test_limit_of_canceled_jitter_is_not_negative():
+def test_bound_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 

@@ -202,7 +202,7 @@ def test_steeper_neighboring_chord_determines_the_slope():
 
 
 @pytest.mark.parametrize("ppm", [50, 1000])
-def test_clock_limit_contains_shifted_peak(ppm):
+def test_clock_bound_contains_shifted_peak(ppm):
     half_width = 0.005
     frequency = 10.0 + half_width * np.arange(-6.0, 7.0)
 
@@ -225,7 +225,7 @@ def test_clock_error_cancels_between_equal_channels():
     assert only_bound(clock_bound(rec, contributions)).max() < 1e-18
 
 
-def test_bias_by_shared_noise_reaches_its_bound():
+def test_bias_due_to_shared_noise_reaches_its_bound():
     random = np.random.default_rng(4)
     truth = random.standard_normal(30) + 1j * random.standard_normal(30)
     noise = np.abs(random.standard_normal((1, 30)))

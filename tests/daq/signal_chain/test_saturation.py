@@ -193,7 +193,7 @@ def test_zero_shift_is_part_of_the_overload():
     assert 0.01 < (flagged[-1] - flagged[0]) / rate < 0.04
 
 
-def test_saturation_by_damper_impacts_is_flagged():
+def test_saturation_due_to_damper_impacts_is_flagged():
     scene = rig.load("fig8-three-dampers")
     drive = 3.0 * np.sin(2 * np.pi * 34.8 / 5120.0 * np.arange(1500))[None]
     for saturation, is_overloaded in (("5 g", True), ("5000 g", False)):

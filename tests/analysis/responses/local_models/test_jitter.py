@@ -31,7 +31,7 @@ def response_and_error(path, **settings):
 
 
 @pytest.mark.parametrize("repeats", [1, 3])
-def test_jitter_limit_contains_error_by_jitter(repeats, tmp_path):
+def test_jitter_bound_contains_error_due_to_jitter(repeats, tmp_path):
     frf, error = response_and_error(tmp_path / "a.mcap", repeats=repeats, jitter=", jitter: 1 us")
     without_jitter = frf.without(JITTER)
     assert np.mean(error <= without_jitter.bound()) < 0.8
@@ -41,6 +41,6 @@ def test_jitter_limit_contains_error_by_jitter(repeats, tmp_path):
     assert 0.3 < np.sqrt(np.mean((error / frf.limits[JITTER])[exceeding] ** 2)) < 0.9
 
 
-def test_response_without_jitter_has_no_jitter_limit(tmp_path):
+def test_response_without_jitter_has_no_jitter_bound(tmp_path):
     frf, error = response_and_error(tmp_path / "a.mcap", repeats=1, jitter="")
     assert JITTER not in frf.limits and np.mean(error <= frf.bound()) > 0.9

@@ -68,7 +68,7 @@ def test_slow_transient_is_separated_from_response():
 
 
 @pytest.mark.parametrize(("half_width", "noise"), [(6, 0.3), (15, 0.3), (15, 3.0)])
-def test_scatter_by_noise_equals_stated_variance(half_width, noise):
+def test_scatter_due_to_noise_equals_stated_variance(half_width, noise):
     random = np.random.default_rng(9)
     segments, ratios, coherences, all_degrees = 3, [], [], []
     lines = np.arange(30, 370, 2 * half_width + 1)

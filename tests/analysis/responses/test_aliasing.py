@@ -40,7 +40,7 @@ def image_ratio(info, cycles):
     return tone_and_images[1:].sum() / tone_and_images[0]
 
 
-def aliasing_limits(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
+def aliasing_bounds(info, value, motion="acceleration", scene=SCENE, reference_share=0.0):
     """Return the bounds of the error due to images in channel `info`; the other channel is filtered.
 
     `reference_share`: 0 if `info` is the response, 1 if it is the reference.
@@ -67,7 +67,7 @@ def test_images_of_flat_acceleration_are_bounded():
     low_pass = channel(poles=(-2 * np.pi * 100.0,), gain=2 * np.pi * 100.0)
     for info in (channel(), low_pass, channel(average=True)):
         expected = np.array([image_ratio(info, cycles) for cycles in CYCLES]) * abs(value)
-        [bound] = aliasing_limits(info, value).values()
+        [bound] = aliasing_bounds(info, value).values()
         assert (bound >= expected).all()
         assert (bound <= np.maximum(1.25 * expected, MIN_IMAGES * abs(value))).all()
 
@@ -76,13 +76,13 @@ def test_bound_of_suppressed_images_is_not_zero():
     # The images of a force still move the body that it drives.
     low_pass = channel(poles=(-2 * np.pi * 1.0,) * 4, gain=(2 * np.pi * 1.0) ** 4)
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = aliasing_limits(low_pass, value).values()
+    [bound] = aliasing_bounds(low_pass, value).values()
     np.testing.assert_allclose(bound[:2], (MIN_IMAGES * abs(value))[:2], rtol=1e-12)
 
 
 def test_decimation_filter_has_no_images():
     filtered = channel(filter=FILTER)
-    assert aliasing_limits(filtered, np.ones(4, dtype=complex)) == {}
+    assert aliasing_bounds(filtered, np.ones(4, dtype=complex)) == {}
 
 
 def test_images_are_those_of_acceleration_above_band():
@@ -91,14 +91,14 @@ def test_images_are_those_of_acceleration_above_band():
     for motion, order in (("acceleration", 2), ("velocity", 1), ("displacement", 0)):
         value = peak / FREQUENCY ** (2 - order)
         body_limit, drive_limit = (
-            next(iter(aliasing_limits(channel(at), value, motion).values())) for at in ("body 1", "drive")
+            next(iter(aliasing_bounds(channel(at), value, motion).values())) for at in ("body 1", "drive")
         )
         np.testing.assert_allclose(body_limit, drive_limit / peak.real)
 
 
 def test_steadily_falling_acceleration_uses_band_edge():
     falling = np.array([8.0, 4.0, 2.0, 1.0], dtype=complex)
-    body_limit, drive_limit = (next(iter(aliasing_limits(channel(at), falling).values())) for at in ("body 1", "drive"))
+    body_limit, drive_limit = (next(iter(aliasing_bounds(channel(at), falling).values())) for at in ("body 1", "drive"))
     np.testing.assert_allclose(body_limit, drive_limit / falling.real)
 
 
@@ -109,7 +109,7 @@ def test_modes_above_band_increase_driven_acceleration():
     for motion in MOTIONS:
         # The same acceleration, integrated to velocity or displacement.
         conversion = (2.0 * np.pi * FREQUENCY) ** (2 - MOTIONS.index(motion))
-        [bound] = aliasing_limits(channel(), value / conversion, motion).values()
+        [bound] = aliasing_bounds(channel(), value / conversion, motion).values()
         assert (bound * conversion >= expected).all()
         assert (bound * conversion <= 1.25 * expected).all()
 
@@ -118,7 +118,7 @@ def test_modes_above_band_increase_driven_acceleration():
 def test_table_drive_images_are_bounded(reference_share):
     scene = SCENE.replace("kind: force, body: 1", "kind: table, body: 1, spring: 6 kN/m, bandwidth: 700 Hz")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = aliasing_limits(channel("table"), value, scene=scene, reference_share=reference_share).values()
+    [bound] = aliasing_bounds(channel("table"), value, scene=scene, reference_share=reference_share).values()
     for column, (frequency, cycles) in enumerate(zip(FREQUENCY, CYCLES, strict=True)):
         # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
@@ -152,7 +152,7 @@ def test_coil_drive_images_are_bounded(mode, spring):
     settings = f"armature: {{{armature}}}, coil: {{{coil}}}, amplifier: {{mode: {mode}}}"
     scene = SCENE.replace("kind: force", f"kind: electrodynamic, spring: {spring} N/m, {settings}")
     value = np.full(4, 0.5 + 0.2j)
-    [bound] = aliasing_limits(channel("table"), value, scene=scene, reference_share=1.0).values()
+    [bound] = aliasing_bounds(channel("table"), value, scene=scene, reference_share=1.0).values()
 
     def acceleration_per_drive(frequency):
         """Return the acceleration for a drive with the structure fixed; zero for a shaker at rest."""

@@ -101,13 +101,13 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     page, device, process = bench
     browser.get(page)
     wait_for(browser, lambda: element(browser, "state").text == "ready")
-    for name, value in {"level": 5, "low": 54, "high": 70, "duration": 13}.items():
+    for name, value in {"level": 5, "low": 57, "high": 67, "duration": 8}.items():
         set_number(browser, name, value)
     element(browser, "record").click()
     element(browser, "start").click()
-    wait_for(browser, lambda: element(browser, "state").text not in ("", "ready"))
-    wait_for(browser, lambda: "recording to" in element(browser, "file").text)
-    # Another program reads a channel meanwhile, and the page shows its task.
+    # The file is named from the start of the sweep on, which may have ended before a busy machine looks again.
+    wait_for(browser, lambda: "test.mcap" in element(browser, "file").text)
+    # Another program reads a channel, and the page shows its task.
     with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
         task.timing.cfg_samp_clk_timing(1024.0, samps_per_chan=1024)

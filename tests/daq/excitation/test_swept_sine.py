@@ -17,7 +17,7 @@ from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 ONE_BODY = """
 structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 0.5 %}}
 shaker: {kind: electrodynamic, body: 1, spring: 6 kN/m}
-test: {kind: swept_sine, from: 26 Hz, to: 18 Hz, duration: 20 s, force: 2 N}
+test: {kind: swept_sine, from: 26 Hz, to: 22 Hz, duration: 10 s, force: 2 N}
 channels: [{name: body1, at: body 1}, {name: table, at: table}]
 """
 # The readings of both sensors are about one count of a converter with a range of 10 V.

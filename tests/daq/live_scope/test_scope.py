@@ -59,7 +59,7 @@ def run_scope(scene, folder, line_at_time, **options):
 def scope_run(tmp_path_factory):
     """Return folder, recording and reported lines of a run with three settings."""
     folder = tmp_path_factory.mktemp("scope")
-    line_at_time = {0.3: "f 12", 0.5: "F 1.5", 10.6: "F 3", 13.6: "f 20.5", 18.0: "q"}
+    line_at_time = {0.3: "f 20.5", 0.5: "F 1.5", 6.2: "F 3", 8.7: "f 25", 13.2: "q"}
     path, lines = run_scope(SCENE, folder, line_at_time)
     return folder, path, lines
 
@@ -69,7 +69,7 @@ def test_entered_settings_are_reached_and_marked(scope_run):
     with daq.open(path) as recording:
         steady_marks = [mark for mark in recording.markers if mark.kind == "measure" and mark.fields["settled"]]
         settings = [(mark.fields["frequency"], mark.fields["level"]) for mark in steady_marks]
-        assert settings == [(12.0, 1.5), (12.0, 3.0), (20.5, 3.0)]
+        assert settings == [(20.5, 1.5), (20.5, 3.0), (25.0, 3.0)]
         for mark, (frequency, level) in zip(steady_marks, settings, strict=True):
             n_periods = int((mark.last_sample + 1 - mark.first_sample) * frequency / recording.rate)
             stop = mark.first_sample + round(n_periods * recording.rate / frequency)
@@ -79,7 +79,7 @@ def test_entered_settings_are_reached_and_marked(scope_run):
             )
             force = SCENE.shaker.spring * (table - body) / (2j * np.pi * frequency) ** 2
             assert abs(force) == pytest.approx(level, rel=0.03)
-    assert [line.split(" held")[0].split(" Hz")[0] for line in lines] == ["12", "12", "20.5"]
+    assert [line.split(" held")[0].split(" Hz")[0] for line in lines] == ["20.5", "20.5", "25"]
 
 
 def test_displayed_curves_and_rig_match_recording(scope_run):
@@ -100,7 +100,7 @@ def test_displayed_curves_and_rig_match_recording(scope_run):
         np.testing.assert_allclose(np.sort(displayed), np.sort(recorded), rtol=0, atol=1e-12)
         # The rig is drawn 200 times per second.
         assert n_frames == pytest.approx(recording.samples / recording.rate * 200, rel=0.05)
-    assert any("20.50 Hz, 3 N: held" in page for page in pages)
+    assert any("25.00 Hz, 3 N: held" in page for page in pages)
     assert any("silent" in page for page in pages)
 
 
@@ -111,7 +111,7 @@ def interrupt(*ignored):
 def test_interrupted_tone_is_marked_up_to_the_ramp(tmp_path, monkeypatch):
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
-    scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5})
+    scene = SCENE.replace(test={"kind": "sine", "frequency": 12.0, "force": 1.5}, dampers=[])
     controls = initial_controls(scene, None, 1.5)
     with recording_stream() as stream, pytest.raises(KeyboardInterrupt, match="contains the"):
         stream.save(tmp_path / "scope.rrd")

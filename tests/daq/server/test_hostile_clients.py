@@ -243,7 +243,7 @@ def test_unresponsive_client_does_not_stop_clock():
         ):
             unresponsive.register_every_n_samples_acquired_into_buffer_event(1, lambda *_: 0)
             unresponsive.start()
-            assert np.shape(other.read(500)) == (3, 500)
+            assert np.shape(other.read(250)) == (3, 250)
 
 
 @pytest.mark.parametrize("seconds", [b"", b"soon", b"\xff"])

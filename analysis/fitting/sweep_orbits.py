@@ -19,7 +19,7 @@ from analysis.fitting.predicted import linear_response
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError, UncoveredMotionError
 from rig.orbits.event_sequence import Plan
-from rig.orbits.newton import newton_solve
+from rig.orbits.newton import IterationLimits, newton_solve
 from rig.orbits.orbit import Orbit, OrbitFamily
 from rig.orbits.periodic_orbit import search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import OperatingPoint, OrbitProblem
@@ -347,8 +347,9 @@ class _OrbitSolver:
         scale, residual_scale = family.scale[:-1], family.residual_scale
         try:
             x, _, shooting, _, count = newton_solve(
-                equations, derivatives, plan.sequence, start.unknowns, scale, residual_scale, max_corrections
-            )
+                equations, derivatives, plan.sequence, start.unknowns, scale, residual_scale,
+                IterationLimits(max_corrections),
+            )  # fmt: skip
         except np.linalg.LinAlgError:
             return None
         return None if count < 0 and max_corrections > 1 else (family, x, equations, shooting)

@@ -263,9 +263,20 @@ class Propagator:
         amplitudes.
         """
         # At the start of a period the drive states are (level, 0), as for a constant sampled drive.
-        drive = np.full((1, len(steps) + 1), level)
+        drive = np.full((1, sample_row.size + 1), level)
         states = self.state_samples(int(sample_row.max(initial=-1)) + 1)
         return self._run(Segments(steps, new_period, drive, sample_row), states, self._no_motion)
+
+    def propagate_periods(self, steps: float, periods: int, stored: int = 0, level: float = 1.0) -> StateSamples:
+        """Propagate through periods under a tone; return the states at the ends of the last `stored` periods.
+
+        `steps`: period in step lengths; `level`: factor on the tone's amplitudes. The events are not returned.
+        """
+        states, row = self.state_samples(stored), np.maximum(np.arange(stored - periods, stored), -1)
+        drive = np.full((1, periods + 1), level)
+        self._propagate_segments(Segments(np.array([steps]), _EVERY_SEGMENT, drive, row), states, self._no_motion)
+        self.log.counts[:2] = 0
+        return states
 
     def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
         """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s^2, (coordinates, samples)."""
@@ -287,12 +298,16 @@ class Propagator:
 
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
         """Propagate through segments, fill `states` and `motion`, and return the trajectory."""
+        self._propagate_segments(segments, states, motion)
+        return Trajectory(*states, *self._take_log())
+
+    def _propagate_segments(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> None:
+        """Propagate through segments, and fill `states` and `motion`."""
         self._advance(segments, states, motion)
         self._check_divergence(segments, states, motion)
         # `steps` has one entry for all segments, or one for each.
         segments_per_entry = segments.row.size // segments.steps.size
         self._elapsed_s += float(segments.steps.sum()) * segments_per_entry * self.tables.step
-        return Trajectory(*states, *self._take_log())
 
     def _advance(
         self, segments: Segments, states: StateSamples, motion: MotionSamples, status: int = STATE_ONLY

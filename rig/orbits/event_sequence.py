@@ -123,26 +123,27 @@ def derive_plan(
     dampers: list[int] = []
     order: list[int] = []  # index of each event of the plan in the trajectory
     instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
+    finite_contact, restitution = system.finite_contact.tolist(), system.restitution.tolist()
     for k, (damper, kind) in enumerate(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
         simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
         impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
-        if system.coupled and any(dampers[i] != damper for i in simultaneous):
+        if any(dampers[i] != damper for i in simultaneous) and system.coupled:
             raise UncoveredMotionError(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
                 "instant, through a common body or the mass matrix"
             )
-        if system.finite_contact[damper]:
+        if finite_contact[damper]:
             events.append(_finite_contact_kind(trajectory, k, system))
         elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
             impact = kinds.FLOOR if kind == FLOOR_IMPACT else kinds.CEILING
-            events.append(impact if system.restitution[damper] == 0 else BOUNCE[impact])
+            events.append(impact if restitution[damper] == 0 else BOUNCE[impact])
         elif impacts:
             # Impact and separation at the same instant are one event, a bounce, without contact in between.
             events[impacts[-1]] = BOUNCE[events[impacts[-1]]]
             continue
-        elif system.restitution[damper] > 0:
+        elif restitution[damper] > 0:
             raise UncoveredMotionError(
                 f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
             )
@@ -179,16 +180,15 @@ def contacts_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.where(walls >= kinds.FORCELESS, walls - kinds.FORCELESS, walls)
 
 
-def configuration_of(walls: NDArray[np.int64]) -> int:
+def configuration_of(walls: list[int]) -> int:
     """Return the contact configuration for wall states of a sequence, with bits as in `HybridSystem.toggles`."""
-    in_contact = np.flatnonzero((walls != kinds.FLYING) & (walls != kinds.FORCELESS)).tolist()
-    ceilings = np.flatnonzero(walls == kinds.ON_CEILING).tolist()
-    return sum(1 << j for j in in_contact) + sum(1 << len(walls) + j for j in ceilings)
+    in_contact = sum(1 << j for j, wall in enumerate(walls) if wall not in (kinds.FLYING, kinds.FORCELESS))
+    return in_contact + sum(1 << len(walls) + j for j, wall in enumerate(walls) if wall == kinds.ON_CEILING)
 
 
 def make_plan(events: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
     """Build a plan from the kinds of its events, their dampers, and the wall states at the start."""
-    walls = [np.asarray(start, dtype=np.int64)]
+    walls: list[list[int]] = [start.tolist()]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = WALL_AFTER_EVENT[kind]

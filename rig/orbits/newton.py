@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from rig.arrays import Array
@@ -13,6 +15,17 @@ from rig.orbits.shooting import ShootingResult, shoot
 CONVERGENCE_TOLERANCE = 3e-13
 
 
+class IterationLimits(NamedTuple):
+    """Limits beyond which `newton_solve` ends without a solution; the size of a correction is its largest element.
+
+    The default sizes only prevent instants of events from becoming arbitrarily large.
+    """
+
+    corrections: int  # largest number of corrections
+    first_size: float = 1e3  # largest size of the first correction
+    growth: float = 1e3  # largest ratio of the sizes of successive corrections
+
+
 @cached_njit
 def newton_solve(
     equations: Equations,
@@ -21,7 +34,7 @@ def newton_solve(
     unknowns: Array,
     scale: Array,
     residual_scale: Array,
-    max_corrections: int,
+    limits: IterationLimits,
 ) -> tuple[Array, Array, ShootingResult, float, int]:
     """Solve the equations of an orbit by Newton's iteration, the parameter fixed.
 
@@ -31,8 +44,9 @@ def newton_solve(
     largest scaled element of the last correction, and the number of corrections, which is -1 without convergence.
     """
     x, slope, last_correction = unknowns.copy(), np.zeros(unknowns.size), np.inf
+    max_correction = limits.first_size
     shooting = shoot(equations, derivatives, sequence, x)
-    for corrections in range(max_corrections):
+    for corrections in range(limits.corrections):
         system = shooting.jacobian[:, : x.size].copy()
         rhs = np.empty((x.size, 2))
         for i in range(x.size):
@@ -50,11 +64,10 @@ def newton_solve(
         is_converged = largest_correction < CONVERGENCE_TOLERANCE and residual < CONVERGENCE_TOLERANCE
         if is_converged or (largest_correction < 1e-9 and largest_correction > 0.3 * last_correction):
             return x, slope, shooting, largest_correction, corrections
-        # A divergent iteration stops before its instants become arbitrarily large.
-        if not largest_correction < 1e3 * min(1.0, max(last_correction, 1e-3)):
+        if not largest_correction < max_correction:
             return x, slope, shooting, largest_correction, -1
         x += correction * scale
-        last_correction = largest_correction
+        last_correction, max_correction = largest_correction, limits.growth * min(1.0, max(largest_correction, 1e-3))
         shooting = shoot(equations, derivatives, sequence, x)
     return x, slope, shooting, last_correction, -1
 

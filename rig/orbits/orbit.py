@@ -21,15 +21,13 @@ from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
 from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan
-from rig.orbits.newton import monodromy, newton_solve
+from rig.orbits.newton import IterationLimits, monodromy, newton_solve
 from rig.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
 from rig.orbits.shooting import ShootingResult, shoot
 from rig.orbits.track import track_orbit
 from rig.results import Result, complete_style
-from rig.scene.shaker import ForceShaker
 from rig.steady_response.motion_type import combined_type, type_of
-from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,10 +35,10 @@ if TYPE_CHECKING:
 
 # Margins down to minus this value may be rounding errors of zero; below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9
-# Maximum number of Newton corrections from an initial guess.
-MAX_CORRECTIONS = 25
-# Engine events of contact between a damper and a wall.
-_CONTACT_EVENTS = {
+# Limits of Newton's iteration from an initial guess.
+LIMITS = IterationLimits(corrections=25)
+#: Events of contact between a damper and a wall, and their kinds in the engine.
+CONTACT_KINDS = {
     kinds.FLOOR: FLOOR_IMPACT,
     kinds.FLOOR_BOUNCE: FLOOR_IMPACT,
     kinds.CEILING: CEILING_IMPACT,
@@ -194,7 +192,7 @@ class Orbit(Result):
 
 
 def solve(
-    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, max_corrections: int = MAX_CORRECTIONS
+    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, limits: IterationLimits = LIMITS
 ) -> Orbit:
     """Solve the equations of an orbit at one operating point by Newton's iteration, starting from `unknowns`.
 
@@ -202,8 +200,11 @@ def solve(
     """
     family = OrbitFamily(problem, plan, setting, "frequency", unknowns)
     location = f"no orbit with events [{plan.label}] near {setting.frequency:.6g} Hz"
+    equations, derivatives = problem.equations(setting, plan, parameter=None)
     try:
-        equations, x, _, shooting, size, corrections = family.correct(setting.frequency, unknowns, max_corrections)
+        x, _, shooting, size, corrections = newton_solve(
+            equations, derivatives, plan.sequence, unknowns, family.scale[:-1], family.residual_scale, limits
+        )
     except np.linalg.LinAlgError:
         raise RunError(f"{location}: the equations are singular. Start from another orbit.") from None
     if corrections < 0:
@@ -232,15 +233,16 @@ class OrbitFamily:
         length += system.gravity / omega**2
         # Other states, such as a coil current, may be zero.
         other_scales = np.abs(state[2 * nq :]) + 1e-3
-        flight_scales = np.tile([length, omega * length], len(plan.flying))
-        instant_scales = np.full(len(plan.sequence.kind), 1 / omega)
-        start_scales = np.concatenate([np.full(nq, length), np.full(nq, omega * length), other_scales, flight_scales])
+        first_instant = unknowns.size - len(plan.sequence.kind)
+        self.scale = scale = np.full(unknowns.size + 1, 1 / omega)  # of the instants
+        scale[:nq], scale[nq : 2 * nq], scale[2 * nq : system.states] = length, omega * length, other_scales
+        scale[system.states : first_instant : 2] = length  # heights and velocities of dampers in flight
+        scale[system.states + 1 : first_instant : 2] = omega * length
         # The motion is more sensitive to frequency than to the other parameters.
-        parameter_scale = abs(getattr(setting, parameter)) * (0.02 if parameter == "frequency" else 0.2)
-        self.scale = np.concatenate([start_scales, instant_scales, [parameter_scale]])
+        scale[-1] = abs(getattr(setting, parameter)) * (0.02 if parameter == "frequency" else 0.2)
         guard_scales = {kinds.INDUCED_SEPARATION: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
-        event_scales = [guard_scales.get(int(kind), length) for kind in plan.sequence.kind]
-        self.residual_scale = np.concatenate([start_scales, event_scales])
+        self.residual_scale = scale[:-1].copy()
+        self.residual_scale[first_instant:] = [guard_scales.get(kind, length) for kind in plan.sequence.kind.tolist()]
         self.bodies = problem.scene.structure.bodies
 
     def equations(self, value: float) -> tuple[Equations, EquationDerivatives]:
@@ -248,14 +250,12 @@ class OrbitFamily:
         return self.problem.equations(self.setting_at(value), self.plan, self.parameter)
 
     def correct(
-        self, value: float, guess: Array, max_corrections: int
+        self, value: float, guess: Array, limits: IterationLimits
     ) -> tuple[Equations, Array, Array, ShootingResult, float, int]:
         """Solve the equations at a value of the parameter; return them, and the results of `newton_solve`."""
         equations, derivatives = self.equations(value)
         scale, sequence = self.scale[:-1], self.plan.sequence
-        return equations, *newton_solve(
-            equations, derivatives, sequence, guess, scale, self.residual_scale, max_corrections
-        )
+        return equations, *newton_solve(equations, derivatives, sequence, guess, scale, self.residual_scale, limits)
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """Return the scaled residual (unknowns,) and Jacobian (unknowns, unknowns + 1); `x`: unknowns and parameter."""
@@ -292,14 +292,10 @@ class OrbitFamily:
         nearest_border = int(distances.argmin())
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
-        if isinstance(problem.scene.driven_shaker, ForceShaker):
-            force = -1j * setting.force  # complex amplitude of a sine
-        else:
-            force = complex(spring_force_row(problem.scene, problem.system) @ harmonic)
         return Orbit(
             setting=setting,
             repetition=plan.repetition,
-            compliance=harmonic[:bodies] / force,
+            compliance=harmonic[:bodies] / problem.force_amplitude(setting, harmonic),
             peak=0.5 * (extremes[:bodies, 1] - extremes[:bodies, 0]),
             margin=float(distances[nearest_border]),
             border_index=nearest_border,
@@ -327,8 +323,8 @@ def _events(
     """
     events = []
     for time, damper, kind, speed in zip(instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True):
-        if int(kind) in _CONTACT_EVENTS:
-            events.append((damper, _CONTACT_EVENTS[int(kind)], time, speed))
+        if int(kind) in CONTACT_KINDS:
+            events.append((damper, CONTACT_KINDS[int(kind)], time, speed))
         if kind == kinds.RELEASE:
             events.append((damper, RELEASE, time, 0.0))
         elif kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION) or (

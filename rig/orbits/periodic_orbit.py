@@ -24,7 +24,8 @@ from rig.orbits.event_sequence import (
     make_plan,
     walls_from_contacts,
 )
-from rig.orbits.orbit import MAX_CORRECTIONS, Orbit, solve
+from rig.orbits.newton import IterationLimits
+from rig.orbits.orbit import CONTACT_KINDS, LIMITS, Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, positive_value
@@ -34,9 +35,13 @@ from rig.steady_response.steady_state import MAX_REPETITION, settle
 MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
-# Maximum number of Newton corrections of an early attempt. From a motion that settles to an orbit, at most 5 were
-# needed in designs of dampers for the bundled scenes; an iteration that does not converge is expensive.
-MAX_EARLY_CORRECTIONS = 8
+# Limits of Newton's iteration in an early attempt. From a motion that settles to an orbit, at most 5 corrections were
+# needed in designs of dampers for the bundled scenes, the first was at most 0.5 scales of the unknowns, and each of the
+# others was less than half the previous one; an iteration that does not converge is expensive.
+EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
+# Largest change over a cycle, relative to the motion, before an early attempt. A motion that settles to an orbit within
+# `MAX_ORBIT_DISTANCE` changes less; in designs of dampers for the bundled scenes it was at most 0.15.
+MAX_EARLY_CHANGE = 0.2
 # Largest relative change from period to period of a steady motion.
 MAX_STEADY_CHANGE = 1e-7
 # Largest relative change from period to period of an almost periodic motion.
@@ -92,7 +97,7 @@ def search_orbit(
     propagator, steps = start_propagator(problem, setting) if start is None else (start, period_steps(start, setting))
     propagator.start_period(1.0)
     for periods in EARLY_PERIODS:
-        _simulate(propagator, steps, periods)
+        propagator.propagate_periods(steps, periods)
         orbit = _nearby_orbit(problem, setting, propagator, steps, 1)
         if orbit is not None:
             return orbit
@@ -122,34 +127,46 @@ def _nearby_orbit(
 ) -> Orbit | None:
     """Return the stable orbit to which a motion settles, if Newton's iteration converges to a nearby orbit."""
     try:
-        orbit = refine_orbit(problem, setting, propagator, steps, repetition, MAX_EARLY_CORRECTIONS)
+        plan, unknowns = simulate_cycle(propagator, steps, repetition)
+        if not _almost_repeats(propagator, plan, unknowns, setting.frequency):
+            return None
+        orbit = _refine_cycle(problem, plan, setting, unknowns, EARLY_LIMITS)
     except RunError:
         return None
-    if orbit.flaw or not orbit.stable:
-        return None
     distance = _distance(propagator, orbit)
-    if distance > MAX_ORBIT_DISTANCE:
+    if orbit.flaw or distance > MAX_ORBIT_DISTANCE or not orbit.stable:
         return None
     # An irregular motion may pass close to an orbit without settling to it, so check that the distance decreases.
     trajectory = _simulate(propagator, steps, CONFIRMATION_PERIODS * repetition)
-    n_impacts = np.count_nonzero(np.isin(trajectory.event_kind, CONTACT_EVENTS)) // repetition
-    n_orbit_impacts = np.count_nonzero(~np.isin(orbit.events["kind"], ("separation", "release")))
+    n_impacts = sum(map(trajectory.event_kind.tolist().count, CONTACT_EVENTS)) // repetition
+    n_orbit_impacts = sum(kind in CONTACT_KINDS for kind in orbit.plan.sequence.kind.tolist())
     same_impacts = n_impacts == CONFIRMATION_PERIODS * n_orbit_impacts // orbit.repetition
     return orbit if same_impacts and _distance(propagator, orbit) < max(distance, CLOSE_DISTANCE) else None
 
 
+def _almost_repeats(propagator: Propagator, plan: Plan, unknowns: Array, frequency: float) -> bool:
+    """Return whether a propagator's state is similar to that at the start of the last cycle (`simulate_cycle`)."""
+    walls, change = plan.sequence.wall, _largest_difference(propagator, unknowns, frequency)
+    largest = _largest_difference(propagator, np.zeros_like(unknowns), frequency)
+    return np.array_equal(walls[0], walls[-1]) and change <= MAX_EARLY_CHANGE * largest
+
+
 def _distance(propagator: Propagator, orbit: Orbit) -> float:
     """Return the relative distance of a propagator's state from an orbit at the start of a period."""
+    return _largest_difference(propagator, orbit.unknowns, orbit.frequency) / float(orbit.peak.max())
+
+
+def _largest_difference(propagator: Propagator, unknowns: Array, frequency: float) -> float:
+    """Return the largest difference of displacement, or velocity over angular frequency, from an orbit's start, m."""
     nq = propagator.system.coordinates
-    difference = propagator.state.z[: 2 * nq] - orbit.unknowns[: 2 * nq]
-    difference[nq:] /= 2 * np.pi * orbit.frequency
-    return float(np.abs(difference).max() / orbit.peak.max())
+    difference = propagator.state.z[: 2 * nq] - unknowns[: 2 * nq]
+    difference[nq:] /= 2 * np.pi * frequency
+    return float(np.abs(difference).max())
 
 
 def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
     """Simulate a number of periods of the drive; `steps`: propagator steps in a period."""
-    rows, starts_period = np.full(periods, -1), np.ones(periods, dtype=bool)
-    return propagator.propagate_tone(np.full(periods, steps), rows, starts_period)
+    return propagator.propagate_tone(np.array([steps]), np.full(periods, -1), np.ones(1, dtype=bool))
 
 
 def start_propagator(
@@ -180,19 +197,21 @@ def period_steps(propagator: Propagator, setting: OperatingPoint) -> float:
 
 
 def refine_orbit(
-    problem: OrbitProblem,
-    setting: OperatingPoint,
-    propagator: Propagator,
-    steps: float,
-    repetition: int,
-    max_corrections: int = MAX_CORRECTIONS,
+    problem: OrbitProblem, setting: OperatingPoint, propagator: Propagator, steps: float, repetition: int
 ) -> Orbit:
     """Refine the motion of a propagator at the start of a period to an exact orbit.
 
     `steps`: propagator steps in a period of the drive; `repetition`: periods in a cycle.
     """
     plan, unknowns = simulate_cycle(propagator, steps, repetition)
-    orbit = solve(problem, plan, setting, unknowns, max_corrections)
+    return _refine_cycle(problem, plan, setting, unknowns, LIMITS)
+
+
+def _refine_cycle(
+    problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, limits: IterationLimits
+) -> Orbit:
+    """Refine a simulated cycle to an exact orbit, of the shortest cycle."""
+    orbit = solve(problem, plan, setting, unknowns, limits)
     cycle = shortest_cycle(orbit)
     return orbit if cycle is None else solve(problem, *cycle)
 
@@ -248,5 +267,5 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
         gap = state.z[system.gap_coordinate[j]]
         if not 0.0 <= gap <= system.clearance[j]:
             state.recovering[j] = FLOOR if gap < 0.0 else CEILING
-    state.counters[CONFIGURATION] = configuration_of(walls)
+    state.counters[CONFIGURATION] = configuration_of(walls.tolist())
     propagator.resume(propagator.snapshot())  # looks up the tables of the configuration

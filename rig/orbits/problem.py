@@ -23,7 +23,7 @@ from rig.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
-from rig.system.assembly import assemble
+from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 
@@ -81,15 +81,16 @@ def base_frequency(parameter: Parameter, frequency: float | str | None, first: f
 
 
 class _ConfigurationMatrices(NamedTuple):
-    """State and input matrices of configurations; the last column of an input matrix is for the constant forces.
+    """Matrices of configurations; the first index of each array is the configuration.
 
-    `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
-    is pressed on its ceiling. `norm_bound`: upper bound of the norm of the state matrix, 1/s. The first index of each
-    array is the configuration.
+    `generator`: as in `Equations`, without drive, ceilings of finite-duration contacts and angular frequency.
+    `drive_input`: derivative of the rates of the states with respect to each input. `clearance_input`: derivative of
+    the accelerations with respect to each damper's clearance, nonzero while the damper is pressed on its ceiling.
+    `norm_bound`: upper bound of the norm of the state matrix, 1/s.
     """
 
-    state_matrix: Array
-    input_matrix: Array
+    generator: Array
+    drive_input: Array
     inverse_mass: Array
     clearance_input: Array
     norm_bound: Array
@@ -98,8 +99,8 @@ class _ConfigurationMatrices(NamedTuple):
 class _MatrixDerivatives(NamedTuple):
     """Derivatives of fields of `_ConfigurationMatrices` with respect to the mass factor."""
 
-    state_matrix: Array
-    input_matrix: Array
+    generator: Array
+    drive_input: Array
     inverse_mass: Array
     clearance_input: Array
 
@@ -117,6 +118,10 @@ class OrbitProblem:
         self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
+        self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
+        self._force_row = spring_force_row(self.scene, self.system)
+        self._is_driven_by_force = isinstance(self.scene.driven_shaker, ForceShaker)
+        self._damper_zeros, self._wall_zeros = np.zeros(self.system.dampers), np.zeros((self.system.dampers, 2))
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
         self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}
         self._systems: dict[float, HybridSystem] = {}
@@ -156,8 +161,14 @@ class OrbitProblem:
         """Return the complex amplitude of each input for a level that is a sine with zero phase at t = 0."""
         amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
-        amplitudes[self.system.inputs.index(self.scene.at_driven("shaker"))] = -1j * setting.force * gain
+        amplitudes[self._driven_input] = -1j * setting.force * gain
         return amplitudes
+
+    def force_amplitude(self, setting: OperatingPoint, harmonic: NDArray[np.complex128]) -> complex:
+        """Return the complex amplitude of the force, N; `harmonic`: first harmonic of the states."""
+        if self._is_driven_by_force:
+            return -1j * setting.force  # of a sine
+        return complex(self._force_row @ harmonic)
 
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"
@@ -170,13 +181,11 @@ class OrbitProblem:
         # nq coordinates and n states. The augmented state z = (state, cos wt, sin wt, 1) obeys z' = generator z.
         nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
         amplitudes = self.amplitudes(setting)
-        drive = np.column_stack([amplitudes.real, -amplitudes.imag])
+        drive = np.array([amplitudes.real, -amplitudes.imag]).T
         drive_derivative = self._drive_derivative(setting, parameter, drive)
         matrices = self._configurations(plan.configurations, mass_factor)
-        generator, generator_derivative = np.zeros((2, len(plan.configurations), n + 3, n + 3))
-        generator[:, :n, :n] = matrices.state_matrix
-        generator[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive
-        generator[:, :n, n + 2] = matrices.input_matrix[:, :, -1]
+        generator, generator_derivative = matrices.generator.copy(), np.zeros_like(matrices.generator)
+        generator[:, :n, n : n + 2] = matrices.drive_input @ drive
         # Dampers with finite-duration contact that have a ceiling.
         has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
         if has_contact_ceiling.any():
@@ -188,21 +197,19 @@ class OrbitProblem:
         if parameter == "frequency":
             generator_derivative[:, n, n + 1], generator_derivative[:, n + 1, n] = -2 * np.pi, 2 * np.pi
         if drive_derivative is not None:
-            generator_derivative[:, :n, n : n + 2] = matrices.input_matrix[:, :, :-1] @ drive_derivative
+            generator_derivative[:, :n, n : n + 2] = matrices.drive_input @ drive_derivative
         if parameter == "mass_ratio":
             by_factor = self._matrix_derivatives(plan.configurations, mass_factor)
-            generator_derivative[:, :n, :n] = by_factor.state_matrix
-            generator_derivative[:, :n, n : n + 2] = by_factor.input_matrix[:, :, :-1] @ drive
-            generator_derivative[:, :n, n + 2] = by_factor.input_matrix[:, :, -1]
+            generator_derivative[:] = by_factor.generator
+            generator_derivative[:, :n, n : n + 2] = by_factor.drive_input @ drive
             generator_derivative[:, nq : 2 * nq, n + 2] += (
                 by_factor.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
             )
             inverse_mass_derivative = by_factor.inverse_mass
         if parameter == "clearance":
             generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
-        damper_zeros, wall_zeros = np.zeros(system.dampers), np.zeros((system.dampers, 2))
         stiffness_derivative, damping_derivative = (
-            self._wall_derivatives(mass_factor) if parameter == "mass_ratio" else (wall_zeros, wall_zeros)
+            self._wall_derivatives(mass_factor) if parameter == "mass_ratio" else (self._wall_zeros, self._wall_zeros)
         )
         period = plan.repetition / setting.frequency
         return Equations(
@@ -222,8 +229,8 @@ class OrbitProblem:
         ), EquationDerivatives(
             generator=generator_derivative,
             inverse_mass=inverse_mass_derivative,
-            mass=self.system.damper_mass if parameter == "mass_ratio" else damper_zeros,
-            clearance=np.ones(system.dampers) if parameter == "clearance" else damper_zeros,
+            mass=self.system.damper_mass if parameter == "mass_ratio" else self._damper_zeros,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else self._damper_zeros,
             stiffness=stiffness_derivative,
             damping=damping_derivative,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
@@ -234,7 +241,7 @@ class OrbitProblem:
         """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
         if parameter == "force":
             return np.asarray(drive / setting.force)
-        if parameter != "frequency" or isinstance(self.scene.driven_shaker, ForceShaker):
+        if parameter != "frequency" or self._is_driven_by_force:
             return None
         # The servo input is a smooth function of frequency: finite differences are accurate to about 1e-10.
         step = RELATIVE_STEP * setting.frequency
@@ -265,15 +272,16 @@ class OrbitProblem:
         mass, constant = _riding_mass_and_forces(system, configuration)
         inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
-        state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
+        generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
+        state_matrix = generator[:n, :n]
         state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
         state_matrix[nq : 2 * nq] = inverse_mass @ (system.force_state + wall_force)
         state_matrix[2 * nq :] = system.rate_state
-        input_matrix[nq : 2 * nq, :-1] = inverse_mass @ system.force_drive
-        input_matrix[2 * nq :, :-1] = system.rate_drive
-        input_matrix[nq : 2 * nq, -1] = inverse_mass @ constant
+        generator[nq : 2 * nq, n + 2] = inverse_mass @ constant
+        drive_input[nq : 2 * nq] = inverse_mass @ system.force_drive
+        drive_input[2 * nq :] = system.rate_drive
         norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
-        arrays = state_matrix, input_matrix, inverse_mass, inverse_mass @ clearance_force, norm_bound
+        arrays = generator, drive_input, inverse_mass, inverse_mass @ clearance_force, norm_bound
         return _ConfigurationMatrices(*(array[None] for array in arrays))
 
     def _matrix_derivatives(self, configurations: tuple[int, ...], mass_factor: float) -> _MatrixDerivatives:
@@ -308,12 +316,12 @@ class OrbitProblem:
         derivative_system = replace(system, wall_stiffness=stiffness_derivative, wall_damping=damping_derivative)
         wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
         force = system.force_state + wall_force
-        state_matrix, input_matrix = np.zeros((n, n)), np.zeros((n, len(system.inputs) + 1))
-        state_matrix[nq : 2 * nq] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
-        input_matrix[nq : 2 * nq, :-1] = inverse_mass_derivative @ system.force_drive
-        input_matrix[nq : 2 * nq, -1] = inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
+        generator[nq : 2 * nq, :n] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
+        generator[nq : 2 * nq, n + 2] = inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        drive_input[nq : 2 * nq] = inverse_mass_derivative @ system.force_drive
         clearance_input = inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative
-        return _MatrixDerivatives(state_matrix, input_matrix, inverse_mass_derivative, clearance_input)
+        return _MatrixDerivatives(generator, drive_input, inverse_mass_derivative, clearance_input)
 
     def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array]:
         """Return the derivatives of wall stiffness and damping with respect to the mass factor, shape (dampers, 2).

@@ -20,7 +20,7 @@ from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.errors import RunError, SceneError
 from rig.numerics.jit import cached_njit
-from rig.orbits.newton import distance
+from rig.orbits.newton import IterationLimits, distance
 from rig.orbits.orbit import Orbit, OrbitFamily
 from rig.orbits.periodic_orbit import period_steps, search_orbit, set_to_orbit, start_propagator
 from rig.orbits.problem import (
@@ -37,11 +37,9 @@ from rig.orbits.problem import (
 from rig.progress import CountProgress
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import compliance_response, draw_compliance
 from rig.steady_response.motion_type import combined_type
 from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, sample_periods
-from rig.system.assembly import spring_force_row
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,6 +51,10 @@ if TYPE_CHECKING:
 MAX_STEPS = 6
 # Maximum number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
+# Largest first correction after a prediction, relative to the predicted change from the previous point, and largest
+# ratio of successive corrections. In designs of dampers for the bundled scenes, 0.4 % of the useful predictions
+# exceeded them, and 97 % of those without convergence in six corrections.
+MAX_CORRECTION_RATIO = 0.5
 # Largest error of a prediction, relative to the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
 # Largest change of an unknown by a prediction, relative to the scale of the unknown. Without this limit, closely spaced
@@ -326,10 +328,13 @@ class _Continuation:
         family, last_point = self.family, self.recent_points[-1]
         assert family is not None
         prediction, scale = self._predict(value), family.scale[:-1]
-        if not distance(prediction, last_point.unknowns, scale) < MAX_PREDICTION_RATIO:
+        change = distance(prediction, last_point.unknowns, scale)
+        if not change < MAX_PREDICTION_RATIO:
             return None
+        max_first_size = MAX_CORRECTION_RATIO * max(change, 0.01)
+        limits = IterationLimits(MAX_CORRECTIONS, max_first_size, MAX_CORRECTION_RATIO)
         try:
-            equations, x, slope, shooting, _, corrections = family.correct(value, prediction, MAX_CORRECTIONS)
+            equations, x, slope, shooting, _, corrections = family.correct(value, prediction, limits)
         except np.linalg.LinAlgError:
             return None
         max_error = MAX_PREDICTION_ERROR * max(distance(x, last_point.unknowns, scale), 0.01)
@@ -361,7 +366,7 @@ class _Continuation:
             self.recent_points, self.snapshot = [], propagator.snapshot()
             return _average(self.problem, setting, propagator, reason)
         self.family = family = OrbitFamily(self.problem, orbit.plan, setting, self.parameter, orbit.unknowns)
-        _, x, slope, *_ = family.correct(value, orbit.unknowns, 1)
+        _, x, slope, *_ = family.correct(value, orbit.unknowns, IterationLimits(1))
         self.recent_points = [_BranchPoint(value, x, slope, orbit)]
         return _orbit_point(orbit)
 
@@ -403,14 +408,5 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
     phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
     phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
     harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
-    if isinstance(problem.scene.driven_shaker, ForceShaker):
-        force = -1j * setting.force  # complex amplitude of a sine
-    else:
-        row = spring_force_row(problem.scene, problem.system)
-        force = complex(row @ harmonic[: problem.system.states])
-    return _Point(
-        compliance=harmonic[:bodies] / force,
-        peak=half_ranges,
-        orbit=None,
-        reason=reason,
-    )
+    force = problem.force_amplitude(setting, harmonic[: problem.system.states])
+    return _Point(compliance=harmonic[:bodies] / force, peak=half_ranges, orbit=None, reason=reason)

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import exp, expm1, log
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator
+from rig.engine.samples import StateSamples
 from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
@@ -83,32 +83,24 @@ def settle(
             return SteadyState(False, 0, float(changes.min()), completed)
 
 
-class _Comparison(NamedTuple):
-    """States at the ends of periods; shape (periods, ...)."""
-
-    state: Array
-    height: Array
-    contact: NDArray[np.int8]
-
-
 def _integrate(
     propagator: Propagator, steps: float, level: float, skipped: int, is_stopped: Callable[[], bool]
-) -> _Comparison:
+) -> StateSamples:
     """Integrate the skipped periods and those of a comparison, in calls short enough for interrupts."""
     max_count = max(1, int(MAX_WORK_PER_CALL / (steps * propagator.multiplications_per_step)))
-    comparisons: list[_Comparison] = []
+    comparisons: list[StateSamples] = []
     for begin in range(0, skipped + COMPARED_PERIODS, max_count):
         if is_stopped():
             raise RunError("stopped: another section failed. See its error.")
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
-        # Row in which the state after each period is stored; -1 for skipped periods.
-        rows = np.maximum(np.arange(count) + min(begin - skipped, 0), -1)
-        trajectory = propagator.propagate_tone(np.full(count, steps), rows, np.ones(count, dtype=bool), level)
-        comparisons.append(_Comparison(trajectory.state, trajectory.height, trajectory.contact))
-    return _Comparison(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
+        compared = max(0, min(count, begin + count - skipped))
+        comparisons.append(propagator.propagate_periods(steps, count, compared, level))
+    if len(comparisons) == 1:
+        return comparisons[0]
+    return StateSamples(*(np.concatenate(field) for field in zip(*comparisons, strict=True)))
 
 
-def _distances(comparison: _Comparison, state_scales: Array) -> tuple[Array, Array]:
+def _distances(comparison: StateSamples, state_scales: Array) -> tuple[Array, Array]:
     """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with these repetitions.
 
     Both have the shape (MAX_REPETITION,).

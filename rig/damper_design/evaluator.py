@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -54,29 +53,35 @@ class Evaluator:
         """Compute the designs that several searches need, until all searches are finished.
 
         `searches`: functions of the known results. Each returns the designs that it has used, and those for which it
-        waits. It is called again after every new result, so that no worker is idle while a search needs a design.
-        Returns the trials, sorted by design.
+        waits. It is called again after each result for which it waits, so that no worker is idle while a search needs a
+        design. Returns the trials, sorted by design.
         """
         requested: set[Choice] = set()
         pieces: list[Piece] = []
+        # Designs for which each search waits.
+        awaited: list[set[Choice]] = [set() for _ in searches]
 
-        def request_designs() -> None:
-            for choice in chain.from_iterable(search(partial(self.trial, objective)) for search in searches):
-                if choice not in requested:
-                    requested.add(choice)
-                    needed = [(subproblem, choice) for subproblem in objective.subproblems]
-                    missing = [piece for piece in needed if piece not in self._stored]
-                    self._finished += len(needed) - len(missing)
-                    pieces.extend(missing)
+        def request_designs(numbers: Iterable[int]) -> None:
+            for number in numbers:
+                choices = list(searches[number](partial(self.trial, objective)))
+                awaited[number] = {choice for choice in choices if self.trial(objective, choice) is None}
+                for choice in choices:
+                    if choice not in requested:
+                        requested.add(choice)
+                        needed = [(subproblem, choice) for subproblem in objective.subproblems]
+                        missing = [piece for piece in needed if piece not in self._stored]
+                        self._finished += len(needed) - len(missing)
+                        pieces.extend(missing)
 
-        request_designs()
+        request_designs(range(len(searches)))
         for number, peak in self._workers.compute(_compute, pieces):
             self._stored.add(pieces[number], peak)
             self._finished += 1
             if self._progress is not None:
                 self._progress(self._finished, max(self._total, self._finished + 1))
-            if self.trial(objective, pieces[number][1]) is not None:
-                request_designs()
+            choice = pieces[number][1]
+            if self.trial(objective, choice) is not None:
+                request_designs([k for k, designs in enumerate(awaited) if choice in designs])
         trials = [self.trial(objective, choice) for choice in sorted(requested)]
         return {trial.choice: trial for trial in trials if trial is not None}
 

@@ -17,6 +17,7 @@ from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from rig.scene.excitation import SteppedSine
 from rig.workers import Workers
+from tests.rig.this_process import pieces_in_this_process
 
 
 def test_check_covers_all_levels_and_peaks() -> None:
@@ -40,7 +41,7 @@ def test_expected_compliance_includes_force_harmonics() -> None:
     choice = Choice((2,), (0.1,), (0.969e-3,))
     peak = objective.worst(choice)
     trial = Trial(choice, (peak,))
-    with Workers() as workers:
+    with pieces_in_this_process(), Workers() as workers:
         (expected_result,) = expected_results(scene_with_check(scene, trial, objective), trial, workers)
     assert expected_result.compliances is not None
     # Compliances over the tolerance of the force controller, 0.5 %.

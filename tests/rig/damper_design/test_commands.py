@@ -15,6 +15,7 @@ from rig.damper_design.choice import Choice, Trial
 from rig.damper_design.figure import describe_check, summary, write
 from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
+from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
 
 # A scene whose channels lack those of the driven body and of the force.
 BRACKET = """
@@ -35,8 +36,16 @@ def _bracket(shaker: str) -> rig.Scene:
 @pytest.mark.thorough
 @pytest.mark.parametrize("shaker", [FORCE, TABLE])
 def test_printed_commands_run(shaker: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    design = rig.design(_bracket(shaker), bodies=[2], levels=["4 N"], clearance=("0.3 mm", "0.5 mm"), budget="30 g")
-    scene = write(design, tmp_path)[0]
+    with pieces_in_this_process() as patch:
+        # The commands do not depend on the number of designs that are compared, nor on the figure.
+        reduce_chart_and_check(patch, points_per_peak=7)
+        patch.setattr("rig.damper_design.figure._draw", lambda design: None)
+        patch.setattr("rig.damper_design.figure.save_figure", lambda figure, stem: [])
+        patch.setattr("rig.damper_design.search.GRID_MASS_RATIOS", (1.0,))
+        patch.setattr("rig.damper_design.search.GRID_CLEARANCES", 2)
+        requested = {"bodies": [2], "levels": ["4 N"], "clearance": ("0.3 mm", "0.5 mm"), "budget": "30 g"}
+        design = rig.design(_bracket(shaker), **requested)
+        (scene,) = write(design, tmp_path)
     instructions = describe_check(design, scene)
     # The scene lacks channels, its sensor would be overloaded, and its second mode, at 170.97 Hz, is outside the band.
     assert "channels added" in instructions and "channels[1].accelerometer.saturation=" in instructions

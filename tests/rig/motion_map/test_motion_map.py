@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import multiprocessing
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,13 @@ from rig.motion_map.motion_map import KINDS, summarize_map, write_map
 from rig.output_files import create_folder
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
+from tests.rig.this_process import pieces_in_this_process
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _in_this_process() -> Iterator[None]:
+    with pieces_in_this_process():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +126,14 @@ def test_errors_state_the_invalid_range() -> None:
         rig.map_motion(scene, values=[-1.0], frequencies=[49.0])
 
 
-def test_interrupted_map_stops_its_workers() -> None:
+def test_interrupted_map_stops_its_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.workers.rank_count", lambda: 1)
+
     def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rig.map_motion("fig9", frequencies=np.linspace(46.0, 54.0, 200), progress=interrupt)
+        rig.map_motion("fig9", frequencies=np.linspace(46.0, 54.0, 20), progress=interrupt)
     assert not multiprocessing.active_children()
 
 

@@ -103,11 +103,10 @@ def test_signal_ends_the_script(start, before, signal_number, send, code):
     # Statement of the script before its task; signal to the command or its process group; exit status of the command.
     ("before", "signal_number", "send", "code"),
     [
-        ("", signal.SIGTERM, os.kill, 128 + signal.SIGTERM),
         ("", signal.SIGINT, os.killpg, 128 + signal.SIGINT),
         (IGNORE_SIGTERM, signal.SIGTERM, os.kill, 128 + signal.SIGKILL),
     ],
-    ids=["terminated", "Ctrl-C", "script ignores signal"],
+    ids=["Ctrl-C", "script ignores signal"],
 )
 def test_ended_command_ends_logging_script(start, tmp_path, before, signal_number, send, code):
     script, log = tmp_path / "script.py", tmp_path / "log.mcap"

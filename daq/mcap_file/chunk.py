@@ -29,7 +29,7 @@ RECORD_HEAD = struct.Struct("<BQ")
 CHUNK_HEAD = struct.Struct("<QQQII")
 _CHUNK_OPCODES = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 _thread_local = threading.local()
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
+MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
 class Damage(Exception):
@@ -157,7 +157,7 @@ def messages_in(records: memoryview, stored_bytes: int) -> list[StoredMessage]:
 
 def parse_message(content: memoryview) -> StoredMessage:
     """Parse a message record; raise `Damage` if it is cut short."""
-    if len(content) < _MESSAGE_HEAD.size:
+    if len(content) < MESSAGE_HEAD.size:
         raise Damage("a message in it is cut short")
-    channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
-    return StoredMessage(channel, sequence, log_time, publish_time, content[_MESSAGE_HEAD.size :])
+    channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
+    return StoredMessage(channel, sequence, log_time, publish_time, content[MESSAGE_HEAD.size :])

@@ -110,14 +110,28 @@ class Container:
             raise Damage(f"the record at byte {offset} does not agree with the summary")
         return data[RECORD_HEAD.size :]
 
-    def messages(self, number: int) -> list[StoredMessage]:
-        """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
+    def records(self, number: int) -> memoryview:
+        """Return the records of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
             record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
-            return messages_in(unpack_chunk(record, self.checksums_needed), length)
+            return unpack_chunk(record, self.checksums_needed)
         except Damage as damage:
-            raise self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}") from damage
+            raise self._chunk_error(number, damage) from damage
+
+    def messages(self, number: int, records: memoryview | None = None) -> list[StoredMessage]:
+        """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged.
+
+        `records`: those of the chunk, if already read.
+        """
+        try:
+            return messages_in(self.records(number) if records is None else records, int(self.summary.lengths[number]))
+        except Damage as damage:
+            raise self._chunk_error(number, damage) from damage
+
+    def _chunk_error(self, number: int, damage: Damage) -> RecordingError:
+        offset = int(self.summary.offsets[number])
+        return self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}")
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the fields of the metadata records by their names; the last record of a name counts."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
 from daq.recording.layout import CLOCK_CHECKS, Timebase
-from daq.recording.sample_block import SCHEMAS, SampleBlock, decode
+from daq.recording.sample_block import SCHEMAS, SampleBlock, decode, decode_contiguous, times_agree
 from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
 from rig.errors import RecordingError
@@ -122,17 +122,22 @@ class Series:
         """Return the decoded and checked blocks of this topic in a chunk."""
         blocks = self._block_cache.get(self._channel, chunk)
         if blocks is None:
-            blocks = []
-            for block, log_time in self._stored_blocks(chunk):
-                self._check(block, log_time, clock)
-                blocks.append(block)
-            blocks = _join_contiguous(blocks)
+            records = self._container.records(chunk)
+            joined = decode_contiguous(records, self._channel, self._schema, clock)
+            if joined is not None and joined.stop <= MAX_SAMPLES:
+                blocks = [joined]
+            else:
+                blocks = []
+                for block, log_time in self._stored_blocks(chunk, records):
+                    self._check(block, log_time, clock)
+                    blocks.append(block)
+                blocks = _join_contiguous(blocks)
             self._block_cache.store(self._channel, chunk, blocks)
         return blocks
 
-    def _stored_blocks(self, chunk: int) -> Iterator[tuple[SampleBlock, int]]:
+    def _stored_blocks(self, chunk: int, records: memoryview | None = None) -> Iterator[tuple[SampleBlock, int]]:
         """Yield each block of this topic in a chunk, unchecked, with its log time in ns."""
-        for message in self._container.messages(chunk):
+        for message in self._container.messages(chunk, records):
             if message.channel == self._channel:
                 try:
                     yield decode(message.data, self._schema), message.log_time
@@ -145,9 +150,7 @@ class Series:
         """Raise `RecordingError` if the times of a block contradict its sample numbers."""
         if block.stop > MAX_SAMPLES:
             raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}.")
-        start_error = (block.t0_ns - clock.start_ns) * clock.rate * 1e-9 - block.first_sample
-        end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - block.stop
-        if block.rate != clock.rate or not (abs(start_error) < 0.5 and abs(end_error) < 0.5):
+        if block.rate != clock.rate or not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
             expected_times = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
             raise self._error(
                 f"the block at sample {block.first_sample} states {block.rate:g} Hz, start {block.t0_ns} ns, log time "

@@ -8,8 +8,10 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from daq.mcap_file.chunk import MESSAGE_HEAD, RECORD_HEAD
 from daq.recording.layout import Timebase
 from daq.recording.protobuf import Schema, descriptor_set_bytes, message_class, varint
 from rig.errors import RecordingError
@@ -31,6 +33,8 @@ SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCH
 # field), and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
+# Largest number of blocks that are decoded together; the recorder writes a few to a chunk.
+_MAX_JOINED_BLOCKS = 64
 
 
 class SampleBlock(NamedTuple):
@@ -99,6 +103,60 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
                 stored_bytes = len(data) - samples_offset
                 raise RecordingError(f"{stored_bytes} bytes are not a whole number of samples ({schema}).") from None
     return _decode_other_writer(data, schema)
+
+
+def times_agree(clock: Timebase, first_sample: int, stop: int, t0_ns: int, log_time: int) -> bool:
+    """Return whether start and log time (end) of a block agree with its sample numbers within half a sample."""
+    start_error = (t0_ns - clock.start_ns) * clock.rate * 1e-9 - first_sample
+    end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - stop
+    return abs(start_error) < 0.5 and abs(end_error) < 0.5
+
+
+def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Timebase) -> SampleBlock | None:
+    """Decode and join the blocks of a chunk, for a chunk as the recorder writes it; return None for any other.
+
+    It contains only contiguous blocks of one channel and one length, whose times agree with the clock. Decoding them
+    one by one takes several times as long.
+    """
+    if len(records) < RECORD_HEAD.size:
+        return None
+    length = RECORD_HEAD.unpack_from(records)[1]
+    count, remainder = divmod(len(records), RECORD_HEAD.size + length)
+    layout = _contiguous_layout(length, count, schema) if not remainder and count <= _MAX_JOINED_BLOCKS else None
+    if layout is None:
+        return None
+    numbers, samples, block_samples = layout
+    expected = (int(Opcode.MESSAGE), length, channel, *_TAGS, clock.rate, _size_prefix(length - MESSAGE_HEAD.size))
+    blocks = list(zip(*[iter(numbers.unpack(records))] * 14, strict=True))
+    next_sample = blocks[0][9]
+    for opcode, size, number, _, log_time, _, tag0, t0_ns, tag1, first, tag2, rate, tag3, size_bytes in blocks:
+        stop = first + block_samples
+        if (
+            (opcode, size, number, tag0, tag1, tag2, tag3, rate, size_bytes) != expected
+            or first != next_sample
+            or not times_agree(clock, first, stop, t0_ns, log_time)
+        ):
+            return None
+        next_sample = stop
+    return SampleBlock(blocks[0][7], blocks[0][9], clock.rate, np.frombuffer(records, samples)["samples"].flatten())
+
+
+@lru_cache(maxsize=64)
+def _contiguous_layout(length: int, count: int, schema: str) -> tuple[struct.Struct, np.dtype[Any], int] | None:
+    """Return the layout of `count` records of `length` bytes with one block each; None if they cannot contain one.
+
+    It consists of the numbers before the samples, the samples, and the number of samples of a block.
+    """
+    kind, message_bytes = SAMPLE_TYPE[schema], length - MESSAGE_HEAD.size
+    size_bytes = _size_prefix(message_bytes) if message_bytes > _HEADER.size else b""
+    sample_bytes = message_bytes - _HEADER.size - len(size_bytes)
+    if not size_bytes or sample_bytes < 1 or sample_bytes % kind.itemsize:
+        return None
+    formats = [part.format.lstrip("<") for part in (RECORD_HEAD, MESSAGE_HEAD, _HEADER)]
+    numbers = struct.Struct("<" + f"{''.join(formats)}{len(size_bytes)}s{sample_bytes}x" * count)
+    record_bytes, block_samples = RECORD_HEAD.size + length, sample_bytes // kind.itemsize
+    head = ("head", f"V{record_bytes - sample_bytes}")
+    return numbers, np.dtype([head, ("samples", kind, (block_samples,))]), block_samples
 
 
 @lru_cache(maxsize=64)

@@ -9,13 +9,23 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 
 from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
 from daq.recording.layout import Timebase, block_length, flush_length
 from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
 from daq.recording.protobuf import message_class, varint
 from daq.recording.robot_description import TRANSFORMS_SCHEMA
-from daq.recording.sample_block import _HEADER, SAMPLE_TYPE, SCHEMAS, _size_prefix, block_schema, decode, encode
+from daq.recording.sample_block import (
+    _HEADER,
+    SAMPLE_TYPE,
+    SCHEMAS,
+    _size_prefix,
+    block_schema,
+    decode,
+    decode_contiguous,
+    encode,
+)
 from rig.errors import RecordingError
 
 
@@ -77,6 +87,40 @@ def test_block_with_omitted_zero_fields_is_decoded(schema):
     block = decode(memoryview(message.SerializeToString()), schema)
     assert (block.t0_ns, block.first_sample, block.rate, block.stop) == (0, 0, 100.0, 3)
     assert block.samples.tolist() == [1, 2, 3]
+
+
+def message_records(clock, first, channel=2):
+    """Return the records of a chunk with a block of three samples at each of the sample numbers `first`."""
+    records = b""
+    for number in first:
+        block = encode(clock, number, np.arange(3.0)[None, None] + number).tobytes()
+        head = struct.pack("<HIQQ", channel, 0, clock.time_ns(number + 3), clock.time_ns(number))
+        records += struct.pack("<BQ", Opcode.MESSAGE, len(head) + len(block)) + head + block
+    return records
+
+
+def test_only_contiguous_blocks_of_one_channel_are_decoded_together():
+    schema, clock, late_clock = "shotrig.BlockFloat64", Timebase(5120.0, 10), Timebase(5120.0, 10**9)
+    records = message_records(clock, [6, 9, 12])
+    block = decode_contiguous(memoryview(records), 2, schema, clock)
+    assert block[:3] == (clock.time_ns(6), 6, 5120.0) and block.samples.tolist() == [*range(6, 15)]
+    assert not np.shares_memory(block.samples, np.frombuffer(records, np.uint8))
+    others = [
+        message_records(clock, [6, 10]),
+        message_records(clock, [6]) + message_records(clock, [9], channel=3),
+        message_records(clock, [6]) + message_records(Timebase(5121.0, 10), [9]),
+        message_records(clock, [6]) + message_records(late_clock, [9]),
+        records[:-8],
+        records[:8],
+        b"",
+    ]
+    for other in others:
+        assert decode_contiguous(memoryview(other), 2, schema, clock) is None
+    # Opcode, length and channel of the record; tags, sample number, rate and size of the block.
+    for position in [*range(11), 31, *range(40, 60)]:
+        damaged = bytearray(records)
+        damaged[position] ^= 0xFF
+        assert decode_contiguous(memoryview(damaged), 2, schema, clock) is None
 
 
 @given(data=st.binary(max_size=80))

@@ -165,8 +165,8 @@ def test_recording_stopped_before_samples_is_empty(tmp_path):
 def test_channel_reads_only_its_chunks(recorded, monkeypatch):
     with daq.open(recorded) as recording:
         container, read_chunks = recording._container, []
-        read_messages = container.messages
-        monkeypatch.setattr(container, "messages", lambda chunk: read_chunks.append(chunk) or read_messages(chunk))
+        read_records = container.records
+        monkeypatch.setattr(container, "records", lambda chunk: read_chunks.append(chunk) or read_records(chunk))
         recording.read("body1", FLUSH_LENGTH + 10, FLUSH_LENGTH + 20)
         recording.read("body1", FLUSH_LENGTH + 20, 2 * FLUSH_LENGTH)
         assert len(read_chunks) == 1

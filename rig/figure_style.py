@@ -98,8 +98,16 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 
 
 def add_title(axes: Axes, text: str) -> None:
-    """Add a title above the uppermost axes, wrapped to the width of the figure."""
-    axes.set_title("\n".join(wrap(escape_figure(text), _TITLE_CHARACTERS)))
+    """Add a title above the uppermost axes, wrapped to the width of the figure; call it after the vertical axis is set.
+
+    Only the exponent above a vertical axis can move a title. Without it, the position is fixed: matplotlib would
+    measure the tick labels of the axes three more times.
+    """
+    from matplotlib.ticker import ScalarFormatter
+
+    has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
+    lines = wrap(escape_figure(text), _TITLE_CHARACTERS)
+    axes.set_title("\n".join(lines), y=None if has_exponent else 1.0)
 
 
 def color_of(index: int) -> str:

@@ -72,6 +72,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
                 f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
+                y=1.0,
                 fontsize=9,
                 fontweight="normal",
             )

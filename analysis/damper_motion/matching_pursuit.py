@@ -151,9 +151,11 @@ class MatchingPursuit:
         self._cache: dict[object, Array] = {}
         smallest_noise = np.inf
         for model in models if self.valid.any() else ():
-            noise = model.noise_gain * float(np.median(self._noise_level(model, noise_quantile)))
+            level = self._noise_level(model, noise_quantile)
+            noise = model.noise_gain * float(np.median(level))
             if noise < NOISE_REDUCTION * smallest_noise:
                 smallest_noise, self.model = noise, model
+                self._cache["noise", noise_quantile] = level
         self.window_model = self.model
 
     def run(self) -> list[Jump]:

@@ -111,12 +111,13 @@ class LockIn:
     def add(self, samples: Array) -> None:
         """Add the next part of the window, shape (channels, samples); parts are contiguous."""
         length = samples.shape[1]
+        pieces = list(self._pieces(length))
         projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, rotation, basis in self._pieces(length):
+        for start, rotation, basis in pieces:
             projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
         coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
         squares = np.zeros(len(samples))
-        for start, rotation, basis in self._pieces(length):
+        for start, rotation, basis in pieces:
             residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
             squares += np.einsum("ij,ij->i", residual, residual)
         self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))

@@ -53,7 +53,8 @@ def test_channels_with_equal_effects_share_one_list() -> None:
 
 
 @pytest.mark.thorough
-def test_cost_lists_each_effect_and_its_states() -> None:
+def test_cost_lists_each_effect_and_its_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.effects.effect_cost.REPEATS", 1)
     scene = rig.load("fig9")
     costs = effect_costs(scene)
     names = [cost.name for cost in costs]

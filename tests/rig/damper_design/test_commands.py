@@ -39,7 +39,6 @@ def test_printed_commands_run(shaker: str, tmp_path: Path, monkeypatch: pytest.M
     with pieces_in_this_process() as patch:
         # The commands do not depend on the number of designs that are compared, nor on the figure.
         reduce_chart_and_check(patch, points_per_peak=7)
-        patch.setattr("rig.damper_design.figure._draw", lambda design: None)
         patch.setattr("rig.damper_design.figure.save_figure", lambda figure, stem: [])
         patch.setattr("rig.damper_design.search.GRID_MASS_RATIOS", (1.0,))
         patch.setattr("rig.damper_design.search.GRID_CLEARANCES", 2)

@@ -1,6 +1,7 @@
 """Output files: written atomically, without overwriting special files or *protected* files.
 
-Protected are all existing files but unchanged outputs from the same source (see `rig.provenance`).
+Every existing file is protected, except an unchanged output from the same source. A mark in the file, with digests of
+source and content, identifies such an output (see `rig.provenance`).
 """
 
 from __future__ import annotations
@@ -72,28 +73,27 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
 def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     """Write a temporary file, and rename it to its final name when it is complete.
 
-    At any time, `path` contains either the complete old file or the complete new file. If a finished file cannot be
-    renamed, it is saved under another name, which the message reports.
+    `path` always contains the complete old or the complete new file. If a finished file cannot be renamed, it is saved
+    under another name, given in the error message.
 
-    `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced;
-    if omitted, `rig.provenance` decides. Yields the temporary file, with the suffix of `path`. Raises
-    `SceneError` if `resolve_output` rejects `path`, or a protected file of that name was created in
-    the meantime. Raises `RunError` if the disk is full or fails.
+    `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced; if
+    None, protected files are not. Yields the temporary file, with the suffix of `path`. Raises `RunError` if the disk
+    is full or fails, `SceneError` if `resolve_output` rejects `path` or a protected file was created in the meantime.
     """
-    supports_mark = overwrite is None and can_contain_mark(path)
-    compares_content = overwrite is None and not can_contain_mark(path)
+    needs_mark = overwrite is None and can_contain_mark(path)
+    must_compare = overwrite is None and not can_contain_mark(path)
     if overwrite is None:
         overwrite = may_overwrite() or is_unchanged_output(path)
-        if supports_mark and not overwrite and path.is_file():
+        if needs_mark and not overwrite and path.is_file():
             raise overwrite_error(path)
-    # An existing file that cannot contain a mark is compared with the new file when that is complete.
-    file = resolve_output(path, overwrite or compares_content)
+    # An existing file that cannot contain a mark is compared with the new file once the new file is complete.
+    file = resolve_output(path, overwrite or must_compare)
     temporary = file.with_name(f".{token_hex(6)}{file.suffix}")
     try:
         yield temporary
-        if supports_mark:
+        if needs_mark:
             add_mark(temporary)
-        elif compares_content and not overwrite and file.is_file():
+        elif must_compare and not overwrite and file.is_file():
             if not cmp(temporary, file, shallow=False):
                 raise overwrite_error(path)
             temporary.unlink()

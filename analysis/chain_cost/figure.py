@@ -25,16 +25,16 @@ UNCORRECTED_COLOR = "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
-    """Return a study as text: error of the scene, largest error of the variants, and a row for each measurement."""
+    """Return a study as text: error with the scene's own settings, largest error of the variants, all measurements."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     variants = [point for group in GROUPS for point in study.points if point.group == group]
     scene = study.unchanged
-    summary = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms for a second of the test."
+    summary = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms of CPU time per second of test."
     measured = [point for point in variants if np.isfinite(point.error)]
     if measured:
         worst = max(measured, key=lambda point: point.error)
         summary += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
-    rows: list[tuple[str, ...]] = [("changed", "to", "ms for a second", "relative error", "correction", "note")]
+    rows: list[tuple[str, ...]] = [("part", "setting", "CPU ms per s", "error", "uncorrected error", "note")]
     rows += [_row(point) for point in (study.unchanged, study.without_noise, *variants)]
     return "\n".join(
         [
@@ -43,16 +43,16 @@ def table(study: ChainStudy) -> str:
             "",
             *table_lines(rows, "<<>>><"),
             "",
-            "ms for a second: CPU time to record and analyze a second of the test. Relative error: of the compliance,",
-            "corrected by the data sheets. Correction: relative error of a displacement without it. Each change is",
-            "made in the scene without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
+            "CPU ms per s: CPU time to record and analyze a second of test. Error: relative error of the compliance",
+            "after correction with the data sheets. Uncorrected error: of the displacement, without this correction.",
+            "Changes are made without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
             f"Reference: {study.reference}.",
         ]
     )
 
 
 def _milliseconds(point: Measurement) -> str:
-    """Format the CPU time for a second of the test, ms."""
+    """Format the CPU time per second of test, ms."""
     return f"{1e3 * point.cpu / point.duration:.3g}"
 
 

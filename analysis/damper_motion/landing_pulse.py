@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.errors import RecordingError
-from rig.scene.damper import Landing, walls_of
+from rig.scene.damper import TimedContact, walls_of
 
 if TYPE_CHECKING:
     from rig.scene.scene import Scene
@@ -94,7 +94,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
             "a body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
-    if all(isinstance(wall, Landing) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
+    if all(isinstance(wall, TimedContact) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
         return None
     system, pulses = assemble(scene), []
     for number, damper in inside.items():

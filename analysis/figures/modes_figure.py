@@ -33,10 +33,10 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
+        # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
+        is_sparse = curves[0].frequency.size <= MAX_MARKERS
         for index, curve in enumerate(curves):
             color = color_of(index)
-            # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
-            is_sparse = curve.frequency.size <= MAX_MARKERS
             magnitude_axes.plot(
                 curve.frequency, 1e6 * abs(curve.value), "o" if is_sparse else "-", ms=2.4, color=color,
                 lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),

@@ -1,6 +1,6 @@
 """Measured data of a fit: responses to one reference, the covariance of their errors, and their sensors.
 
-The *reference* divides the responses: the force, or with a coil spring the displacement of the table.
+Each response is divided by the *reference*: the force or, with a coil spring, the displacement of the table.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 
 # Smallest standard deviation of a point, relative to its value.
-_MIN_RELATIVE_ERROR = 2e-5
+_MIN_RELATIVE_STD = 2e-5
 # Smallest standard deviation of a point, relative to the largest value of its curve.
-_MIN_ERROR_RELATIVE_TO_MAXIMUM = 1e-7
-# Relative uncertainty of the noise power of the reference that is estimated from several responses.
-_REFERENCE_NOISE_ERROR = 0.5
+_MIN_STD_RELATIVE_TO_PEAK = 1e-7
+# Relative uncertainty of the noise power of the reference if it is estimated from several responses.
+_REFERENCE_NOISE_UNCERTAINTY = 0.5
 # Systematic errors that are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
 # Systematic errors that are not included in `Curves.correlated_bound`.
@@ -42,7 +42,7 @@ _MIN_POINTS = 8
 
 @dataclass(frozen=True)
 class Sensor:
-    """A physical sensor; equal sensors in several recordings have the same deviation of their sensitivity."""
+    """A physical sensor; equal sensors in several recordings have the same sensitivity error."""
 
     name: str  # of its channel
     at: str  # place in the scene, such as 'body 2'
@@ -54,9 +54,10 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    `line_bound` and `correlated_bound` do not include the tolerances of sensors and of the clock, because these are
-    unknowns of the fit. If the noise of the reference is not estimated (`errors.reference` is None),
-    `correlated_bound` includes all other systematic errors.
+    Bounds of systematic errors: `line_bound` is of errors that vary irregularly from line to line; `correlated_bound`
+    is of all others, without reference noise (see `reference_noise_bound`) and the tolerances of sensors and clock,
+    which are unknowns of the fit. If the reference noise is not estimated (`errors.reference` is None),
+    `correlated_bound` includes the reference noise and the errors of `line_bound`.
     """
 
     label: str  # recording, and level or part where it has several
@@ -66,11 +67,9 @@ class Curves:
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
     whitening: ComplexArray
     errors: Covariance  # covariance of the random errors
-    line_bound: Array  # bound of the systematic errors that differ from line to line, shape (responses, n)
-    correlated_bound: Array  # bound of the systematic errors that are correlated over all lines, shape (responses, n)
-    reference_noise_bound: (
-        Array  # bound of the relative error common to all responses, from noise of their reference, shape (n,)
-    )
+    line_bound: Array  # shape (responses, n)
+    correlated_bound: Array  # shape (responses, n)
+    reference_noise_bound: Array  # bound of the relative error of all responses due to reference noise, shape (n,)
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
     bodies: tuple[int, ...]  # body of each response, counted from 0
@@ -202,7 +201,7 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(bias_bound.size), bias_bound
     noise_ratio = np.minimum(errors.reference, 0.5)
-    return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_ERROR * noise_ratio
+    return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_UNCERTAINTY * noise_ratio
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
@@ -210,14 +209,11 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     quadrature_covariance = errors.lines / 2.0
     variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
     magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # A single average has no scatter, so that the covariance is unknown. Then 1 % of the median is assumed.
+    # A single average determines no variance. A standard deviation of 1 % of the median magnitude is then assumed.
     quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
     variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
-    variance_floor = (_MIN_RELATIVE_ERROR * magnitude) ** 2 + (
-        _MIN_ERROR_RELATIVE_TO_MAXIMUM * magnitude.max(axis=0)
-    ) ** 2
-    # A variance from few degrees of freedom is uncertain: it is multiplied by the variance of Student's t distribution,
-    # but at most by 2.
+    variance_floor = (_MIN_RELATIVE_STD * magnitude) ** 2 + (_MIN_STD_RELATIVE_TO_PEAK * magnitude.max(axis=0)) ** 2
+    # A variance from few degrees of freedom is multiplied by the variance of Student's t distribution, at most by 2.
     inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
     if errors.reference is None:
         systematic = _bounds(frfs, without=_FITTED_ERRORS)
@@ -225,6 +221,7 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
         inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
     quadrature_covariance *= inflation[:, :1, None]
+    # The variance of a uniform distribution within a bound is a third of the squared bound.
     quadrature_covariance[:, index, index] = inflation * variance + systematic.T**2 / 3.0 + variance_floor
     return inverse_root(quadrature_covariance)
 

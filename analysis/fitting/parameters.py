@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from rig.errors import SceneError
 from rig.scene.changes import parse_changes
-from rig.scene.damper import Landing, SpringDamper, Walls
+from rig.scene.damper import SpringDamper, TimedContact, Walls
 from rig.scene.scene import Scene
 from rig.scene.settings import KeyPath, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
@@ -190,9 +190,9 @@ def _values(scene: Scene) -> Iterator[tuple[KeyPath, float | None]]:
 
 
 def _wall_values(
-    key_path: KeyPath, wall: Landing | SpringDamper | Walls | None
+    key_path: KeyPath, wall: TimedContact | SpringDamper | Walls | None
 ) -> Iterator[tuple[KeyPath, float | None]]:
-    names = {Landing: ("duration",), SpringDamper: ("stiffness", "damping")}
+    names = {TimedContact: ("duration",), SpringDamper: ("stiffness", "damping")}
     if isinstance(wall, Walls):
         yield from _wall_values((*key_path, "floor"), wall.floor)
         yield from _wall_values((*key_path, "ceiling"), wall.ceiling)

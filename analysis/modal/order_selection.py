@@ -27,12 +27,13 @@ _PENALTY_FACTOR = 2.0
 # Smallest distance of two resolved poles, in mean half-power bandwidths.
 _MIN_DISTANCE_WIDTHS = 0.4
 # Largest distance of close poles, in the same unit. They are accepted only if their local misfit is at noise level,
-# because close poles can imitate the asymmetric peak of a nonlinear structure.
+# because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
 # Largest local misfit of close poles, relative to its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
-# Two poles closer than this, in resolutions, may be fitted to a single narrow peak that the window broadens.
-_SAME_PEAK_RESOLUTIONS = 1.5
+# Two poles closer than this multiple of the frequency resolution may be fitted to one narrow peak, which the window
+# broadens.
+_SAME_PEAK_RATIO = 1.5
 # Number of candidates that are fully fitted at each step.
 _FITTED_CANDIDATES = 4
 
@@ -66,7 +67,7 @@ def select_model(
         least_significant = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
         model = fit(curves, np.delete(model.poles, least_significant))
     current = _prune(curves, model)
-    # Candidates below and above the band, for modes there whose effect residual terms cannot represent.
+    # Candidates below and above the band, for out-of-band modes that the residual terms do not represent.
     low, high = curves.frequency[0], curves.frequency[-1]
     frequency = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
     outside = np.asarray(2 * np.pi * frequency * (-0.01 + 1j), dtype=complex)
@@ -114,14 +115,14 @@ def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> Modal
 
 
 def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, n_poles: int) -> float:
-    """Compute the misfit reduction from a model of `n_poles` to a larger model, less that due to noise."""
+    """Compute by how much a larger model reduces the misfit of a model of `n_poles`, beyond the reduction by noise."""
     added_unknowns = curves.unknowns(larger.poles.size) - curves.unknowns(n_poles)
     scale = max(larger.misfit / curves.degrees_of_freedom(larger.poles.size), 1.0) * correlation_length(larger.residual)
     return misfit - larger.misfit - float(_PENALTY_FACTOR * added_unknowns * np.log(curves.n_values) * scale)
 
 
 def correlation_length(residual: ComplexArray) -> float:
-    """Estimate the number of neighboring lines with a common error from the residual; 1 for independent noise."""
+    """Estimate the correlation length of the residual, in spectral lines; 1 for independent noise."""
     power = float(np.sum(abs(residual) ** 2))
     if power == 0.0:
         return 1.0
@@ -137,8 +138,7 @@ def correlation_length(residual: ComplexArray) -> float:
 def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     """Return the indices of spurious poles.
 
-    These poles are too heavily damped, or two poles are fitted to one peak or to the asymmetric peak of a nonlinear
-    structure.
+    A pole is spurious if its damping ratio exceeds `MAX_DAMPING`, or if it and its neighbor are fitted to one peak.
     """
     poles, width = model.poles, half_width(model.poles)
     is_inside = in_band(curves, poles)
@@ -147,8 +147,8 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean_width = width[low] + width[high]
-        # The window broadens a narrow peak to less than two resolutions.
-        is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RESOLUTIONS * curves.resolution
+        # The window broadens a narrow peak to less than twice the frequency resolution.
+        is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RATIO * curves.resolution
         is_unresolved = distance < _MIN_DISTANCE_WIDTHS * mean_width
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (

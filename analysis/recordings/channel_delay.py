@@ -16,9 +16,9 @@ def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     channel, unless it was removed. The filter spreads an event to either side by half its length.
 
     >>> from daq.signal_chain.channel import ChannelInfo
-    >>> from daq.signal_chain.decimation_filter import Decimation
-    >>> low_pass = Decimation.standard(5120.0)
-    >>> delayed = ChannelInfo("hammer", "hammer", "force", 1.0, 5120.0, delay=38 / 5120, filter=low_pass.design)
+    >>> from daq.signal_chain.decimation_filter import DecimationFilter
+    >>> low_pass = DecimationFilter.standard(5120.0)
+    >>> delayed = ChannelInfo("hammer", "hammer", "force", 1.0, 5120.0, delay=38 / 5120, filter=low_pass.parameters)
     >>> arrival(delayed, 1000, 1020)
     (1000, 1096)
     """

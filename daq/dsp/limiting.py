@@ -43,17 +43,17 @@ FINE = 1
 STEPS_PER_PERIOD = (32, 128)
 # Minimum number of steps in an interval.
 MIN_STEPS = (8, 32)
-# A voltage whose ratio to its limit is below this value at all checks or coarse steps stays below it between them.
+# If a voltage is below this fraction of its limit at all checks or steps, it is below the limit between them too.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
 # An impulse counts as an overload if it is at least the limit times this duration, s. Smaller ones are rounding errors.
 MIN_IMPULSE_S = 1e-9
 
 
 class Limits(NamedTuple):
-    """Matrices that detect where limits are reached, and propagate the circuit's vector there.
+    """Matrices that detect where limits are reached, and propagate the circuit there.
 
-    The vector is defined in `daq.dsp.discretization`: `width` is its number of states and integrals of the output,
-    `size` includes the four derivatives of the input. A leading dimension of 2 means coarse and fine steps.
+    The *propagated vector* (`daq.dsp.discretization`) consists of `width` states and integrals of the output, and four
+    derivatives of the input; `size` is its length. A leading dimension of 2 means coarse and fine steps.
     Disturbances (noise and offsets) of degree 0 are constant over an interval.
     """
 
@@ -64,24 +64,28 @@ class Limits(NamedTuple):
     # Weights of the magnitudes of the same contributions. If their weighted sum is below 1, no check reaches a limit.
     bound_weights: Array
     step_counts: NDArray[np.int64]  # number of steps in an interval; (2,)
-    step_transitions: Array  # transition of the vector over a step; (2, size, size), as `coarse_exponentials`
-    # Contribution of 1 V of each constant disturbance to the vector over a step; zero for others; (2, disturbances,
-    # width).
-    steady_contributions: Array
-    # Contribution of 1 V of each other disturbance to states and moments over an interval; (disturbances, width).
-    varying_contributions: Array
+    step_transitions: (
+        Array  # transition of the propagated vector over a step; (2, size, size), as `coarse_exponentials`
+    )
+    # Change of the propagated vector over a step due to 1 V of each constant disturbance; zero for the others; (2,
+    # disturbances, width).
+    constant_disturbance_response: Array
+    # Change of states and moments over an interval due to 1 V of each other disturbance; (disturbances, width).
+    polynomial_disturbance_response: Array
     output_limit: float  # largest magnitude of the sensor's output, V
-    output_weights: Array  # sensor's output, as a linear function of the vector; (size,)
-    # Contributions to the vector over a step: of an excess falling from 1 V to 0, and of one rising from 0 to 1 V;
-    # (2, 2, width).
+    output_weights: Array  # sensor's output, as a linear function of the propagated vector; (size,)
+    # Change of the propagated vector over a step due to an excess that falls linearly from 1 V to 0 (index 0), or rises
+    # from 0 to 1 V (index 1); (2, 2, width).
     excess_contributions: Array
-    # Ratio of the excess at the end of a step to the excess without the zero shift that this excess causes; (2,).
+    # Factor by which the excess at the end of a step changes because it shifts the sensor's zero during the step; (2,).
     shift_feedback: Array
-    limited_impulse_response: Array  # jump of the vector due to a unit impulse over the limit; (width,)
-    min_impulse: float  # smallest impulse over the limit, as in `CubicInput`; infinite behind a resonance
+    limited_impulse_response: Array  # jump of the propagated vector due to a unit impulse over the limit; (width,)
+    # Smallest impulse over the limit, as in `CubicInput`. It is infinite if the sensor has no direct feedthrough,
+    # because its output then contains no impulse.
+    min_impulse: float
     shift_state: int  # index of the state of the zero shift after an overload; -1: none
     rails: Array  # largest magnitude of each state, V; (states,)
-    # Contribution to the vector of a constant input that adds 1 V to one state over a step; (2, states, width).
+    # Change of the propagated vector over a step due to a constant input that adds 1 V to a state; (2, states, width).
     rail_contributions: Array
 
 
@@ -131,13 +135,13 @@ def tabulate_limits(
             excess_input[shift_state] = -section.a[0, 0] / rate
     excess_contributions = np.array([_ramp_contributions(generator, excess_input, steps) for steps in step_counts])
     extended, start = extend_by_disturbances(generator, circuit, rate, discrete.integrals, entries)
-    steady_contributions = np.array([(expm(extended / steps) @ start)[:width, states + 4 :].T for steps in step_counts])
-    is_steady = np.array([entry.degree == 0 for entry in entries], dtype=bool)
-    steady_contributions[:, ~is_steady] = 0.0
-    varying_contributions = discrete.transition[states + 4 :].copy()
-    varying_contributions[is_steady] = 0.0
+    constant_response = np.array([(expm(extended / steps) @ start)[:width, states + 4 :].T for steps in step_counts])
+    is_constant = np.array([entry.degree == 0 for entry in entries], dtype=bool)
+    constant_response[:, ~is_constant] = 0.0
+    polynomial_response = discrete.transition[states + 4 :].copy()
+    polynomial_response[is_constant] = 0.0
     feedthrough = output_weights[width]
-    # Rows that yield the limited voltages from the extended vector, and the limits: sensor's output, then each state.
+    # Rows that yield the limited voltages from the vector with disturbances, and the limits: sensor's output, states.
     limited = [(np.concatenate([output_weights[:size], np.zeros(len(extended) - size)]), output_limit)]
     limited += [(np.eye(len(extended))[state], rails[state]) for state in range(states)]
     limited = [(row, limit) for row, limit in limited if np.isfinite(limit)]
@@ -149,8 +153,8 @@ def tabulate_limits(
         bound_weights=np.abs(check_weights / check_limits[:, None]).max(axis=0) * (1.0 + 1e-9),
         step_counts=step_counts,
         step_transitions=transpose_and_pad(np.array([expm(generator / steps) for steps in step_counts])),
-        steady_contributions=np.ascontiguousarray(steady_contributions),
-        varying_contributions=varying_contributions,
+        constant_disturbance_response=np.ascontiguousarray(constant_response),
+        polynomial_disturbance_response=polynomial_response,
         output_limit=output_limit,
         output_weights=output_weights,
         excess_contributions=excess_contributions,
@@ -164,10 +168,7 @@ def tabulate_limits(
 
 
 def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Array:
-    """Return the contributions of an input falling from 1 to 0 over a step, and of one rising from 0 to 1; (2, width).
-
-    `steps`: number of steps in an interval.
-    """
+    """Return `Limits.excess_contributions` for steps of one size; `steps`: number of steps in an interval."""
     size, width = len(generator), excess_input.size
     ramp = np.zeros((size + 2, size + 2))
     ramp[:size, :size] = generator
@@ -194,8 +195,8 @@ def _check_rows(
 ) -> tuple[Array, Array]:
     """Return `Limits.check_weights` and `Limits.check_limits`.
 
-    `limited`: row that yields a limited voltage from the extended vector, and its limit; `extended`, `start`: from
-    `extend_by_disturbances`; `checks`: number of checks in an interval.
+    `limited`: row that yields a limited voltage from the vector with disturbances, and its limit; `extended`, `start`:
+    from `extend_by_disturbances`; `checks`: number of checks in an interval.
     """
     transition = expm(extended / checks)
     weights = np.zeros((len(limited) * checks, start.shape[1]))
@@ -268,7 +269,7 @@ def propagate_with_limits(
     convert_integrals(discrete, vector, workspace.work)
     for e in range(disturbances.shape[0]):
         for r in range(discrete.width):
-            vector[r] += limits.varying_contributions[e, r] * disturbances[e, interval]
+            vector[r] += limits.polynomial_disturbance_response[e, r] * disturbances[e, interval]
     for j in range(discrete.states):
         state[j] = min(max(vector[j], -limits.rails[j]), limits.rails[j])
     if is_limited:
@@ -290,14 +291,14 @@ def _propagate_in_steps(
     disturbances: Array,
     workspace: SegmentWorkspace,
 ) -> tuple[int, float, bool, bool]:
-    """Propagate the vector over an interval in coarse or fine steps.
+    """Propagate the circuit over an interval in coarse or fine steps.
 
     Return the next segment, the final excess over the limit, whether the sensor's output came near its limit, and
     whether any limit was reached.
     """
     vector, current = workspace.vector, workspace.segment
     steps = limits.step_counts[step_size]
-    _start_interval(limits, step_size, state, disturbances[:, interval], vector, workspace.steady)
+    _start_interval(limits, step_size, state, disturbances[:, interval], vector, workspace.constant_response)
     # Completed steps; position in the interval, from 0 to 1.
     step, position = 0, 0.0
     excess, is_near_limit, is_limited, has_more = 0.0, False, False, True
@@ -320,7 +321,7 @@ def _propagate_in_steps(
             step += 1
             position = step / steps
             for r in range(discrete.width):
-                vector[r] += excess * limits.excess_contributions[step_size, 0, r] + workspace.steady[r]
+                vector[r] += excess * limits.excess_contributions[step_size, 0, r] + workspace.constant_response[r]
             is_near_limit |= abs(_sensor_output(limits, vector)) > limits.output_limit * NEAR_LIMIT
             excess = limits.shift_feedback[step_size] * _excess(limits, vector)
             if excess != 0.0:
@@ -341,16 +342,16 @@ def _propagate_in_steps(
 
 @unfused_kernel
 def _start_interval(
-    limits: Limits, step_size: int, state: Array, disturbances: Array, vector: Array, steady: Array
+    limits: Limits, step_size: int, state: Array, disturbances: Array, vector: Array, constant_response: Array
 ) -> None:
-    """Copy the states to the vector, and sum the contributions of constant disturbances to it over a step."""
+    """Copy the states to the propagated vector, and compute its change over a step due to constant disturbances."""
     vector[:] = 0.0
     for j in range(state.size):
         vector[j] = state[j]
-    steady[:] = 0.0
+    constant_response[:] = 0.0
     for e in range(disturbances.size):
-        for r in range(limits.steady_contributions.shape[2]):
-            steady[r] += disturbances[e] * limits.steady_contributions[step_size, e, r]
+        for r in range(limits.constant_disturbance_response.shape[2]):
+            constant_response[r] += disturbances[e] * limits.constant_disturbance_response[step_size, e, r]
 
 
 @unfused_kernel

@@ -22,14 +22,14 @@ class SegmentWorkspace(NamedTuple):
     term: Array  # a term of the Taylor series, or another intermediate vector
     work: Array  # intermediate results
     zeros: Array  # always zero
-    steady: Array  # contribution of constant disturbances over a step
+    constant_response: Array  # change of the vector due to constant disturbances over a step
     segment: Array  # a row of `CubicInput.segments`; (6,)
 
 
 def segment_workspace(size: int) -> SegmentWorkspace:
     """Return working arrays for vectors of length `size`."""
-    vector, term, work, zeros, steady = (aligned_zeros(size) for _ in range(5))
-    return SegmentWorkspace(vector, term, work, zeros, steady, aligned_zeros(6))
+    vector, term, work, zeros, constant_response = (aligned_zeros(size) for _ in range(5))
+    return SegmentWorkspace(vector, term, work, zeros, constant_response, aligned_zeros(6))
 
 
 @unfused_kernel

@@ -43,7 +43,7 @@ class ChannelInfo:
     gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s
     average: bool = False  # each sample is the average over the interval that ends at it
     delay: float = 0.0  # of filter and skew, s; that of the averaging is not included
-    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `Decimation`; its delay is part of `delay`
+    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `DecimationFilter`; its delay is in `delay`
     volts_per_count: float | None = None  # None if samples are in volts
     range: float | None = None  # full scale of the converter, ± V
     sensor: Mapping[str, str] = field(default_factory=dict)  # settings of all devices, as text with units
@@ -86,9 +86,9 @@ class ChannelInfo:
             value *= np.sinc(f / self.rate) * np.exp(-0.5 * s / self.rate)
         if self.filter:
             # Imported when first used: few callers need the filter, and it imports scipy.
-            from daq.signal_chain.decimation_filter import Decimation
+            from daq.signal_chain.decimation_filter import DecimationFilter
 
-            value *= Decimation(**self.filter).magnitude(f)
+            value *= DecimationFilter(**self.filter).amplitude_response(f)
         if self.delay:
             value *= np.exp(-s * self.delay)
         return value

@@ -1,10 +1,10 @@
 """The decimation filter of a delta-sigma converter.
 
-A delta-sigma converter oversamples. Its samples are the output of a long symmetric low-pass filter, which removes
-content above half the sample rate. Here the filter acts on the continuous signal. An interval is a sample interval
-divided by the oversampling. The signal chain provides the exact Legendre moments of the signal over each interval,
-impacts included: its integrals, weighted with the Legendre polynomials. The impulse response of the filter is expanded
-in Legendre polynomials over the same intervals. The sum of moments times coefficients is the convolution integral.
+A delta-sigma converter oversamples. A long linear-phase low-pass filter then removes content above half the sample
+rate. Here the filter acts on the continuous signal. Each sample interval is divided into `oversampling` equal
+*intervals*. The signal chain provides the exact moments of the signal over each interval, impacts included: integrals
+of the signal times Legendre polynomials. The impulse response of the filter is expanded in Legendre polynomials over
+the same intervals. The sum of moments times coefficients is the convolution integral.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Array
 
-# Number of moments of each interval, with which the relative error of the filter's output is at most 3e-6.
+# Number of Legendre moments per interval. The relative error of the filter's output is then at most 3e-6.
 MOMENTS = 8
 # Edge of the passband as a ratio to the sample rate.
 PASSBAND_EDGE = 0.4535
@@ -31,14 +31,14 @@ _ATTENUATION_DB = 109.0
 
 
 @dataclass(frozen=True)
-class Decimation:
+class DecimationFilter:
     """A linear-phase low pass: a sinc with a Kaiser window, symmetric about its delay.
 
     The response is flat within 0.0001 dB up to 0.4535 of the sample rate, and below -100 dB from 0.5465 of it.
     Frequencies up to 0.4535 of the sample rate are therefore free of aliases.
 
-    >>> low_pass = Decimation.standard(5120.0)
-    >>> [f"{20 * np.log10(abs(low_pass.magnitude(ratio * 5120.0))):.4f}" for ratio in (0.1, 0.4, 0.5)]
+    >>> low_pass = DecimationFilter.standard(5120.0)
+    >>> [f"{20 * np.log10(abs(low_pass.amplitude_response(ratio * 5120.0))):.4f}" for ratio in (0.1, 0.4, 0.5)]
     ['0.0000', '0.0000', '-6.0206']
     """
 
@@ -48,12 +48,12 @@ class Decimation:
     beta: float  # shape parameter of the Kaiser window
 
     @classmethod
-    def standard(cls, rate: float) -> Decimation:
+    def standard(cls, rate: float) -> DecimationFilter:
         """Return the filter of every delta-sigma converter here, for a sample rate in Hz."""
         return cls(rate, float(DELAY_SAMPLES), 0.5 * (PASSBAND_EDGE + STOPBAND_EDGE), 0.1102 * (_ATTENUATION_DB - 8.7))
 
     @property
-    def design(self) -> dict[str, float]:
+    def parameters(self) -> dict[str, float]:
         """The fields, for the metadata of a recording."""
         return asdict(self)
 
@@ -68,8 +68,8 @@ class Decimation:
         window = np.where(inside > 0, np.i0(self.beta * np.sqrt(inside)) / np.i0(self.beta), 0.0)
         return 2 * self.cutoff * np.sinc(2 * self.cutoff * time) * window
 
-    def magnitude(self, frequency: ArrayLike) -> Array:
-        """Return the frequency response without the delay, which is real by symmetry, at frequencies in Hz."""
+    def amplitude_response(self, frequency: ArrayLike) -> Array:
+        """Return the zero-phase response: the frequency response without the delay, at frequencies in Hz."""
         # Fourier integral as a sum: with 16 points per sample it is accurate to 1e-6 up to 15 times the sample rate.
         points_per_sample = 16
         values = self.impulse_response(np.arange(self.delay * points_per_sample) / points_per_sample)
@@ -80,11 +80,11 @@ class Decimation:
 
 
 @lru_cache(maxsize=8)
-def legendre_taps(low_pass: Decimation, oversampling: int) -> Array:
+def legendre_taps(low_pass: DecimationFilter, oversampling: int) -> Array:
     """Return the Legendre coefficients of the impulse response, shape (oversampling, MOMENTS, length).
 
-    `length` is the length of the response in sample intervals. Entry (p, k, j) weights moment k of the interval that
-    ends p intervals and j samples before the output sample.
+    `length` is the length of the response in sample intervals. Entry (p, k, j) multiplies moment k of the interval
+    whose end is j sample intervals and p intervals before the output sample.
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]

@@ -74,7 +74,7 @@ def _are_roots(value: Any) -> bool:
     )
 
 
-# Fields of `Decimation`.
+# Fields of `DecimationFilter`.
 _FILTER_FIELDS = ("rate", "delay", "cutoff", "beta")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from daq.dsp.block_buffers import Overlap, SharedScratch
 from daq.dsp.circuit import Circuit
 from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import MOMENTS, Decimation, legendre_taps
+from daq.signal_chain.decimation_filter import MOMENTS, DecimationFilter, legendre_taps
 from rig.arrays import Array
 from rig.numerics.fma import SUMS_AT_ONCE
 from rig.numerics.simd import LANES
@@ -98,7 +98,12 @@ class FilteredSampler:
     moments = MOMENTS
 
     def __init__(
-        self, circuit: Circuit, low_pass: Decimation, oversampling: int, delay_intervals: int, buffers: SharedScratch
+        self,
+        circuit: Circuit,
+        low_pass: DecimationFilter,
+        oversampling: int,
+        delay_intervals: int,
+        buffers: SharedScratch,
     ) -> None:
         self.output_matrix, self.feedthrough = np.zeros((0, circuit.c.size)), np.zeros(0)
         self._filter = Decimator(legendre_taps(low_pass, oversampling), delay_intervals, buffers)

@@ -21,7 +21,7 @@ from daq.dsp.limiting import tabulate_limits
 from daq.dsp.noise import FastNoise, Noise, generator
 from daq.dsp.propagation import circuit_workspace, propagate
 from daq.dsp.skew import Delay
-from daq.signal_chain.decimation_filter import DELAY_SAMPLES, Decimation
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, DecimationFilter
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_averaged
 from rig.arrays import Array
@@ -61,7 +61,7 @@ class SignalPath:
         self._first_interval = 0  # number of the first interval of the next block
         self._sampler: Sampler
         if has_filter:
-            low_pass = Decimation.standard(converter.sample_rate)
+            low_pass = DecimationFilter.standard(converter.sample_rate)
             self._sampler = FilteredSampler(circuit, low_pass, oversampling, delay_intervals, buffers)
         elif is_averaged(stages, converter):
             self._sampler = AverageSampler(circuit, oversampling, delay_intervals, buffers)

@@ -13,7 +13,7 @@ import numpy as np
 from daq.dsp.circuit import INTEGRATION, Section
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.converter import volts_per_count
-from daq.signal_chain.decimation_filter import DELAY_SAMPLES, Decimation
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, DecimationFilter
 from rig.scene.measurement_chain import Converter
 from rig.scene.quantities import si_text
 from rig.scene.quantity_field import quantity_of
@@ -101,7 +101,7 @@ def channel_info(
     for _ in range(min(zeros.count(0j), poles.count(0j))):
         zeros.remove(0j)
         poles.remove(0j)
-    low_pass = None if converter.filter is None else Decimation.standard(rate)
+    low_pass = None if converter.filter is None else DecimationFilter.standard(rate)
     filter_delay = 0.0 if low_pass is None or converter.remove_delay else DELAY_SAMPLES / rate
     return ChannelInfo(
         name=name,
@@ -114,7 +114,7 @@ def channel_info(
         gain=gain,
         average=is_averaged(stages, converter),
         delay=filter_delay + delay,
-        filter={} if low_pass is None else low_pass.design,
+        filter={} if low_pass is None else low_pass.parameters,
         volts_per_count=volts_per_count(converter),
         range=converter.range,
         sensor={key: text for stage in stages for key, text in stage.data.items()} | data_sheet("converter", converter),

@@ -15,7 +15,7 @@ from rig.errors import SceneError
 from rig.motion_map.grid import natural_frequencies, select_frequencies
 from rig.orbits.problem import OrbitProblem
 from rig.results import format_number
-from rig.scene.damper import Contact, Damper, Landing, SpringDamper, walls_of
+from rig.scene.damper import Contact, Damper, SpringDamper, TimedContact, walls_of
 from rig.scene.scene import Scene
 from rig.study import digest
 from rig.system.structural_model import structural_model
@@ -73,7 +73,8 @@ def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
 
 
 def _format_contact(contact: Contact | None) -> str:
-    durations = [f"{format_number(1e3 * wall.duration)} ms" for wall in walls_of(contact) if isinstance(wall, Landing)]
+    timed = [wall for wall in walls_of(contact) if isinstance(wall, TimedContact)]
+    durations = [f"{format_number(1e3 * wall.duration)} ms" for wall in timed]
     if len(durations) == 2:
         return f"duration {durations[0]} on floors and {durations[1]} on ceilings"
     return f"duration {durations[0]}" if durations else "instantaneous"

@@ -80,7 +80,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
 
 
 def rayleigh_time(grains: Grains, density: float) -> float:
-    """Return the time in which a surface (Rayleigh) wave passes the smallest grain, s.
+    """Return the time in which a surface (Rayleigh) wave travels half the circumference of the smallest grain, s.
 
     >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm", modulus="10 MPa"), 11340.0), 1)
     189.3

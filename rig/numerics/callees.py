@@ -1,8 +1,8 @@
-"""Variant of `numba.njit` that compiles called functions without Python wrappers; see `rig.numerics.jit`.
+"""Variant of `numba.njit` that compiles and loads kernels in less time, by internals of numba; see `rig.numerics.jit`.
 
-This module uses internals of numba. Results are the same to the last bit. A compiled function that a kernel calls (a
-callee) is optimized only in its callers, and compiled once for each type, not for each constant (`unliteral`). Kernels
-create no arrays, so they need no numba runtime (`_nrt`), and are loaded without a refresh of numba's registries.
+A *callee* is a function that a kernel calls. It is compiled without wrappers for Python, and optimized only in its
+callers. It is compiled once per argument type, not again for each literal value (`types.unliteral`). Kernels create no
+arrays: they need no numba runtime (`_nrt`), and can be loaded from the cache without refreshing numba's registries.
 """
 
 import functools
@@ -15,12 +15,12 @@ from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
-# Raises AttributeError without these internals; `rig.numerics.jit` then uses the public options of numba.
+# If numba lacks these internals, the import fails with AttributeError, and `rig.numerics.jit` uses public options.
 getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
 
 
 class _CalleeLibrary(JITCodeLibrary):
-    """Machine code that is only marked as final; it is optimized in its callers."""
+    """Machine code without an optimization of its own: it is optimized in its callers."""
 
     def _optimize_final_module(self) -> None: ...
 
@@ -50,9 +50,9 @@ def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
     return dispatcher
 
 
-def njit(function: Callable[..., object], kernel: bool, cache: bool, **options: Any) -> Any:
-    """Compile a function as `numba.njit` does; `kernel`: whether it creates no arrays."""
-    options |= {"_nrt": False} if kernel else {}
+def njit(function: Callable[..., object], creates_no_arrays: bool, cache: bool, **options: Any) -> Any:
+    """Compile a function as `numba.njit` does; `creates_no_arrays`: True for a kernel."""
+    options |= {"_nrt": False} if creates_no_arrays else {}
     dispatcher: Any = numba.njit(cache=cache, **options)(function)
     callee = functools.cache(lambda: _callee(function, options))
 
@@ -61,6 +61,6 @@ def njit(function: Callable[..., object], kernel: bool, cache: bool, **options: 
 
     dispatcher.get_call_template = get_call_template
     dispatcher.get_overload = lambda args: callee().overloads[args].fndesc
-    if kernel and cache:
+    if creates_no_arrays and cache:
         dispatcher._cache.load_overload = dispatcher._cache._load_overload  # noqa: SLF001
     return dispatcher

@@ -160,7 +160,7 @@ def _njit(function: F, is_kernel: bool, **options: Any) -> F:
     """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
     folder = code_folder(_source_folder(function))
     uses_public_options = callees is None or _CONFIG.DISABLE_JIT
-    compiler = numba.njit if uses_public_options else functools.partial(callees.njit, kernel=is_kernel)
+    compiler = numba.njit if uses_public_options else functools.partial(callees.njit, creates_no_arrays=is_kernel)
     previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.numerics.jit.CodeFolder"
     try:
         return cast(F, compiler(function, cache=folder is not None, **options))

@@ -11,16 +11,16 @@ from rig.scene.settings import Alternatives, Problem, Settings, by_key
 from rig.scene.shaker import Body
 
 
-class Landing(Settings):
-    """A wall with a given duration of contact; the damper's restitution sets the rebound speed."""
+class TimedContact(Settings):
+    """Wall contact given by its duration; the damper's restitution sets the rebound speed."""
 
     duration: Annotated[float, Quantity(TIME, above=0.0)]
-    """Time from touch to release without other forces [s]; without loss, half a period of the damper on the wall's
-    spring."""
+    """Contact duration of an isolated impact [s]; without loss, half the natural period of bed and body on the
+    contact stiffness."""
 
 
 class SpringDamper(Settings):
-    """A wall given by its spring and dashpot, which also determine the restitution."""
+    """Wall contact given by spring and dashpot, which also determine the restitution."""
 
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
     """Contact stiffness: force per overlap [N/m]."""
@@ -28,7 +28,7 @@ class SpringDamper(Settings):
     """Contact damping: force per speed of approach [N s/m]."""
 
 
-Wall = Annotated[Landing | SpringDamper, Alternatives(by_key)]
+Wall = Annotated[TimedContact | SpringDamper, Alternatives(by_key)]
 
 
 class Walls(Settings):
@@ -40,11 +40,11 @@ class Walls(Settings):
     """The ceiling: duration, or stiffness and damping."""
 
 
-Contact = Annotated[Landing | SpringDamper | Walls, Alternatives(by_key)]
+Contact = Annotated[TimedContact | SpringDamper | Walls, Alternatives(by_key)]
 
 
-def walls_of(contact: Landing | SpringDamper | Walls | None) -> tuple[Landing | SpringDamper, ...]:
-    """Return the settings of floor and ceiling, or of both in one item; empty if contact is instantaneous."""
+def walls_of(contact: TimedContact | SpringDamper | Walls | None) -> tuple[TimedContact | SpringDamper, ...]:
+    """Return the settings of floor and ceiling, or one item if both are the same; empty if contact is instantaneous."""
     if isinstance(contact, Walls):
         return contact.floor, contact.ceiling
     return () if contact is None else (contact,)
@@ -78,9 +78,9 @@ class Grains(Settings):
     cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
     """Diameter of the cavity [m]; 40 mm in the rig of Inoue, Yokomichi and Hiraki (2011)."""
     time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
-    """Largest time step [s]; by default 0.03 of the smallest grain's Rayleigh time, less below restitution 0.2."""
+    """Largest time step [s]; by default 0.03 Rayleigh times of the smallest grain, less if restitution is below 0.2."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
             yield Problem(
@@ -105,7 +105,7 @@ class Damper(Settings):
     contact: Contact | None = None
     """Finite-duration contact with floor and ceiling; by default contact is instantaneous."""
     grains: Grains | None = None
-    """The bed as spheres (extra `grains`); by default the bed is one mass."""
+    """The bed as spheres (requires the optional dependency `grains`); by default the bed is one mass."""
     locked: bool = False
     """Whether the bed is glued to the floor."""
 
@@ -114,7 +114,7 @@ class Damper(Settings):
         """Return whether the bed can move in its cavity: it is not locked and has clearance."""
         return not self.locked and self.clearance > 0.0
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "given together with grains. Move it into grains.")
@@ -122,8 +122,8 @@ class Damper(Settings):
             yield Problem(
                 ("contact",), "given together with grains, which have their own contact. Remove one of the two."
             )
-        has_landing = any(isinstance(wall, Landing) for wall in walls_of(self.contact))
-        if self.restitution and self.contact is not None and not has_landing:
+        has_duration = any(isinstance(wall, TimedContact) for wall in walls_of(self.contact))
+        if self.restitution and self.contact is not None and not has_duration:
             yield Problem(
                 ("restitution",),
                 "given together with stiffness and damping, which determine it. Remove it, or give contact: duration.",

@@ -102,7 +102,7 @@ class SteppedSine(Settings):
     measure: Measure = Measure()
     """Measurement time of a step in steady state."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check the range or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
@@ -167,7 +167,7 @@ class SweptSine(Settings):
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
             yield Problem(("to",), "equal to from. Use kind: sine for a constant frequency.")
@@ -196,7 +196,7 @@ class Random(Settings):
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
     """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check the band."""
         return check_band(self.from_, self.to)
 
@@ -234,7 +234,7 @@ class Multisine(Settings):
         """Period of the signal [s], as given or from the number of lines."""
         return self.period if self.period is not None else (self.lines or 2) / (self.to - self.from_)
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check the band."""
         yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
@@ -276,7 +276,7 @@ class Impulse(Settings):
     double_hit: DoubleHit | None = None
     """Double hits; None: single hits only."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""
         if self.width >= self.interval:
             yield Problem(
@@ -314,7 +314,7 @@ class Free(Settings):
     duration: Duration = 6.0
     """Duration of the test [s]."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the initial state is given in exactly one form."""
         if (self.mode is None) != (self.amplitude is None):
             given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")

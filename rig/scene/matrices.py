@@ -68,7 +68,7 @@ class Matrices(Settings):
     damping: Matrix | None = None
     """Matrix of the same size with which no free motion grows [N s/m]."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check sizes, symmetry and energies: positive kinetic, no negative elastic energy, no growth."""
         problems = list(self._check_shapes())
         yield from problems

@@ -96,7 +96,7 @@ class Accelerometer(Settings):
         "temperature_drift": "temperature_change",
     }
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that every key on which a given key depends is given too, unless a preset may supply it."""
         yield from check_preset(self.preset, "accelerometer")
         for key, other in self.needs.items():
@@ -141,7 +141,7 @@ class Hammer(Settings):
     iepe: bool | None = None
     """Whether the sensor's amplifier needs a supply current from the converter (`excitation`)."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the part is known."""
         return check_preset(self.preset, "hammer")
 
@@ -189,7 +189,7 @@ class Channel(Settings):
         kind = FORCE if location in FORCE_LOCATIONS else VOLTAGE if location == VOLTAGE_LOCATION else kind
         return {("alarm",): kind, ("abort",): kind}
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the sensor suits the location."""
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
@@ -277,7 +277,7 @@ class Converter(Settings):
     dropped_blocks: tuple[DroppedBlock, ...] = ()
     """Lost samples."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that every key on which a given key depends is given too, and that the module supports the values."""
         preset_problems = list(check_preset(self.preset, "converter"))
         yield from preset_problems

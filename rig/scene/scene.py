@@ -1,4 +1,4 @@
-"""The scene: everything that is on the bench, frozen, in SI, frequencies in Hz."""
+"""The scene: an immutable description of the whole test bench in SI units, with frequencies in Hz."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Scene(Settings):
 
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
-        """Return the kind of the drive, which depends on the kind of the driven shaker."""
+        """Return the quantity of the drive (length, voltage or force), which follows from the type of the shaker."""
         kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
         shaker, number = content.get("shaker"), str(value_at(content, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
@@ -83,7 +83,7 @@ class Scene(Settings):
 
     @property
     def driven(self) -> int | None:
-        """Number of the driven shaker, from 1; None without a shaker, or if the test selects none of several."""
+        """Number of the driven shaker, from 1; None without a shaker, or if the test does not select one of several."""
         if len(self.shakers) == 1:
             return 1
         return getattr(self.test, "shaker", None)
@@ -101,10 +101,10 @@ class Scene(Settings):
         return () if self.driven_shaker is None else self.driven_shaker.bodies
 
     def at_driven(self, name: str) -> str:
-        """Name an input or a location ("shaker", "table" or "drive") at the driven shaker, numbered if needed."""
+        """Return the name of "shaker", "table" or "drive" of the driven shaker, with a number if there are several."""
         return at_shaker(name, self.driven or 1, len(self.shakers) or 1)
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check the frequencies of the test against the sample rate."""
         return consistency.check_frequency(self.test, self.converter)
 

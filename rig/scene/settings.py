@@ -139,7 +139,7 @@ class Settings(_Model):
         """Quantities as the user wrote them, by field; they affect only how the settings are written."""
         return {}
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Return the problems in combinations of fields whose values are valid individually."""
         return ()
 
@@ -224,7 +224,7 @@ class Settings(_Model):
             problems = problems + list(cls._check_groups(data))
             problems = problems + list(cls._check_kinds(data, {item.key_path for item in problems}))
         if settings is not None and not problems:
-            problems = list(settings.relations())
+            problems = list(settings.check_consistency())
         if problems or settings is None:
             raise combined_error(cls.__name__, problems)
         return settings

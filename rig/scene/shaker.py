@@ -55,7 +55,7 @@ class Output(Settings):
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
     """Resolution, a whole number such as 16, over twice the range; needs `range`."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the part is known, and that a resolution has a range."""
         yield from check_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
@@ -194,7 +194,7 @@ class ElectrodynamicShaker(Settings):
         }
         return {**content, **parts}
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the part is known."""
         return check_preset(self.preset, "shaker")
 

@@ -21,7 +21,7 @@ class ModalDamping(Settings):
     modal: Annotated[float | tuple[float, ...], Quantity(RATIO, at_least=0.0, listed=True)]
     """One damping ratio for all modes, or a list with one for each (0.005 = 0.5 %); 1 is critical damping."""
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that no mode is damped more than critically."""
         ratios = self.modal if isinstance(self.modal, tuple) else (self.modal,)
         for k, ratio in enumerate(ratios):
@@ -134,7 +134,7 @@ class Structure(Settings):
             return len(self.masses)
         return len(self.matrices.mass) if self.matrices is not None else 0
 
-    def relations(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the lists have one value for each body, and that nothing is given twice."""
         n_bodies = self.bodies
         for k, message in check_names(self.names, n_bodies) if self.names is not None else ():

@@ -10,44 +10,44 @@ from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPAC
 from rig.engine.trajectory import Trajectory
 from rig.system.hybrid_system import HybridSystem
 
-#: Shortest contact that counts as a stay at the ceiling, relative to the duration of an isolated contact.
+#: A contact with the ceiling is a stay if it is longer than this multiple of the duration of an isolated contact.
 MIN_STAY_RATIO = 2.0
 
 
-def motion_types(trajectory: Trajectory, system: HybridSystem, repetition: int, duration: float) -> list[str]:
+def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, segment_duration: float) -> list[str]:
     """Classify the motion of every damper over one repetition of a steady motion.
 
-    `trajectory`: one repetition; `repetition`: its length in periods of the drive, 0 if the motion does not repeat;
-    `duration`: duration of the segments of the trajectory, s.
+    `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
+    `segment_duration`: duration of a segment of the trajectory, s.
 
-    Returns one of these types for each damper: "riding" (always at rest on the floor), "I" (one floor impact a period),
-    "II" (one floor and one ceiling impact a period, no stay at the ceiling), "III" (the same with a stay), "k per n" (k
-    impacts in n periods), "irregular" (no repetition). A touch in finite-duration contact is an impact.
+    Returns one of these types for each damper: "riding" (at rest on the floor throughout), "I" (one floor impact per
+    period), "II" (one floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay),
+    "k per n" (k impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
     """
-    times = trajectory.event_segment * duration + trajectory.event_offset
-    cycle = len(trajectory.state) * duration
+    times = trajectory.event_segment * segment_duration + trajectory.event_offset
+    cycle = len(trajectory.state) * segment_duration
     events_of_dampers = [trajectory.event_damper == j for j in range(system.dampers)]
     return [
-        type_of(trajectory.event_kind[events], times[events], system, j, repetition, cycle)
+        type_of(trajectory.event_kind[events], times[events], system, j, n_periods, cycle)
         for j, events in enumerate(events_of_dampers)
     ]
 
 
 def type_of(
-    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, repetition: int, cycle: float
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, n_periods: int, cycle: float
 ) -> str:
-    """Classify the motion of a damper (from 0) by its events over a cycle [s], kinds as in `rig.engine.state`."""
+    """Classify the motion of a damper (from 0) by its events over `n_periods`, in total `cycle` seconds."""
     floor_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
     ceiling_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
-    if repetition == 0:
+    if n_periods == 0:
         return "irregular"
     if floor_impacts + ceiling_impacts == 0:
         return "riding"
-    if repetition == 1 and floor_impacts == 1 and ceiling_impacts == 0:
+    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 0:
         return "I"
-    if repetition == 1 and floor_impacts == 1 and ceiling_impacts == 1:
+    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 1:
         return "III" if _stays_at_ceiling(kinds, times, system, damper, cycle) else "II"
-    return f"{floor_impacts + ceiling_impacts} per {repetition}"
+    return f"{floor_impacts + ceiling_impacts} per {n_periods}"
 
 
 def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float) -> bool:
@@ -61,7 +61,7 @@ def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSyst
 
 
 def combined_type(types: list[str]) -> str:
-    """Combine the motion types of all dampers.
+    """Combine the motion types of all dampers; "linear" without dampers.
 
     >>> combined_type(["I", "II", "I"])
     'I/II'

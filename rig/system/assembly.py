@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.scene.damper import Damper, Landing, Wall, Walls
+from rig.scene.damper import Damper, TimedContact, Wall, Walls
 from rig.scene.scene import Scene
 from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
 from rig.system.hybrid_system import HybridSystem
@@ -253,7 +253,7 @@ def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) 
 
 def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
     """Return stiffness [N/m] and damping [N s/m] of a wall; `mass`: reduced mass of bed and body, kg."""
-    if isinstance(wall, Landing):
+    if isinstance(wall, TimedContact):
         return spring_damper(wall.duration, restitution, mass)
     return wall.stiffness, wall.damping
 

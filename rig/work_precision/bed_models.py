@@ -16,7 +16,7 @@ from rig.bed_response.steady_bed import as_one_mass, steady_grains
 from rig.errors import ShotrigError
 from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
-from rig.scene.damper import Grains, Landing
+from rig.scene.damper import Grains, TimedContact
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
@@ -96,7 +96,7 @@ def _models(scene: Scene, frequency: float) -> Models:
 
 def with_finite_contact(scene: Scene, duration: float) -> Scene:
     """Return the scene with each bed of grains as one mass on finite-duration contact."""
-    wall = Landing(duration=duration)
+    wall = TimedContact(duration=duration)
     return scene.replace(
         dampers=[
             damper.replace(grains=None, contact=wall, restitution=CONTACT_RESTITUTION) if damper.grains else damper
@@ -136,9 +136,9 @@ def _point(model: str, setting: str, compute: Callable[[], Compliance], referenc
     try:
         cpu, compliance = timed(compute)
     except ShotrigError as failure:
-        return Point(model, setting, np.nan, np.nan, np.nan, False, failure_reason(failure))
+        return Point(model, setting, np.nan, np.nan, is_correct=False, note=failure_reason(failure))
     error = float(np.abs(compliance - reference).max() / np.abs(reference).max())
-    return Point(model, setting, cpu, error, np.nan, True)
+    return Point(model, setting, cpu, error)
 
 
 def _one_mass_compliance(scene: Scene, frequency: float) -> Compliance:

@@ -37,7 +37,7 @@ STYLE_OF_METHOD = {
     "scipy LSODA": ("#8bbf6a", "d"),
     "CVODE": ("#6b4fa0", "P"),
     "shooting": ("#c1272d", "*"),
-    "waiting": ("#e8853d", "o"),  # time integration to steady state
+    "time integration": ("#e8853d", "o"),  # to steady state
     "approximate": ("#6b4fa0", "P"),
     "linear": ("#808080", "x"),
     "one mass": ("#c1272d", "*"),

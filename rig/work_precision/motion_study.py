@@ -62,8 +62,8 @@ class Point:
     cpu: float  # CPU time, s: per period of the drive for the motion, total for the steady state
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
-    event_error: float  # largest error of an event's time, s; NaN if there are no events to compare
-    is_correct: bool
+    event_error: float = np.nan  # largest error of an event's time, s; NaN if there are no events to compare
+    is_correct: bool = True
     """Whether the result is valid: events in the correct order for each damper; for the steady state, convergence."""
     note: str = ""  # remarks, or the reason for a failure
 
@@ -256,14 +256,14 @@ class _Comparison:
         try:
             cpu, motion = timed(compute)
         except ShotrigError as failure:
-            return Point(method, setting, np.nan, np.nan, np.nan, False, failure_reason(failure))
+            return Point(method, setting, np.nan, np.nan, is_correct=False, note=failure_reason(failure))
         # Subtract in decimal arithmetic, so that the reference is not rounded.
         values = np.vectorize(Decimal, otypes=[object])(motion.displacement)
         has_only_last_sample = values.shape[1] == 1
         exact = self.exact.displacement[:, -1:] if has_only_last_sample else self.exact.displacement
         error = float(np.abs(values - exact).max()) / self.scale
         if has_only_last_sample:
-            return Point(method, setting, cpu / periods, error, np.nan, True, "propagation and events only")
+            return Point(method, setting, cpu / periods, error, note="propagation and events only")
         computed_events = _by_damper(motion.events, len(self.events))
         correct_events = _kinds(computed_events) == _kinds(self.events)
         event_error = np.nan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import get_args
 
@@ -21,9 +21,9 @@ from rig.system.structural_model import receptance, structural_model
 from rig.work_precision.high_precision import DIGITS, ExactOrbit, exact_orbit
 from rig.work_precision.motion_study import MIN_REFERENCE_MARGIN, Point, failure_reason, timed
 
-#: Name of the model with another packing of the grains; its deviation is the resolution of the errors.
+#: Model of `bed_models` with another packing of the grains. Errors below its deviation are not significant.
 OTHER_PACKING = "grains, other packing"
-#: Tolerances of time integration to steady state (method "waiting").
+#: Tolerances of time integration to steady state.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 #: Relative frequency offsets at which periodic motion is searched if the motion is irregular.
 FREQUENCY_OFFSETS = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
@@ -42,7 +42,7 @@ class SteadyStudy:
 
 
 def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
-    """Measure all methods for a scene's steady response at one frequency.
+    """Measure error and CPU time of every method for a scene's steady response at one frequency.
 
     `scene`: if its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid;
     `frequency`: Hz; if the motion is irregular there, the nearest of several frequencies with periodic motion. Raises
@@ -61,22 +61,18 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
         return SteadyStudy((), frequency, "", f"no steady state to compare with: {error}")
     frequency = orbit.frequency
     newton_error = reference.error(orbit.compliance)
-    points = [Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, np.nan, True, orbit.motion_type)]
+    points = [Point("shooting", f"Newton to {orbit.residual:.0e}", cpu, newton_error, note=orbit.motion_type)]
     for tolerance in TOLERANCES:
         report(f"time integration to steady state, {tolerance:.0e}")
         cpu, response = timed(partial(frequency_response, scene, [frequency], tolerance=tolerance))
-        points.append(
-            Point(
-                "waiting", f"tolerance {tolerance:.0e}", cpu, reference.error(response.compliance[:, 0]), np.nan,
-                bool(response.converged[0]), str(response.motion_type[0]),
-            )
-        )  # fmt: skip
+        point = Point("time integration", f"tolerance {tolerance:.0e}", cpu, reference.error(response.compliance[:, 0]))
+        points.append(replace(point, is_correct=bool(response.converged[0]), note=str(response.motion_type[0])))
     report("approximate method")
     points.append(_approximate(scene, frequency, reference))
     all_dampers = tuple(range(1, len(scene.dampers) + 1))
     for setting, dampers in (("dampers at rest", all_dampers), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", setting, cpu, reference.error(linear[:, 0]), np.nan, False))
+        points.append(Point("linear", setting, cpu, reference.error(linear[:, 0]), is_correct=False))
     smallest_error = min((point.error for point in points if point.error > 0.0), default=np.inf)
     margin = smallest_error / max(reference.agreement, 10.0**-DIGITS)
     if margin < MIN_REFERENCE_MARGIN:
@@ -88,9 +84,9 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
         tuple(points),
         frequency,
         orbit.motion_type,
-        f"the periodic orbit in decimal arithmetic of {DIGITS} digits, which closes to {reference.residual:.0e} of the "
-        f"motion. Fewer digits change the compliance by {reference.agreement:.0e}, relative; the error of the most "
-        f"accurate method is {margin:.0e} times as large.",
+        f"the periodic orbit in decimal arithmetic of {DIGITS} digits. Its state after a period differs from the "
+        f"initial state by {reference.residual:.0e}, relative to the motion. Fewer digits change the compliance by "
+        f"{reference.agreement:.0e}, relative; the error of the most accurate method is {margin:.0e} times as large.",
     )
 
 
@@ -123,10 +119,7 @@ def _approximate(scene: Scene, frequency: float, reference: ExactOrbit) -> Point
             for k in np.flatnonzero(branch.valid & branch.stable & (np.abs(branch.frequency / frequency - 1) < 2e-3))
         ]
         if compliances:
-            error, setting = (
-                min(reference.error(compliance) for compliance in compliances),
-                f"mode {mode}, {weighting} weights",
-            )
-            return Point("approximate", setting, cpu, error, np.nan, True, "whole response curve")
+            error = min(reference.error(compliance) for compliance in compliances)
+            return Point("approximate", f"mode {mode}, {weighting} weights", cpu, error, note="whole response curve")
         reasons.append("failed: no stable motion at this frequency")
-    return Point("approximate", f"mode {mode}", np.nan, np.nan, np.nan, False, reasons[-1])
+    return Point("approximate", f"mode {mode}", np.nan, np.nan, is_correct=False, note=reasons[-1])

@@ -136,7 +136,7 @@ class Channel:
     @property
     def has_custom_scale(self) -> bool:
         """Whether a custom scale converts the readings."""
-        units = self.settings["ao_voltage_units" if self.measurement is None else self.measurement.units]
+        units = self.settings["ao_voltage_units" if self.measurement is None else self.measurement.units_setting]
         return bool(units == FROM_CUSTOM_SCALE)
 
     @property

@@ -21,7 +21,7 @@ Value = TypeVar("Value")
 class Storage:
     """Saved tasks, channels and scales, by name."""
 
-    # Channels and groups of settings of each task.
+    # Channels of each task, and its settings by group, such as timing or triggers.
     tasks: dict[str, tuple[list[Channel], dict[str, Properties]]] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     scales: dict[str, Scale] = field(default_factory=dict)

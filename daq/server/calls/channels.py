@@ -40,12 +40,12 @@ def _settings_of_sensor(call: Call, terminal: str, measurement: Measurement) -> 
     """
     port = parse_port(terminal)
     volts_per_unit = sensitivity(call.instrument.teds.data(port))
-    if volts_per_unit is None or not measurement.sensitivity:
+    if volts_per_unit is None or not measurement.sensitivity_setting:
         raise DaqError(
             f"{port.name}: the TEDS of the sensor has no sensitivity for this measurement. Choose another measurement.",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
-    return measurement.sensitivity_settings(volts_per_unit)
+    return measurement.settings_of_sensitivity(volts_per_unit)
 
 
 def _create_output(call: Call) -> None:

@@ -16,7 +16,7 @@ from daq.signal_chain.decimation_filter import (
     MOMENTS,
     PASSBAND_EDGE,
     STOPBAND_EDGE,
-    Decimation,
+    DecimationFilter,
     legendre_taps,
 )
 
@@ -48,7 +48,7 @@ def test_filtered_sample_is_the_weighted_sum(oversampling, delay):
 
 @pytest.mark.parametrize("oversampling", [1, 3])
 def test_taps_are_integrals_of_the_kernel(oversampling):
-    low_pass = Decimation.standard(1000.0)
+    low_pass = DecimationFilter.standard(1000.0)
     taps = legendre_taps(low_pass, oversampling)
     assert taps.shape == (oversampling, MOMENTS, 2 * DELAY_SAMPLES)
     # A constant is unchanged, and a ramp is delayed by 38 samples.
@@ -75,19 +75,21 @@ def test_taps_are_integrals_of_the_kernel(oversampling):
 
 def test_constant_is_not_changed_by_the_filter():
     time = np.linspace(-DELAY_SAMPLES, DELAY_SAMPLES, 100 * DELAY_SAMPLES + 1)
-    kernel = Decimation.standard(5120.0).impulse_response(time)
+    kernel = DecimationFilter.standard(5120.0).impulse_response(time)
     assert trapezoid(kernel, time) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_filter_response_is_the_fourier_integral():
-    low_pass = Decimation.standard(5120.0)
-    assert low_pass.design == {"rate": 5120.0, "delay": 38.0, "cutoff": 0.5, "beta": pytest.approx(11.0531, abs=1e-4)}
+    low_pass = DecimationFilter.standard(5120.0)
+    beta = pytest.approx(11.0531, abs=1e-4)
+    assert low_pass.parameters == {"rate": 5120.0, "delay": 38.0, "cutoff": 0.5, "beta": beta}
     time = np.linspace(-38.0, 38.0, 200_001)
     kernel = low_pass.impulse_response(time)
     step = time[1] - time[0]
     for cycles_per_sample in (0.0, 0.2, 0.44, PASSBAND_EDGE, 0.5, STOPBAND_EDGE, 0.7, 3.0):
         expected = np.sum(kernel * np.cos(2 * np.pi * cycles_per_sample * time)) * step / (np.sum(kernel) * step)
-        assert low_pass.magnitude(cycles_per_sample * 5120.0) == pytest.approx(expected, abs=2e-6)
-    assert 20 * np.log10(abs(low_pass.magnitude(np.linspace(STOPBAND_EDGE, 8.0, 4000) * 5120.0)).max()) < -100.0
-    assert abs(20 * np.log10(abs(low_pass.magnitude(np.linspace(0.0, PASSBAND_EDGE, 2000) * 5120.0)))).max() < 1e-4
+        assert low_pass.amplitude_response(cycles_per_sample * 5120.0) == pytest.approx(expected, abs=2e-6)
+    stopband, passband = np.linspace(STOPBAND_EDGE, 8.0, 4000), np.linspace(0.0, PASSBAND_EDGE, 2000)
+    assert 20 * np.log10(abs(low_pass.amplitude_response(stopband * 5120.0)).max()) < -100.0
+    assert abs(20 * np.log10(abs(low_pass.amplitude_response(passband * 5120.0)))).max() < 1e-4
     assert not low_pass.impulse_response(np.array([-38.0, -40.0, 38.0, 41.5])).any()

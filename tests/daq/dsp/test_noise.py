@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import welch
 
 from daq.dsp.noise import Noise, generator
-from daq.signal_chain.decimation_filter import Decimation
+from daq.signal_chain.decimation_filter import DecimationFilter
 from tests.daq.dsp.analytic_motion import at_rest, chain_of, scene_of
 
 
@@ -93,11 +93,11 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
     rate = interval_rate / oversampling
     volts = chain.measure(at_rest(1, interval_rate, 300_000 * oversampling))[0][500:]
     frequency, density = spectral_density(volts, rate, 512)
-    low_pass = Decimation.standard(rate)
+    low_pass = DecimationFilter.standard(rate)
 
     def filtered_density(f):
         transfer = 500.0 / abs(2j * np.pi * f + 2 * np.pi * 20.0) if integrator else 1.0
-        return 0.02 * low_pass.magnitude(f) * transfer
+        return 0.02 * low_pass.amplitude_response(f) * transfer
 
     # White noise above half the rate is aliased, attenuated by the filter.
     expected = np.hypot(filtered_density(frequency), filtered_density(rate - frequency))

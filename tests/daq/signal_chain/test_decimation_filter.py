@@ -6,7 +6,7 @@ Frequencies are relative to the sample rate.
 import numpy as np
 import pytest
 
-from daq.signal_chain.decimation_filter import DELAY_SAMPLES, PASSBAND_EDGE, STOPBAND_EDGE, Decimation
+from daq.signal_chain.decimation_filter import DELAY_SAMPLES, PASSBAND_EDGE, STOPBAND_EDGE, DecimationFilter
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, cut, motion_of, scene_of
 
 RATE = 1000.0  # Hz
@@ -50,7 +50,7 @@ def test_impact_response_is_convolved_with_filter():
     chain, _ = chain_of(scene_of(sensor, converter=f"{{rate: {rate}, filter: delta_sigma}}"))
     instant, jump = 20.3217 / rate, 0.13
     samples = chain.measure(motion_of([PointMotion(impacts=((instant, jump),))], rate, 110))[0]
-    low_pass = Decimation.standard(rate)
+    low_pass = DecimationFilter.standard(rate)
     # The decaying vibration of the sensor in closed form, convolved with the filter by a fine midpoint rule.
     omega = 2 * np.pi * resonance
     decay, damped_omega = omega / (2 * q), omega * np.sqrt(1 - 1 / (4 * q * q))

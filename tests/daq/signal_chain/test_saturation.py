@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import rig
-from daq.signal_chain.decimation_filter import Decimation
+from daq.signal_chain.decimation_filter import DecimationFilter
 from daq.virtual_bench.bench import Bench
 from tests.daq.dsp.analytic_motion import PointMotion, chain_of, cut, motion_of, scene_of
 
@@ -78,7 +78,7 @@ class SaturatedChain:
         if self.sampling == "average":
             integral = np.concatenate([[0.0], np.cumsum(0.5 * (voltage[1:] + voltage[:-1])) * self.step])
             return np.diff(np.interp(instants, time, integral), prepend=0.0) * self.rate
-        low_pass = Decimation.standard(self.rate)
+        low_pass = DecimationFilter.standard(self.rate)
         lag = np.linspace(-low_pass.delay, low_pass.delay, 100_001)
         kernel = low_pass.impulse_response(lag)
         samples = [

@@ -18,7 +18,7 @@ import mpmath
 import numpy as np
 
 import rig
-from rig.scene.damper import Landing, Walls
+from rig.scene.damper import TimedContact, Walls
 from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
@@ -39,7 +39,7 @@ def spring_damper(wall, restitution: float, reduced_mass: mpmath.mpf) -> tuple[D
     constant damping / stiffness is 5 ms, and the damping is at least critical. `reduced_mass`: of damper and body, kg.
     """
     with mpmath.workdps(DIGITS):
-        if not isinstance(wall, Landing):
+        if not isinstance(wall, TimedContact):
             return Decimal(wall.stiffness), Decimal(wall.damping)
         duration = mpmath.mpf(wall.duration)
 

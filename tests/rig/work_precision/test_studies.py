@@ -113,7 +113,7 @@ def test_simulation_converges_to_the_orbit(monkeypatch: pytest.MonkeyPatch) -> N
     # Without the approximate method, which takes most of the time.
     monkeypatch.setattr("rig.work_precision.steady_study.approximate_response", reject)
     study = steady_study(rig.load("fig9").replace(converter={}, channels=None), 49.6)
-    errors = [point.error for point in study.points if point.method == "waiting"]
+    errors = [point.error for point in study.points if point.method == "time integration"]
     assert study.motion_type == "II"
     assert errors[0] > errors[2] > errors[-1]
     assert errors[-1] < 1e-9

@@ -40,6 +40,12 @@ def commands(page: Path, *kinds: str) -> list[list[str]]:
     return [words for words in lines if words and words[0] in PROGRAMS]
 
 
+def new_commands(page: Path) -> list[list[str]]:
+    """Return the commands in `sh` blocks of a page that no earlier page contains."""
+    earlier = [words for other in PAGES[: PAGES.index(page)] for words in commands(other, "sh")]
+    return [words for words in commands(page, "sh") if words not in earlier]
+
+
 def scenes() -> dict[str, str]:
     """Return the texts of the scene files that readers of the pages save, by name."""
     scene_texts = {}
@@ -64,9 +70,9 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("page", [page for page in PAGES if commands(page, "sh")], ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [page for page in PAGES if new_commands(page)], ids=lambda page: page.stem)
 def test_commands_of_pages_run_as_typed(page, folder) -> None:
-    for words in commands(page, "sh"):
+    for words in new_commands(page):
         with warnings.catch_warnings():
             # A few coarse steps do not settle, and the recording reports it.
             warnings.simplefilter("ignore")

@@ -24,7 +24,6 @@ from daq.server.served_instrument import Limits
 from rig import load
 
 RATE = 5120.0  # Hz
-N_CALLS = 200  # random calls during the witness's task
 # Values of fields: valid values, limits, and values that a careless server would not expect.
 STRINGS = (
     "",
@@ -146,7 +145,7 @@ def create_valid_task(channel, sessions):
     send(channel, "CreateAIVoltageChan", request.SerializeToString())
 
 
-def read_witness_during(actions):
+def read_witness_during(actions, n_actions):
     """Read 2000 samples of the witness during other calls to the server; return them, shape (4, 2000)."""
     with (
         daq.connect(two_modules(), clock=ManualClock()) as rig,
@@ -154,7 +153,7 @@ def read_witness_during(actions):
     ):
         witness.start()
         for action in actions(open_channel(rig.address)):
-            rig.chassis.advance(round(2000 / N_CALLS * rig.chassis.rate / RATE))
+            rig.chassis.advance(round(2000 / n_actions * rig.chassis.rate / RATE))
             action()
         rig.chassis.advance(round(0.1 * rig.chassis.rate))
         return np.array(witness.read(2000, timeout=0.0))
@@ -166,16 +165,19 @@ def test_random_calls_disturb_only_their_client(capfd):
     # Outputs drive the shaker, and change the readings of all clients by design.
     without_outputs = [method for method in supported if "AO" not in method.name and "Write" not in method.name]
 
+    rng.shuffle(without_outputs)
+
     def calls(channel):
-        for number in range(N_CALLS):
+        for number, method in enumerate(without_outputs):
             if number % 20 == 0:
                 create_valid_task(channel, sessions)
-            yield lambda: errors.append(send_random_call(channel, rng.choice(without_outputs), rng, sessions[-4:]))
+            yield lambda method=method: errors.append(send_random_call(channel, method, rng, sessions[-4:]))
 
-    disturbed = read_witness_during(calls)
+    n_calls = len(without_outputs)
+    disturbed = read_witness_during(calls, n_calls)
     assert not [text for text in errors if "fault" in text or "Exception" in text or "Stream removed" in text]
     assert "Traceback" not in capfd.readouterr().err
-    np.testing.assert_array_equal(disturbed, read_witness_during(lambda channel: [lambda: None] * N_CALLS))
+    np.testing.assert_array_equal(disturbed, read_witness_during(lambda channel: [lambda: None] * n_calls, n_calls))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from tests.rig.mpi import on_two_ranks
 
 
 def coupled_bed() -> CoupledPropagator:
-    """Return the engine for a body with a bed of about 30 grains in a narrow cavity, so that one rank has the upper half."""
+    """Return the engine for a body with about 30 grains in a narrow cavity, so that one rank has the upper half."""
     return CoupledPropagator(with_grains(mass="1.5 g", cavity="5 mm"), 1e-3)
 
 

@@ -36,6 +36,13 @@ const charts = [...document.querySelectorAll('.nicegui-echart')].map(each => get
 const chart = charts.find(each => each && each.getOption().title[0].text.startsWith(arguments[0]));
 return chart ? chart.getOption().series.map(each => [each.name, each.data]) : [];
 """
+# JavaScript that stores all texts of the state, because a busy machine may miss a short one.
+STORE_STATES = """
+const label = document.querySelector('[data-testid=state]');
+window.states = [];
+new MutationObserver(() => window.states.push(label.textContent))
+    .observe(label, {childList: true, characterData: true, subtree: true});
+"""
 
 
 @pytest.fixture
@@ -103,6 +110,7 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     for name, value in {"level": 5, "low": 57, "high": 67, "duration": 8}.items():
         set_number(browser, name, value)
+    browser.execute_script(STORE_STATES)
     element(browser, "record").click()
     element(browser, "start").click()
     # The file is named from the start of the sweep on, which may have ended before a busy machine looks again.
@@ -115,6 +123,7 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
         wait_for(browser, lambda: "other" in element(browser, "clients").text)
         assert np.ptp(task.read(1024)) > 0.0
     wait_for(browser, lambda: element(browser, "state").text == "ready")
+    assert any(" Hz" in state for state in browser.execute_script("return window.states"))
     wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
     curve = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
     assert curve[np.argmax(curve[:, 1]), 0] == pytest.approx(62.0, abs=1.0)

@@ -80,7 +80,8 @@ def test_any_grain_material_rebounds_with_its_restitution(seed: int) -> None:
     assert bed.momentum / bed.mass == pytest.approx(grains.restitution * speed, rel=0.01)
 
 
-@pytest.mark.parametrize("seed", range(10, 16))
+# With seeds 75 and 86, the restitution would have an error above 1 % without the correction for the time step.
+@pytest.mark.parametrize("seed", [10, 11, 12, 13, 75, 86])
 def test_grains_separate_with_their_restitution(seed: int) -> None:
     grains, speed = random_grains(seed)
     bed, heights = falling_grains(grains, 2, speed)

@@ -8,6 +8,7 @@ import pytest
 
 import rig
 from rig.results.response import Response
+from tests.rig.this_process import pieces_in_this_process
 
 # A scene of two bodies that a force drives near the first natural frequency, 19.7 Hz.
 STRUCTURE = {"masses": ["1 kg", "1 kg"], "springs": ["40 kN/m", "40 kN/m"], "damping": {"modal": "1 %"}}
@@ -72,14 +73,14 @@ def test_argument_of_the_wrong_type_is_named(call: Callable[[rig.Scene], object]
         call(rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION))
 
 
-def test_map_and_cost_are_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    # As one of several ranks, this process computes the map itself. Each method of the study is measured once.
-    monkeypatch.setattr("rig.workers.rank_count", lambda: 2)
-    monkeypatch.setattr("rig.work_precision.motion_study.MIN_MEASURED_CPU_S", 0.0)
+def test_map_and_cost_are_results() -> None:
     scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION)
-    map_ = rig.map(scene, rows=2, first="18 Hz", last="20 Hz", points=2)
+    with pieces_in_this_process() as patch:
+        # Each method of the study is measured once.
+        patch.setattr("rig.work_precision.motion_study.MIN_MEASURED_CPU_S", 0.0)
+        map_ = rig.map(scene, rows=2, first="18 Hz", last="20 Hz", points=2)
+        cost = rig.cost(scene, periods=1)
     assert map_.motion.shape == (2, map_.frequency.size)
-    cost = rig.cost(scene, periods=1)
     assert set(cost.columns()["method"]) == {point.method for _, point in cost.points}
     axes = cost.plot()
     assert axes.get_xscale() == "log"

@@ -18,6 +18,8 @@ from rig.results.uncertainty import SENSITIVITY
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
 
+pytestmark = pytest.mark.usefixtures("few_lines")
+
 HAMMER_TEST = """
 name: two bodies
 structure: {{masses: [2 kg, 1 kg], springs: [80 kN/m, 20 kN/m], damping: {{modal: 1 %}}}}
@@ -29,12 +31,6 @@ channels:
 converter: {converter}
 recording: {{display: false}}
 """
-
-
-@pytest.fixture(autouse=True)
-def few_lines(monkeypatch):
-    """Estimate responses at a third of the lines, because the local fits take most of the time of these tests."""
-    monkeypatch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
 
 
 def coverage(rec, curves, low=3.0, high=60.0):

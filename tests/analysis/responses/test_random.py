@@ -18,15 +18,11 @@ from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
+pytestmark = pytest.mark.usefixtures("few_lines")
+
 RATE, OVERSAMPLING = synthetic.RATE, synthetic.OVERSAMPLING
 ANTIRESONANCES = (17.8, 28.1, 44.4)  # Hz
 RANDOM = "{kind: random, from: 8 Hz, to: 60 Hz, duration: 60 s, force: 1 N}"
-
-
-@pytest.fixture(autouse=True)
-def few_lines(monkeypatch):
-    """Estimate responses at fewer lines, because the local fits take most of the time of these tests."""
-    monkeypatch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
 
 
 @pytest.fixture(scope="module")

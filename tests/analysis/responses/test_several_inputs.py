@@ -16,7 +16,7 @@ from daq.recording.markers import Marker
 from rig.errors import SceneError
 from rig.system.structural_model import structure_matrices
 
-pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")
+pytestmark = [pytest.mark.filterwarnings("ignore::daq.RunWarning"), pytest.mark.usefixtures("few_lines")]
 
 SCENE = """
 name: two shakers
@@ -38,14 +38,6 @@ MULTISINE = (
     "force: 1 N}"
 )
 MASSES, SPRINGS = "[0.74 kg, 0.71 kg, 0.64 kg]", "[24.3 kN/m, 21.8 kN/m, 19.8 kN/m]"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def few_lines():
-    """Estimate responses at fewer lines, because the local fits take most of the time of these tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("analysis.responses.segment_fits._MAX_LINES", 260)
-        yield
 
 
 def record_scene(path, test, seed=0, noise=200, masses=MASSES, springs=SPRINGS):

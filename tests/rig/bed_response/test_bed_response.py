@@ -11,6 +11,7 @@ from rig.bed_response.bed_response import BedResponse, bed_response, format_tabl
 from rig.bed_response.steady_bed import steady_grains, steady_mass
 from rig.errors import RunError, SceneError
 from tests.rig.grain_beds.scenes import with_grains, without_grains
+from tests.rig.this_process import pieces_in_this_process
 
 
 def test_resting_bed_equals_one_mass() -> None:
@@ -40,12 +41,11 @@ def test_bed_at_ceiling_dissipates_energy() -> None:
 
 
 @pytest.mark.thorough
-def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path) -> None:
     table, progress = tmp_path / "beds.csv", []
     scene = with_grains(test={"kind": "sine", "frequency": 30.0, "force": 0.003})
-    # As one of several ranks, this process computes the first response itself; a worker computes the second.
-    with monkeypatch.context() as patch:
-        patch.setattr("rig.workers.rank_count", lambda: 2)
+    # A worker computes the second response.
+    with pieces_in_this_process():
         first = bed_response(scene, [250.0, 300.0], periods=1, table=table)
     lines = table.read_text(encoding="utf-8").splitlines(keepends=True)
     table.write_text("".join(lines[:-1]) + lines[-1][:-30])

@@ -13,6 +13,7 @@ from rig.errors import SceneError
 from rig.grain_beds.bed import CEILING
 from rig.grain_beds.coupling import CoupledPropagator
 from tests.rig.grain_beds.scenes import momentum_errors, with_grains, without_grains
+from tests.rig.this_process import pieces_in_this_process
 
 RATE = 2000.0  # samples per second
 BODY_MASS = 0.01  # kg
@@ -103,10 +104,8 @@ def test_halved_step_agrees_within_2_percent() -> None:
         lambda scene: rig.map_motion(scene, "force", [0.1, 0.2], [20.0, 30.0]),
     ],
 )
-def test_single_mass_commands_reject_grains(function: object, monkeypatch: pytest.MonkeyPatch) -> None:
-    # As one of several ranks, this process computes the pieces of a study itself.
-    monkeypatch.setattr("rig.workers.rank_count", lambda: 2)
-    with pytest.raises(SceneError, match="grains"):
+def test_single_mass_commands_reject_grains(function: object) -> None:
+    with pieces_in_this_process(), pytest.raises(SceneError, match="grains"):
         function(with_grains())  # type: ignore[operator]
 
 

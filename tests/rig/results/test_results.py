@@ -13,6 +13,7 @@ import analysis
 import daq
 import rig
 from rig.errors import RunError, SceneError
+from tests.rig.this_process import pieces_in_this_process
 
 SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no-damper.mcap"
 
@@ -21,9 +22,7 @@ SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no
 def results():
     """One result of each kind."""
     force_driven = rig.load("fig9", {"shaker": {"kind": "force", "body": 1}, "channels": None})
-    with daq.open(SWEEP) as sweep_recording, daq.open(HIT) as hit_recording, pytest.MonkeyPatch.context() as patch:
-        # As one of several ranks, this process computes the map itself.
-        patch.setattr("rig.workers.rank_count", lambda: 2)
+    with daq.open(SWEEP) as sweep_recording, daq.open(HIT) as hit_recording, pieces_in_this_process():
         frfs = analysis.frfs(sweep_recording)
         yield [
             frfs,

@@ -1,0 +1,15 @@
+"""Fixture of tests whose time is that of the local fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def few_lines() -> Iterator[None]:
+    """Estimate responses at a third of the lines."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
+        yield

@@ -178,7 +178,7 @@ def describe_recordings(
         print(info(file, check))
 
 
-@app.command(example="daq recover torn.mcap -o whole.mcap")
+@app.command(example="daq recover damaged.mcap -o repaired.mcap")
 def recover(
     file: Annotated[
         Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is not changed.")
@@ -227,7 +227,7 @@ def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
-        # The callback replaces that of all commands, which would check the arguments as options of `daq run`.
+        # This callback replaces the common callback, which would check the arguments as options of `daq run`.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,

@@ -100,7 +100,7 @@ def _reduce_scene(scene: Scene, active_keys: dict[str, set[str]]) -> Scene:
 
 
 def _reduce_channel(channel: Channel, active_keys: dict[str, set[str]]) -> Channel:
-    # Limits are removed, because their unit is that of the channel with all effects.
+    # Limits are removed, because their unit is valid only for the channel with all effects.
     changes: dict[str, Any] = {"alarm": None, "abort": None}
     for name in ("accelerometer", "hammer"):
         device = getattr(channel, name)

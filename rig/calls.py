@@ -35,13 +35,13 @@ def response(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     first, last : float or str, optional
-        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; omitted, those of the test.
+        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; default: those of the test.
     points : int, optional
-        Number of frequencies; omitted, that of the test, or 101.
+        Number of frequencies; default: that of the test, or 101.
     direction : {'up', 'down', 'both'}, optional
-        Order in which the frequencies are visited; omitted, that of the test.
+        Order in which the frequencies are visited; default: that of the test.
     progress : callable, optional
-        Called with the number of points done and the total.
+        Called with the number of completed points and the total.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def grains(
     cluster: str | None = None,
     progress: CountProgress | None = None,
 ) -> BedResponse:
-    """Compare particle beds, simulated as grains, with their one-mass models in steady motion at each frequency.
+    """Compare the steady motion of beds of grains with that of their single-mass models at each frequency.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def grains(
     table : str or Path, optional
         CSV file that stores the results; frequencies in this file are not recomputed.
     cluster : str, optional
-        Address of a Dask scheduler; omitted, the processors of this machine.
+        Address of a Dask scheduler; default: the processors of this machine.
 
     Raises
     ------
@@ -114,13 +114,13 @@ def map(
     scene, first, last, progress
         As in `rig.response`.
     over : {'force', 'drive', 'clearance'}, optional
-        Quantity of the vertical axis; omitted, the level of the test.
+        Quantity of the vertical axis; default: the level of the test.
     least, most : float or str, optional
         Limits of the vertical axis, in SI or as texts such as ``"0.5 N"``.
     rows, points : int
         Number of levels or clearances, and of frequencies.
     cluster : str, optional
-        Address of a Dask scheduler; omitted, the processors of this machine.
+        Address of a Dask scheduler; default: the processors of this machine.
     kept : str or Path, optional
         CSV file to which each finished row is added; rows in this file are not recomputed.
 
@@ -150,9 +150,8 @@ def cost(
     ----------
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
-    frequency : float or str, optional
-        Drive frequency; omitted, that of the test or that with the largest acceleration of the linear structure.
-    periods : int
+    frequency : float or str, optional Drive frequency; default: the frequency of the test, or of the largest
+    acceleration of the linear structure. periods : int
         Number of drive periods to simulate.
     say : callable, optional
         Called with the name of the next method.

@@ -1,4 +1,4 @@
-"""Signals that end a command like Ctrl-C, so that its files are closed, and their delay while a file is written."""
+"""Handle signals that end a command, such as Ctrl-C: open files are closed, and a file being written is completed."""
 
 import signal
 import threading

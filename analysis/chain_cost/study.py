@@ -149,8 +149,8 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns the lowest and the highest of these in the test's range, and that of largest acceleration, Hz; rising.
-    Raises `RunError` if there is none.
+    Returns the lowest and the highest of these in the test's range, and the frequency of largest acceleration, Hz;
+    rising. Raises `RunError` if there is none.
     """
     motion = with_ideal_force(scene)
     candidates = select_frequencies(motion, points=CANDIDATE_FREQUENCIES)

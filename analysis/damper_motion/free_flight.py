@@ -2,7 +2,8 @@
 
 A damper moves vertically in a cavity of its body, between *floor* and *ceiling*, which are the *walls*. Their distance
 from the damper at rest on the floor is the *clearance*. The *apparent gravity* is the body's acceleration plus g: the
-damper stays on the floor while it is positive. The *closing speed* of an impact is that of the damper toward the wall.
+damper stays on the floor while it is positive. The *closing speed* of an impact is the speed of the damper toward the
+wall.
 """
 
 from __future__ import annotations

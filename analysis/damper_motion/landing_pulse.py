@@ -42,7 +42,7 @@ class Pulse:
     """Natural angular frequency of the mass on the contact, rad/s."""
 
     def velocity_change_ratio(self, time: Array) -> Array:
-        """Return the velocity change of the body until a time after first contact, s, relative to that at release.
+        """Return the velocity change of the body until a time after first contact, s, relative to the whole change.
 
         >>> half_sine = Pulse(duration=2e-3, damping_ratio=0.0, angular_frequency=np.pi / 2e-3)
         >>> half_sine.velocity_change_ratio(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
@@ -51,7 +51,7 @@ class Pulse:
         return (1.0 - self._speed(np.clip(time, 0.0, self.duration))) / (1.0 + self.restitution)
 
     def _speed(self, time: Array) -> Array:
-        """Return the closing speed during contact relative to that at first contact."""
+        """Return the closing speed during contact relative to the closing speed at first contact."""
         ratio = self.damping_ratio + _CRITICAL_OFFSET * (abs(self.damping_ratio - 1.0) < _CRITICAL_OFFSET)
         root = np.sqrt(complex(ratio**2 - 1.0))
         first, second = self.angular_frequency * (root - ratio), -self.angular_frequency * (root + ratio)

@@ -62,7 +62,7 @@ _MAX_RESOLVED_ERROR_RATIO = 1.1
 _GROUP_SEARCH_RATIO = 3.0
 # Maximum number of windows in such a segment.
 _MAX_WINDOWS = 4
-# That search ends at this residual sum of squares, relative to that of a jump at the detection limit.
+# That search ends at this residual sum of squares, relative to the sum of squares of a jump at the detection limit.
 _SUFFICIENT_RATIO = 0.1
 # A segment is unresolved if its residual exceeds this multiple of the detection limit ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
@@ -72,7 +72,7 @@ _UNRESOLVED_JUMP_RATIO = 0.5
 _HIGHER_ORDERS = (2, 4, 6)
 # Factor by which a higher order must reduce the residual variance.
 _MIN_VARIANCE_REDUCTION = 2.0
-# A filter of higher order is used if the noise of its jumps is below this fraction of that of the lower order.
+# A filter of higher order is used if it reduces the noise of the jumps below this fraction.
 NOISE_REDUCTION = 0.7
 # Maximum number of jumps in a joint fit.
 _MAX_JOINT_JUMPS = 5
@@ -84,7 +84,7 @@ _SPURIOUS_DISTANCE_SAMPLES = 10.0
 _STEP_PRIOR_RATIO = 0.2
 # Length of that smoothing.
 _SMOOTHING_SAMPLES = 8
-# Prior standard deviation of kinks: that of steps times this angular frequency.
+# Prior standard deviation of kinks, as the prior standard deviation of steps times this angular frequency.
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
@@ -381,7 +381,7 @@ class MatchingPursuit:
         acceleration = np.diff(readings, integrations) * self.rate**integrations
         acceleration = acceleration - np.median(acceleration)
         acceleration = np.convolve(acceleration, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
-        # If the reading is constant, the acceleration is at most that of its rounding.
+        # If the reading is constant, the acceleration is at most the acceleration that rounding hides.
         large_acceleration = float(_quantile(abs(acceleration), 0.9))
         step = _STEP_PRIOR_RATIO * max(large_acceleration, self.noise_floor * self.rate**integrations)
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ

@@ -204,7 +204,7 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
     """Return an upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
 
-    It uses the restitution estimated from flights if that is significant, otherwise that of the scene. For
+    It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's. For
     finite-duration contact the release is unknown and the bound is infinite.
     """
     detected = motion.impacts
@@ -217,7 +217,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
         return 0.0
     at_ceiling = replace(detected, jump=detected.jump[detected.wall == "ceiling"])
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
-    # The duration of all bounces equals that of one bounce with the sum of their speeds (geometric series).
+    # All bounces together take as long as one bounce with the sum of their speeds (geometric series).
     return float(
         np.max(speeds, initial=0.0) * restitution_bound / (1.0 + restitution_bound) / max(1.0 - restitution_bound, 1e-9)
     )

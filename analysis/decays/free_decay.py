@@ -178,7 +178,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     rec : daq.Recording, str or Path
         Recording of an impulse test or a free decay.
     channel : str, optional
-        Motion channel; default: that of the last body.
+        Motion channel; default: the channel of the last body.
     hit : int
         Number of the hit, from 1.
     modes : int, optional

@@ -48,7 +48,7 @@ _FORCE_UNIT_ERRORS = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",
 }
-# Largest relative difference between a fitted factor and that of a unit error.
+# Largest relative difference between a fitted factor and the factor of a unit error.
 _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"

@@ -29,7 +29,7 @@ COVERAGE_FACTOR = 1.96
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # Model errors of fits from random initial values, which are used if the modes lead to no solution.
 _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of the random initial values of unknowns around those of the scene.
+# Standard deviation of the random initial values of unknowns around the values of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8
@@ -98,7 +98,7 @@ def estimate(problem: Problem, report: Report) -> Estimate:
 def _estimate_dampers(
     problem: Problem, x_structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
-    """Estimate all unknowns from several initial values of the dampers, those of the scene first; return the best.
+    """Estimate all unknowns from several initial values of the dampers, the scene's first; return the best.
 
     Clearances with ceiling impacts and clearances without them are different optima, so both are tried.
     `x_structure`: unknowns with the fitted structure, if it is known from linear recordings, and the initial dampers.

@@ -15,7 +15,7 @@ from rig.arrays import Array
 _MIN_HALF_WIDTH = 0.02
 # A value is listed in a combination if its component is at least this fraction of the largest component.
 _MIN_COMPONENT_RATIO = 0.3
-# A sensor is named if its error correlates with that of a value at least this strongly.
+# A sensor is named if the correlation of its error with the error of a value is at least this.
 _MIN_CORRELATION = 0.7
 # Damping is determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5

@@ -88,8 +88,8 @@ class Curves:
 def measured_curves(rec: Recording, name: str) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
-    With a coil spring the reference is the displacement of the table: the responses are those of the structure with
-    the spring to ground. The spring force would be a small difference of two readings.
+    With a coil spring the reference is the displacement of the table: the responses describe the structure with the
+    spring to ground. The spring force would be a small difference of two readings.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """

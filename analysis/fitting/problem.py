@@ -1,9 +1,9 @@
 """The least-squares problem of a fit: unknowns, prior knowledge of them, weighted residuals and their derivatives.
 
 An *unknown* is the logarithm of a parameter (the log odds of a ratio below 1), the relative deviation of a sensor's
-sensitivity, or that of the sample clock. A *group* contains the responses of one sweep or test. Where dampers move, a
-*periodic orbit* gives the response at each frequency; otherwise the response is linear. A *gap* is the distance of a
-damper from the floor of its cavity, the *clearance* its largest possible value.
+sensitivity, or the relative deviation of the sample clock. A *group* contains the responses of one sweep or test. Where
+dampers move, a *periodic orbit* gives the response at each frequency; otherwise the response is linear. A *gap* is the
+distance of a damper from the floor of its cavity, the *clearance* its largest possible value.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ class SweepOrbits:
         return response
 
     def alternatives(self, test_scene: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at point k that are reached from those of its neighbors, riding dampers, and rest."""
+        """Yield the stable orbits at point k that are reached from neighboring orbits, riding dampers, and rest."""
         solver = _OrbitSolver(test_scene)
         for neighbor in (k - 1, k + 1):
             if 0 <= neighbor < frequency.size and (orbit := self.current[neighbor]) is not None:
@@ -143,7 +143,7 @@ class SweepOrbits:
         return max(gaps, default=0.0)
 
     def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
-        """Refine the earlier orbit of point k or that of a neighbor; if all fail, search from riding dampers."""
+        """Refine the earlier orbit of point k or the orbit of a neighbor; if all fail, search from riding dampers."""
         neighbors = [self.current[j] for j in (k - 1, k + 1) if 0 <= j < len(self.current)]
         for orbit in (self.earlier[k], *neighbors):
             if orbit is not None and (refined := solver.refine(orbit, frequency[k], level[k])) is not None:

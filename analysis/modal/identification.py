@@ -38,7 +38,7 @@ _MAX_NOISE_RATIO = 4.0
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Largest frequency ratio of neighboring lines, for the model error.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# The error of a line with fewer degrees of freedom than this is combined with those of neighboring lines.
+# The error of a line with fewer degrees of freedom than this is combined with the errors of neighboring lines.
 _MIN_DEGREES = 10.0
 # Ratio of the bound of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
 _LIMIT_FACTOR = 1.8

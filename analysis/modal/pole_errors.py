@@ -142,8 +142,8 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     """Return factors F of the covariance ``F F^T`` of the parameters for the three estimates of `pole_errors`.
 
     Errors of the reference cause equal relative errors of all responses at a line. The fitted poles adapt to them, so
-    that the misfit hardly increases. These errors are at most those of the most precise response. The factors have the
-    shape (parameters, columns).
+    that the misfit hardly increases. These errors are at most the errors of the most precise response. The factors have
+    the shape (parameters, columns).
     """
     parameters = model.jacobian.shape[0]
     jacobian = model.jacobian.reshape(parameters, -1)

@@ -122,7 +122,7 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     columns = _real_rows(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0.0, size, 1.0)
-    # Columns close to those of other poles are orthogonalized twice, because rounding dominates the first result.
+    # Columns close to the columns of other poles are orthogonalized twice, because rounding dominates the first result.
     for _ in range(2):
         columns = columns - basis @ (np.swapaxes(basis, 1, 2) @ columns)
     scores = (np.swapaxes(columns, 1, 2) @ residual)[..., 0]

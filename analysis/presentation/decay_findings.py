@@ -35,8 +35,9 @@ def present_decay(
 ) -> CommandOutput:
     """Draw and tabulate free decays; the curves of several recordings are overlaid.
 
-    `paths`: recordings of impulse tests or free decays; `output`: folder for figures and tables, by default that of the
-    first recording; `channel`: motion channel, by default that of the last body; `hit`: number of the hit, from 1.
+    `paths`: recordings of impulse tests or free decays; `output`: folder for figures and tables, by default the folder
+    of the first recording; `channel`: motion channel, by default the channel of the last body; `hit`: number of the
+    hit, from 1.
     """
     from analysis.figures.decay_figure import decay_figure
     from analysis.presentation.tables import damping_table, envelope_table

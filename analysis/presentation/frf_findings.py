@@ -51,8 +51,8 @@ def present_frf(
 ) -> CommandOutput:
     """Draw and tabulate frequency responses; several files are overlaid in one figure for each response.
 
-    `output`: folder, by default that of the first file; `theory`: add the linear theory; `unit`: unit of files that
-    state none; the other options are those of `frequency_responses`.
+    `output`: folder, by default the folder of the first file; `theory`: add the linear theory; `unit`: unit of files
+    that state none; the other options are as in `frequency_responses`.
     """
     from analysis.presentation.tables import frf_table
 

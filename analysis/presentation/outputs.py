@@ -39,8 +39,8 @@ def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> Iterator[Path]:
     """Yield the common path of the output files without file extension.
 
-    `paths`: recordings; `output`: folder, by default that of the first recording; `kind`: last part of the name, such
-    as "frf"; `extensions`: extensions of the files that are always written.
+    `paths`: recordings; `output`: folder, by default the folder of the first recording; `kind`: last part of the name,
+    such as "frf"; `extensions`: extensions of the files that are always written.
 
     If files of other recordings already have the name, each name is prefixed with its folder. Files written inside the
     `with` block store the paths of the recordings as their source, and are overwritten only by results of the same

@@ -52,7 +52,7 @@ class Slice:
         if start >= stop:
             end = recording.samples / recording.rate
             raise SceneError(f"{recording.path}: no samples to export. Choose times from 0 s to {end:.6g} s.")
-        recording.refuse_void(start, stop)
+        recording.reject_mostly_lost(start, stop)
         return cls(recording, names, start, stop)
 
     @property

@@ -63,7 +63,7 @@ def beds(parts: Parts) -> Figure:
 
 
 def modes(parts: Parts) -> Figure:
-    """Draw the deviation of the compliance from that of the single-mass model at the other resonances, by depth."""
+    """Draw the deviation of the compliance from the single-mass model at the other resonances, by depth."""
     other_modes = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(other_modes["frequency"]), np.unique(other_modes["layers"])
     with new_figure(2.3 * len(layers), 4.0 * len(frequencies)) as figure:

@@ -104,7 +104,7 @@ def _count_within(values: np.ndarray, bound: float) -> int:
 
 
 def verdict(beds: Columns) -> str:
-    """Return the verdict on C7: the number of settings in which the compliance with grains is that of one mass."""
+    """Return the verdict on C7: the number of settings in which grains and one mass have the same compliance."""
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
@@ -207,7 +207,7 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     all_deviations, instantaneous = deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance")
     has_ceiling = np.isfinite(beds["clearance"])
     ceiling_impulse = ceiling_impulse_on_contact(contact, beds_with_ceiling, contacts)
-    # In m g T, the impulse of the floor in a period is 1 plus that of the ceiling.
+    # In m g T, the impulse of the floor in a period is 1 plus the impulse of the ceiling.
     floor_deviations = (1.0 + beds_with_ceiling["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
     return (
         "One mass with finite-duration contact agrees best with the beds below a ceiling if it lands in "

@@ -192,7 +192,7 @@ def table(path: Path | None = None) -> Arrays:
         of_seeds = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
         mass = np.array([float(groups[key][0][f"mass_{name}"]) for key in keys])
         if name == "landing":
-            # Unwrap the phase to within 180 degrees of that of the mass, so that 359 and 1 degree are close.
+            # Unwrap the phase to within 180 degrees of the phase of the mass, so that 359 and 1 degree are close.
             of_seeds = [
                 (values - mass_phase + 180.0) % 360.0 - 180.0 + mass_phase
                 for values, mass_phase in zip(of_seeds, mass, strict=True)

@@ -133,7 +133,7 @@ def _image_ratio(
 
 
 def _required_drive(shaker: TableShaker | ElectrodynamicShaker, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return the drive, up to a constant gain, per metre of table motion and per newton of force on the table."""
+    """Return the drive, up to a constant gain, per meter of table motion and per newton of force on the table."""
     s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
     if isinstance(shaker, TableShaker):
         return np.square(1.0 + s / (2.0 * np.pi * shaker.bandwidth)), np.zeros_like(s)

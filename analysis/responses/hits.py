@@ -40,11 +40,12 @@ _REBOUND_SIGMAS = 8.0
 # Power at the end of the usable force spectrum, relative to its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
 # Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
-# of the resulting changes, relative to that of the original rounding (1/12).
+# of the resulting changes, relative to the mean square of the original rounding (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Smallest signal that a coarser converter resolves without dither from noise, in counts.
 _MIN_COUNTS = 6.0
-# Largest share of the rounding error equal in every hit if noise dithers the signal: that of half a count of noise.
+# Largest share of the rounding error that is equal in every hit if noise dithers the signal: the share for half a count
+# of noise.
 _MAX_REPRODUCIBLE = 0.007
 
 
@@ -221,7 +222,7 @@ class Hits:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
         # The spectrum of several hits is a comb. The power is averaged over one spacing of its teeth and no farther,
-        # because the power in peaks of the response is not that in its valleys.
+        # because the power in peaks of the response differs from the power in its valleys.
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
         errors = scipy.ndimage.uniform_filter1d(errors, half_width, axis=2, mode="nearest").max(axis=0)

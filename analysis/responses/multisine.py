@@ -46,7 +46,7 @@ LIFTED = (
 _CREST_FACTOR = 4.0
 # A structure is nonlinear if at least this share of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# A line is distorted if the scatter of its realisations is at least this multiple of that due to noise.
+# A line is distorted if the scatter of its realisations is at least this multiple of the scatter due to noise.
 _NOISE_RATIO = 3.0
 # Smallest scatter of realisations at a distorted line, relative to the mean.
 _MEAN_RATIO = 2e-3
@@ -94,8 +94,8 @@ def best_linear_approximation(
     unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
     steps = quantization_steps(rec, names)
     samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
-    # Rounding resembles noise of 1/12 count², of which 95 % of the amplitudes at a line are below steps / sqrt(samples)
-    # (Rayleigh distribution). The scatter lacks the share of this error that is equal in every period.
+    # Rounding resembles noise of 1/12 count². At a line, 95 % of its amplitudes are below steps / sqrt(samples)
+    # (Rayleigh distribution). The share of this error that is equal in every period does not appear in the scatter.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
     amplitude: Array = np.abs(mean_spectrum)

@@ -27,7 +27,7 @@ from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
 # The noise level is assumed constant over this frequency range, in widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
-# Number of iterations of the weighted fit that separates the noise of the reference from that of the responses.
+# Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
 _ITERATIONS = 4
 # Smallest noise power of a response, relative to the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
@@ -268,8 +268,9 @@ def _separate_noise(
 
     The cross-powers of the residuals of local fits have two parts: the cross-powers of the fitted responses times the
     noise power of the reference, and the noise power of each response. Both noise powers are estimated by weighted
-    least squares over the lines around each line. Returns the noise power of the reference, shape (lines,), that of
-    each response, shape (lines, elements), and the former relative to the power of the reference, shape (lines,).
+    least squares over the lines around each line. Returns the noise power of the reference, shape (lines,); the noise
+    power of each response, shape (lines, elements); and the ratio of noise power to power of the reference, shape
+    (lines,).
 
     `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
     in `LocalErrors`; `center`: bin at the middle of each fit.
@@ -288,7 +289,7 @@ def _separate_noise(
     expected = np.maximum(scipy.ndimage.uniform_filter1d(variances, 3, axis=0, mode="nearest"), _ZERO_POWER)
     for _ in range(_ITERATIONS):
         pairs = expected[:, :, None] * expected[:, None]
-        # Normal equations of the noise of the reference and of each response; the latter are eliminated.
+        # Normal equations of the noise of the reference and of each response; the noise of the responses is eliminated.
         a_reference = local_mean(np.sum(abs(curve_power) ** 2 / pairs, axis=(1, 2)))
         a_mixed, a_response = local_mean(curve_variances / expected**2), local_mean(1.0 / expected**2)
         b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))

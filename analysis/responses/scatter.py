@@ -1,9 +1,9 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-Computed from the covariance C as ``w C w*``, a variance may be negative due to rounding if C is singular, such as that
-of four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few degrees of
-freedom may be close to zero by chance. They are moderated by those of neighboring lines, as empirical Bayes estimates
-[1]_.
+Computed from the covariance C as ``w C w*``, a variance may be negative due to rounding if C is singular, such as the
+covariance of four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few
+degrees of freedom may be close to zero by chance. They are moderated by the variances of neighboring lines, as
+empirical Bayes estimates [1]_.
 
 References
 ----------
@@ -66,7 +66,7 @@ def stacked(parts: list[ComplexArray]) -> ComplexArray:
 
 
 def moderate(variance: Array, degrees_of_freedom: Array, expected: Array, half_width: int) -> tuple[Array, Array]:
-    """Moderate variances by those of `half_width` lines on either side; also return their degrees of freedom.
+    """Moderate variances by the variances of `half_width` lines on either side; also return their degrees of freedom.
 
     `expected`: variances up to a common factor, such as local means. The logarithms of ``variance / expected`` scatter
     between lines because of the finite degrees of freedom and because the true ratios differ. The more similar the

@@ -376,14 +376,14 @@ def _from_experiments(
             notes += [note for experiment in experiments for note in experiment.notes]
             continue
         frequency = experiments[0].frequency
-        # Of a single realisation; several scatter more than due to noise.
+        # Degrees of freedom of one realisation; the scatter between realisations is more than noise.
         noise_degrees = 2.0 * sum(len(experiment.spectra) - 1 for experiment in experiments)
         rows = _rows(rec, channels, frequency, names, inputs, motion)
         means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
         amplitudes = np.einsum("acn,cne->nae", rows, means)
         outputs, forces = amplitudes[:, : len(names)], amplitudes[:, len(names) :]
         scaled = forces / np.maximum(np.linalg.norm(forces, axis=2, keepdims=True), 1e-300)
-        # The condition number of the input spectra is the square of that of the amplitudes.
+        # The condition number of the input spectra is the square of the condition number of the amplitudes.
         forces[np.linalg.cond(scaled) ** 2 > MAX_CONDITION_NUMBER] = np.nan
         inverse = np.linalg.inv(forces)
         value = outputs @ inverse

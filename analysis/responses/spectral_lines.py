@@ -63,7 +63,7 @@ class Lines:
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
-    # number of lines on either side whose noise moderates that of each line, for lines with few averages
+    # number of lines on either side that moderate the noise of each line, for lines with few averages
     n_neighbors: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
     # number of averaged measurements, each rotated by the phase of its own reference, which also aligns its noise

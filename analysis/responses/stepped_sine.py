@@ -153,9 +153,9 @@ class LockIn:
     def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
         """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
 
-        The edges of whole periods lie between two samples, but those of parts are rounded to samples. Without this
-        correction, each part would contain another fraction of the harmonics that are not fitted. `fits`: coefficients
-        of the common fit for each part. The results have the shapes (parts + 1,) and (parts + 1, channels).
+        Whole periods end between two samples, but the ends of parts are rounded to samples. Without this correction,
+        each part would contain another fraction of the harmonics that are not fitted. `fits`: coefficients of the
+        common fit for each part. The results have the shapes (parts + 1,) and (parts + 1, channels).
         """
         edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
@@ -186,7 +186,7 @@ class LockIn:
         return self._grams[length]
 
     def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the first sample of each piece of a part, the matrix from its terms to those of the part, its terms.
+        """Yield for each piece of a part: its first sample, the matrix from its terms to the part's, its terms.
 
         A piece has at most `_SAMPLES_PER_PRODUCT` samples. The terms of all pieces are equal except for the slope and a
         rotation of each harmonic. The terms of a single piece are therefore sufficient for a part of any length.
@@ -194,7 +194,7 @@ class LockIn:
         starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
         if length not in self._rotations:
             rotations = np.zeros((starts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
-            # The slope of a part ranges from -1 to 1; that of a piece increases by 1 per sample.
+            # The slope of a part ranges from -1 to 1; the slope of a piece increases by 1 per sample.
             step = 2.0 / max(length - 1, 1)
             rotations[:, 0, 0], rotations[:, 1, 0], rotations[:, 1, 1] = 1.0, starts * step - 1.0, step
             self._rotate(rotations, starts)
@@ -211,16 +211,16 @@ class LockIn:
             yield start, rotation, self._basis[piece_length]
 
     def _rotate(self, matrices: Array, firsts: NDArray[np.int64]) -> None:
-        """Set the rotations of the harmonics, from their terms at the first sample to those at the samples `firsts`."""
+        """Set the rotations of the harmonics from terms at the first sample to terms at the samples `firsts`."""
         tones, row = self._tones(firsts), 2 * np.arange(1, self.harmonics + 1)
         cos, minus_sin = tones[:, ::2], tones[:, 1::2]
         matrices[:, row, row], matrices[:, row, row + 1] = cos, -minus_sin
         matrices[:, row + 1, row], matrices[:, row + 1, row + 1] = minus_sin, cos
 
     def _window_to_part(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64]) -> Array:
-        """Return the matrices from the coefficients of the whole window to those of parts that begin at `firsts`."""
+        """Return the matrices from coefficients of the window to coefficients of parts that begin at `firsts`."""
         matrices = np.zeros((firsts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
-        # The slope of the window begins at 0 and increases by 1 per sample; that of a part ranges from -1 to 1.
+        # The slope of the window begins at 0 and increases by 1 per sample; the slope of a part ranges from -1 to 1.
         matrices[:, 0, 0] = 1.0
         matrices[:, 0, 1] = (firsts + (lengths - 1) / 2) / self._samples
         matrices[:, 1, 1] = (lengths - 1) / 2 / self._samples
@@ -358,7 +358,7 @@ def sweep_name(rec: Recording, key: _SweepKey) -> str:
 
 
 def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:
-    """Describe the discarded frequencies of a sweep, with reasons, and those without steady-state motion."""
+    """Describe the discarded frequencies of a sweep, with reasons, and the frequencies without steady-state motion."""
     prefix = f"{sweep_name}: " if sweep_name else ""
     notes = []
     for reason in dict.fromkeys(omission.reason for omission in omissions):

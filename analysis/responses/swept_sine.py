@@ -54,7 +54,7 @@ _MIN_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class SweptTone:
-    """Spectra of a sweep: for each line, those of the segment whose frequencies are near it."""
+    """Spectra of a sweep: for each line, the spectra of the segment whose frequencies are near it."""
 
     spectra: LocalSpectra
     sweep_rate: Array  # Hz/s; shape (lines,)

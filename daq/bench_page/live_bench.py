@@ -226,7 +226,7 @@ def _ignore(*arguments: Any, **fields: Any) -> None:
 
 
 class LiveBench:
-    """The bench that the pages of all browsers share; `address` is that of the device for NI clients."""
+    """The bench that the pages of all browsers share; `address` is the address of the device for NI clients."""
 
     def __init__(self, chassis: Chassis, address: str, recording: Path, overwrite: bool) -> None:
         self.chassis, self.address = chassis, address

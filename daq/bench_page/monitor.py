@@ -135,7 +135,7 @@ class Monitor:
     def drive_levels(self) -> list[tuple[float, float]]:
         """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
 
-        The frequency is that of the upward zero crossings; 0 with fewer than two.
+        The frequency is determined from the upward zero crossings; 0 with fewer than two.
         """
         peaks_and_frequencies = []
         for drive in self.drive_history.last(round(_DRIVE_S * self.rate)):

@@ -104,7 +104,7 @@ def exaggeration(extremes: Extremes) -> float:
     return round_factor(min(*limits, _MAX_EXAGGERATION))
 
 
-def _position_beside_body(text: str, height: float) -> Point:
+def _label_position(text: str, height: float) -> Point:
     """Return the position of a centered text next to a body."""
     return (WIDTH / 2 + 0.06 + 0.0045 * len(text), -DEPTH / 2, height)
 
@@ -172,7 +172,7 @@ class RigView:
         if lug_end:
             middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], color)
-        yield f"{name}/name", label(_position_beside_body(text, 0.75 * height), text, color)
+        yield f"{name}/name", label(_label_position(text, 0.75 * height), text, color)
         pointer: list[Point] = [(-WIDTH / 2 - distance_x, -DEPTH / 2, height / 2) for distance_x in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
@@ -202,7 +202,7 @@ class RigView:
         name = self.damper_entity(cavity.damper_index)
         yield name, boxes([cavity.damper], LEAD if moves else INACTIVE)
         # The names of several dampers are written below each other, next to their body.
-        label_position = _position_beside_body(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
+        label_position = _label_position(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
         yield f"{name}_name", label(label_position, text, LEAD if moves else MARK)
 
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:

@@ -1,4 +1,4 @@
-"""State-space model of a measurement chain: analogue first- and second-order sections in series.
+"""State-space model of a measurement chain: analog first- and second-order sections in series.
 
 A section does not load the previous section. A disturbance may enter in front of any section: noise, an offset, or the
 difference between a clipped and a linear output.

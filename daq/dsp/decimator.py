@@ -26,7 +26,7 @@ class Decimator:
         self._oversampling, moments, length = taps.shape
         self._weights = _lane_weights(taps, delay)
         self._scratch = scratch
-        # Moments of the last intervals of the previous block, which precede those of the next.
+        # Moments of the last intervals of the previous block; the moments of the next block follow them.
         self._history = aligned_zeros(length * self._oversampling + delay - 1, moments)
         self._moments = self._history
         self._intervals = 0  # filtered so far

@@ -167,7 +167,7 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
 
 
 def input_first(rows: Array, states: int) -> Array:
-    """Return `rows` with the columns of the `states` states behind those of input and disturbances."""
+    """Return `rows` with the columns of the `states` states behind the columns of input and disturbances."""
     return np.roll(rows, -states, axis=1)
 
 

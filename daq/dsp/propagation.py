@@ -1,7 +1,7 @@
 """Exact propagation of a circuit from sample to sample, for an input of cubic segments.
 
 A break is an instant in a sample interval at which an impact changes the input abruptly. Disturbances are noise and
-offsets. Moments are those of the output over each interval (`daq.dsp.discretization`).
+offsets. Moments are computed from the output over each interval (`daq.dsp.discretization`).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def propagate(
     outputs: Array,  # filled: outputs at the samples, V; (outputs, intervals)
     moments: Array,  # filled: moments of the circuit's output; (intervals + SUMS_AT_ONCE or 0, LANES)
     # Filled: severity of each interval's overload: 0 without overload, otherwise 1 + remaining zero shift / limit. The
-    # first element is that of the last interval of the previous block; (1 + intervals,).
+    # first element belongs to the last interval of the previous block; (1 + intervals,).
     overload: Array,
     workspace: CircuitWorkspace,
 ) -> None:

@@ -18,8 +18,8 @@ from rig.numerics.jit import unfused_kernel
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    `skew`: time from the sampling of a channel to that of the next, s; or the sampling time of each channel, s. A
-    channel that is sampled earlier by a time is equal to its input delayed by this time and sampled with the last.
+    `skew`: time from the sampling of a channel to the sampling of the next, s; or the sampling time of each channel, s.
+    Sampling a channel earlier by a time equals delaying its input by this time and sampling it with the last channel.
 
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
@@ -82,7 +82,7 @@ class Delay:
 
 
 def _delay_matrix(tail_length: float) -> Array:
-    """Return the matrix from the cubics of two successive intervals to that of the delayed interval; (4, 8).
+    """Return the matrix from the cubics of two successive intervals to the cubic of the delayed interval; (4, 8).
 
     A cubic is described by four numbers: start, end, mean and moment (`CubicInput`).
     """

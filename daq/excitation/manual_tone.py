@@ -123,7 +123,8 @@ class ManualTone:
                 yield station.zero_drive(window)
         previous_drive, drive = tone.amplitude, tone.start(level)
         if tone.control is not None:
-            # First estimate: the drive is proportional to the level. Without a previous drive, that of `tone.start`.
+            # First estimate: the drive is proportional to the level. Without a previous drive, `tone.start` returns the
+            # first estimate.
             drive = min(previous_drive * level / (self._level or level) or drive, station.drive_limit)
         self._level = level
         fields = {"frequency": frequency, "level": level}

@@ -1,6 +1,6 @@
-"""Multisine test: periodic sum of tones with random phases, in several realizations of several periods.
+"""Multisine test: periodic sum of tones with random phases, in several realisations of several periods.
 
-Each realization has new random phases. With n shakers, it consists of n experiments.
+Each realisation has new random phases. With n shakers, it consists of n experiments.
 """
 
 from __future__ import annotations

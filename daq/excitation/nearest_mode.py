@@ -19,7 +19,8 @@ _SEARCH_INTERVAL = 4
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
 # Damping ratios of the search for a different mode.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-# The different mode becomes the nearest mode if its residual is below this ratio to that of the present mode.
+# The different mode becomes the nearest mode if its residual, relative to the residual of the present mode, is below
+# this.
 _MAX_RESIDUAL_RATIO = 0.7
 # Initial frequency step of the search around the present mode, relative to its frequency.
 _INITIAL_STEP = 0.01

@@ -39,7 +39,7 @@ def excite(station: Station, test: Random) -> Excitation:
     block = min(total, station.samples(_BLOCK_S))
     envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
     first, completed, clipped = station.now, 0, 0
-    # For speed, white noise is drawn at a lower rate than that of the drive: at least four times the highest frequency.
+    # For speed, white noise is drawn at a lower rate than the drive rate: at least four times the highest frequency.
     max_divisor = max(1, period // (4 * int(lines[-1])))
     rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
     length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)  # rounded up

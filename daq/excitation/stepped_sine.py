@@ -32,7 +32,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = steps[0]
-        # In open loop the level is that of the drive; its unit depends on the shaker.
+        # In open loop the level is the amplitude of the drive; its unit depends on the shaker.
         at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= up_steps else "up"

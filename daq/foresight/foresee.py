@@ -283,7 +283,7 @@ class _Assessment:
                 yield Expectation(f"{name} travel", "m", magnitude, frequency, time)
 
     def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
-        """Return the largest level without overload, and whether dampers fly at this level or at that of the test.
+        """Return the largest level without overload, and whether dampers fly at this level or at the level of the test.
 
         `limiting`: the maximum that is nearest to its limit; `dampers_fly`: whether they fly at the test's level.
         """

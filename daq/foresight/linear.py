@@ -102,8 +102,8 @@ class LowestSignalToNoise:
 def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:
     """Return the lowest signal-to-noise ratio of each channel with noise, by name, from the linear response.
 
-    The noise is that of a measured tone, or of a spectral line. For a noise density S and a lock-in measurement over
-    the time T, it is sqrt(2 S / T). The ratio is not defined for hits and free decays.
+    The noise is the noise of a measured tone or of a spectral line: for a noise density S and a lock-in measurement
+    over the time T, it is sqrt(2 S / T). The ratio is not defined for hits and free decays.
     """
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}

@@ -40,7 +40,7 @@ _STATE_CPU_S = 6e-9
 _CHANNEL_CPU_S = 130e-9
 # CPU time of each period of a sweep with controlled force, s.
 _CONTROLLED_PERIOD_CPU_S = 1.2e-3
-# Ratio of the CPU time of a channel with a decimation filter to that of a channel without.
+# Ratio of the CPU times of a channel with a decimation filter and a channel without.
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_CPU_S = 0.6e-9
@@ -54,7 +54,7 @@ _LONGEST_WAIT_S = 10.0
 _MIN_PEAK_RATIO = 0.15
 # The frequencies to rehearse form groups; in a group, successive indices differ by at most this number.
 _MAX_INDEX_GAP = 4
-# Number of steps at the start of each group that are run but not evaluated, because their initial motion is not that of
+# Number of steps at the start of each group that are run but not evaluated, because their initial motion differs from
 # the complete test.
 _EXCLUDED_STEPS = 2
 # Number of frequencies of the stepped sine that replaces a long sweep.
@@ -111,7 +111,7 @@ def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree. With
+        # Each realisation takes 3 periods more: a crossfade, and at least two until successive periods agree. With
         # force control, the iterations of the drive take about 8 s.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):
@@ -255,7 +255,7 @@ def with_level(scene: Scene, level: float) -> Scene:
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
     """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
 
-    Only a stepped sine is shortened; its first step is evaluated only if it is that of the test. Another
+    Only a stepped sine is shortened; its first step is evaluated only if it is also the first step of the test. Another
     test is not changed if it takes at most `seconds`; otherwise the scene is None.
     """
     test = scene.test

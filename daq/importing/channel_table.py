@@ -23,8 +23,9 @@ TableRows = list[tuple[int, str, Mapping[str, Any]]]
 class Column:
     """One line of the table.
 
-    `unit`: unit of the numbers in the file, or the value of 1 such as ``5 V``; None: as the file states. `sensitivity`:
-    sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the scene states.
+    `unit`: unit of the numbers in the file, or the quantity for the number 1, such as ``5 V``; None: as the file
+    states. `sensitivity`: sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the scene
+    states.
     """
 
     column: str  # name of a signal in the files, or its number from 1

@@ -194,7 +194,7 @@ def rate_with_gaps(
 def require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
-    """Raise `RecordingError` if a time (s) differs from that of its sample number by more than half an interval."""
+    """Raise `RecordingError` if a time (s) differs from the time of its sample number by more than half an interval."""
     deviation = abs(times - start - numbers / rate)
     uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
     if uneven.size:

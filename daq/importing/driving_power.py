@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 from daq.signal_chain.channel import ChannelInfo, Quantity
 from rig.arrays import Array
 
-# Minimum magnitude of the real part of the power at a line with a clear sign, relative to the magnitude of the power.
-# Other lines count only in the total.
+# A line has a clear sign if the real part of its power is at least this fraction of the magnitude. Other lines count
+# only in the total power.
 _MIN_REAL_RATIO = 0.3
-# Minimum negative sum of the real parts, relative to the sum of their magnitudes: at 0.8, 90 % of the real part is
-# negative. Far from resonances, phase errors can reverse the sign.
+# Power is returned if the sum of the real parts is negative and at least this fraction of the sum of their magnitudes:
+# at 0.8, 90 % is negative. Less than 1, because phase errors can reverse the sign far from resonances.
 _MIN_NEGATIVE_SUM = 0.8
-# Smallest share of the total power at lines with a clear sign. Lines near an antiresonance alone have less.
+# Smallest share of the total power at lines with a clear sign. In a band around an antiresonance alone, the share is
+# smaller.
 _MIN_CLEAR_SHARE = 0.02
 # Minimum force at a driven line, as a ratio to the largest line of the force.
 _MIN_FORCE_RATIO = 0.1
@@ -34,7 +35,7 @@ def returns_energy(power: NDArray[np.complex128]) -> bool:
 
 
 def _power_sums(power: NDArray[np.complex128]) -> Array:
-    """Return the sums of the magnitude at all lines, and of |real part| and real part at lines with a clear sign."""
+    """Return three sums: magnitude at all lines; |real part| and real part at lines with a clear sign."""
     clear_parts = power.real[abs(power.real) > _MIN_REAL_RATIO * abs(power)]
     return np.array([abs(power).sum(), abs(clear_parts).sum(), clear_parts.sum()])
 

@@ -13,7 +13,7 @@ from rig.numerics.runs import merge_spans, runs_of
 _PULSE_RATIO = 0.05
 # Minimum peak of a hit, as a ratio to the largest force.
 _HIT_RATIO = 0.1
-# Largest share of the time in contact; a force that acts for longer is not that of a hammer.
+# Largest share of the time in contact; a force that acts for longer is not the force of a hammer.
 _MAX_CONTACT_SHARE = 0.2
 # Time after a hit in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2
@@ -56,7 +56,7 @@ class ForcePulses:
             self._pulses += [Pulse(first + a, first + b, float(magnitude[a:b].max())) for a, b in runs]
 
     def hits(self, rate: float) -> list[Pulse]:
-        """Return the hits at a sample rate in Hz; an empty list if the force is not that of a hammer."""
+        """Return the hits at a sample rate in Hz; an empty list if this is not the force of a hammer."""
         pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * self._peak]
         contact_samples = sum(pulse.stop - pulse.first for pulse in pulses)
         if not pulses or len(self._pulses) >= _MAX_PULSES or contact_samples > _MAX_CONTACT_SHARE * self._samples:

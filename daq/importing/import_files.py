@@ -161,7 +161,7 @@ import_ = import_files
 
 
 def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
-    """Return the sample rate of all signals, Hz: that of the table, or else of the files, or else of the scene."""
+    """Return the sample rate of all signals, Hz, as given by the table, or else by the files, or else by the scene."""
 
     def rate_list(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))
@@ -271,7 +271,7 @@ class _RecordingWriter:
         self._infos = [assignment.info for assignment in assigned]
         self._n_samples = max(assignment.signal.samples for assignment in assigned)
         self._lost_ranges: list[list[tuple[int, int]]] = [[] for _ in assigned]
-        # Full scale of each signal, V: that of its file, or the range of the converter; None if not known.
+        # Full scale of each signal, V: the full scale of its file, or the range of the converter; None if not known.
         full_scales = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
         for row, assignment in enumerate(assigned):
             if assignment.signal.full_scale is not None:

@@ -32,7 +32,7 @@ from rig.errors import SceneError
 _LOG = logging.getLogger("shotrig.clock")
 # Maximum sleep before a condition is checked again: the condition may have become impossible.
 _MAX_SLEEP_S = 1.0
-# Priority on Linux: higher than that of ordinary programs (0), lower than that of urgent system programs (-20).
+# Priority on Linux: higher than for ordinary programs (0), lower than for urgent system programs (-20).
 _NICE = -10
 
 

@@ -218,7 +218,7 @@ class TaskInput:
     ) -> ReadResult:
         """Read from the present position into `out`, shape (len(indices), n), and return the part that was read.
 
-        `indices` are those of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
+        `indices` are the indices of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
         `timeout` and errors. The caller holds the lock of the chassis.
         """
         chassis, channels = self._chassis, self._settings.channels

@@ -151,7 +151,7 @@ class Terminals:
         self.bench.set_conditioning(scene_channels)
 
     def _conditioning(self, scene_channel: SceneChannel) -> tuple[str, float | None]:
-        """Return coupling and supply current of a channel, which may be those of the converter."""
+        """Return coupling and supply current of a channel, by default those of the converter."""
         settings = input_settings(self.bench.scene.converter, scene_channel)
         return settings.coupling or "DC", settings.excitation
 

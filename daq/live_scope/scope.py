@@ -74,8 +74,8 @@ def record_live(
 ) -> Path:
     """Run and record a bench that an operator controls, until the operator quits; return the recording.
 
-    The test of `scene` is not run. `stream` is that of the live view. `controls` are the operator's frequency and
-    force, which another thread changes. `report` is called with a line of text when both are reached in steady state.
+    The test of `scene` is not run. `stream` leads to the live view. `controls` are the operator's frequency and force,
+    which another thread changes. `report` is called with a line of text when both are reached in steady state.
     `wait_until_due` is called after every block with the number of samples so far, and waits until they are due.
 
     Raises `SceneError` if the rig has no shaker, or the channels do not measure the spring force; `RunError` if a
@@ -107,7 +107,7 @@ def record_live(
 
 
 def initial_controls(scene: Scene, frequency: float | None, force: float) -> ToneControls:
-    """Return the initial controls, at the given frequency in Hz, or else that of the scene's test or the lowest mode.
+    """Return the initial controls, at this frequency in Hz, or else at that of the scene's test or lowest mode.
 
     `force`: amplitude, N.
     """
@@ -138,7 +138,7 @@ def scope(
     path : str or Path
         Recording to write (MCAP).
     frequency : float, optional
-        Initial drive frequency, Hz; by default that of the scene's test, or that of the lowest mode.
+        Initial drive frequency, Hz; by default the frequency of the scene's test, or of the lowest mode.
     force : float
         Initial force amplitude, N.
     web : bool

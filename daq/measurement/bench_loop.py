@@ -43,7 +43,7 @@ class BenchLoop(ABC):
     """A test on the bench of its scene; subclasses process its blocks, windows and markers.
 
     A window of drive is acquired in blocks; `block` is the maximum number of samples per block. A marker names an
-    interval of samples, for example that of an overload.
+    interval of samples, for example the duration of an overload.
     """
 
     def __init__(self, scene: Scene, block: int | None = None) -> None:

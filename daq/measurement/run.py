@@ -98,7 +98,8 @@ class MeasurementRun(BenchLoop):
     """A run of a test that is recorded.
 
     `excite` creates the excitation of the test. `listener` is called with each block and the readings of its channels.
-    `kind` is the kind of test that the recording states, by default that of the scene; for a manual test it differs.
+    `kind` is the kind of test that the recording states, by default the kind in the scene; for a manual test it
+    differs.
     """
 
     def __init__(

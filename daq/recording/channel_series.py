@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # If more samples than this number are requested, the file is checked for them first: a wrong sample number must not
 # exhaust the memory.
 _LARGE_RANGE = 1 << 22
-# Largest ratio of the requested samples to those in the file.
+# Largest ratio of the number of requested samples to the number of samples in the file.
 _MAX_REQUESTED_PER_STORED = 16
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
@@ -178,7 +178,7 @@ class Series:
 
         Raises `RecordingError` for a damaged chunk, or a range with almost no samples for its size.
         """
-        self.refuse_void(start, stop)
+        self.reject_mostly_lost(start, stop)
         values = np.empty(stop - start)
         next_sample = start
         for block in self.blocks(start, stop):
@@ -190,7 +190,7 @@ class Series:
         values[next_sample - start :] = np.nan
         return values
 
-    def refuse_void(self, start: int, stop: int) -> None:
+    def reject_mostly_lost(self, start: int, stop: int) -> None:
         """Raise `RecordingError` if the file lacks almost all samples [start, stop) of a long range."""
         if stop - start <= _LARGE_RANGE:
             return

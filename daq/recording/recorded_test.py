@@ -84,7 +84,7 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
     >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>
     """
-    # The `measure` markers of each kind of test have a field that those of other kinds lack.
+    # The `measure` markers of each kind of test have a field that the markers of other kinds lack.
     measure_markers = [marker for marker in markers if marker.kind == "measure"]
     fields = measure_markers[0].fields if measure_markers else {}
     for field, kind in (

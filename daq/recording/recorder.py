@@ -257,7 +257,7 @@ class Recorder:
     # -- the beginning and the end of the file -----------------------------------------------------------
 
     def _write_beginning(self) -> None:
-        """Write all descriptions before the first sample, so that a torn file still has them."""
+        """Write all descriptions before the first sample, so that an incomplete file still has them."""
         self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._storage_type])
         self._marker_topic = self._register(layout.MARKERS, MARKER_SCHEMA, {})
         common = {"stored": self._storage_type, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
@@ -384,7 +384,7 @@ class Recorder:
 
     @property
     def _streams(self) -> list[Grouping]:
-        """The series of samples that are grouped: those of the channels, and of the true motion if it is recorded."""
+        """The series of samples that are grouped: channels, and the true motion if it is recorded."""
         return [self._raw_groups, *(() if self._truth is None else self._truth.streams)]
 
     @property

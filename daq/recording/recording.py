@@ -67,7 +67,7 @@ class Recording(Result):
     path : Path
         The file.
     channels : dict of str to ChannelInfo
-        In the order of their numbers in the file, in our recordings that of the scene.
+        In the order of their numbers in the file; recordings of shotrig have the order of the scene.
     rate : float
         Samples per second, Hz.
     start_ns : int
@@ -224,7 +224,7 @@ class Recording(Result):
             In the channels' units; NaN where samples were lost.
         """
         names = list(self.channels) if channels is None else list(channels)
-        self.refuse_void(0, self.samples)
+        self.reject_mostly_lost(0, self.samples)
         for first in range(0, self.samples, size):
             stop = min(first + size, self.samples)
             samples = np.empty((len(names), stop - first))
@@ -256,10 +256,10 @@ class Recording(Result):
         start, stop = self._range(start, stop)
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
-    def refuse_void(self, start: int, stop: int) -> None:
+    def reject_mostly_lost(self, start: int, stop: int) -> None:
         """Raise `RecordingError` if a channel lacks almost all samples [start, stop) of a long range."""
         for series in self._series.values():
-            series.refuse_void(start, stop)
+            series.reject_mostly_lost(start, stop)
 
     @property
     def has_truth(self) -> bool:

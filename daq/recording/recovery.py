@@ -1,7 +1,7 @@
-"""Make a complete recording from the intact parts of a torn or damaged one, and list the lost samples.
+"""Make a complete recording from the intact parts of an incomplete or damaged file, and list the lost samples.
 
-A torn recording lacks its end, for example because the process was killed. A part of a file is a chunk of messages or a
-single record; it is intact if its checksum is right.
+An incomplete recording lacks its end, for example because the process was killed. A part of a file is a chunk of
+messages or a single record; it is intact if its checksum is right.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Salvage:
 
 
 def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
-    """Make a complete recording from a torn or damaged one.
+    """Make a complete recording from an incomplete or damaged file.
 
     The new file contains only data whose checksum in the damaged file is right. Samples keep their numbers; lost
     samples read as NaN and are listed in `Recording.gaps`.

@@ -15,7 +15,7 @@ from rig.scene.scene import STANDARD_GRAVITY
 
 # Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
 _LIMIT_RATIO = 1 - 1e-5
-# By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to that of sensitivity (mV/g, mV/N).
+# By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to the unit of sensitivity (mV/g, mV/N).
 _SENSORS = {
     "acceleration": ("add_ai_accel_chan", "AccelUnits.METERS_PER_SECOND_SQUARED", 1e3 * STANDARD_GRAVITY),
     "force": ("add_ai_force_iepe_chan", "ForceUnits.NEWTONS", 1e3),

@@ -42,7 +42,7 @@ class ChannelInfo:
     poles: tuple[complex, ...] = ()
     gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s
     average: bool = False  # each sample is the average over the interval that ends at it
-    delay: float = 0.0  # of filter and skew, s; that of the averaging is not included
+    delay: float = 0.0  # of filter and skew, s; the delay of the averaging is not included
     filter: Mapping[str, float] = field(default_factory=dict)  # fields of `DecimationFilter`; its delay is in `delay`
     volts_per_count: float | None = None  # None if samples are in volts
     range: float | None = None  # full scale of the converter, ± V

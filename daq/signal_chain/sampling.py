@@ -122,8 +122,8 @@ class Jitter:
     """Timing jitter: the error of each sample is the timing error times the slope between neighboring samples.
 
     The difference quotient underestimates the slope of a sinusoid by the factor sinc(f / rate). Second-order terms and
-    delays of whole intervals are neglected. `standard_deviation` is that of the sampling instant, `filter_delay` the
-    delay of the decimation filter, both in sample intervals.
+    delays of whole intervals are neglected. `standard_deviation` of the sampling instant and `filter_delay` of the
+    decimation filter are in sample intervals.
     """
 
     def __init__(self, standard_deviation: float, filter_delay: int) -> None:

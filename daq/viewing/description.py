@@ -156,7 +156,7 @@ def _count_segments(count: int) -> str:
 def _lost_range_note(recording: Recording) -> str:
     """Return the error of a recording that lacks almost all samples; an empty text for others."""
     try:
-        recording.refuse_void(0, recording.samples)
+        recording.reject_mostly_lost(0, recording.samples)
     except RecordingError as error:
         return f"; but {error}"
     return ""

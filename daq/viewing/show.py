@@ -42,7 +42,7 @@ def replay(
     web : bool
         Whether to show the recording in a browser on this machine, until interrupted.
     at : float, optional
-        Time of the picture, s; by default that of the largest damper gaps, or of the largest displacement.
+        Time of the picture, s; by default the time of the largest damper gaps, or of the largest displacement.
     from_s, to_s : float, optional
         Start and end of the shown segment, s from the start of the recording.
     speed : float

@@ -1,4 +1,4 @@
-"""Steady motion with beds of grains over frequency, compared with the same beds as one mass: `rig grains`.
+"""Steady motion of beds of grains over frequency, compared with single-mass models of the beds, for `rig grains`.
 
-A study over `rig.grain_beds`, whose pieces are computed by workers and stored in a table. Start with `bed_response`.
+Worker processes compute the motion at each frequency, and a table stores it. Start with `bed_response`.
 """

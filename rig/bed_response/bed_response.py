@@ -1,7 +1,7 @@
-"""Steady motion of beds of grains over frequency, compared with the same beds as one mass, for `rig grains`.
+"""Steady motion of beds of grains over frequency, compared with single-mass models of the beds, for `rig grains`.
 
 A *bed* is the particles of one damper; LAMMPS moves its grains by the discrete element method. Worker processes compute
-the frequencies and store each in a table.
+the motion at each frequency, and a table stores it.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ class _Case(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class BedResponse(Result):
-    """Steady motion over frequency, with beds of grains and with each bed as one mass.
+    """Steady motion over frequency, with beds of grains and with each bed modeled as one mass.
 
     Attributes
     ----------
     frequency : ndarray, shape (frequencies,)
         Hz.
     grains, mass : tuple of SteadyBed
-        Motion with beds of grains, and with each bed as one mass, at each frequency.
+        Motion at each frequency with beds of grains, and with each bed modeled as one mass.
     """
 
     frequency: NDArray[np.float64]
@@ -61,7 +61,7 @@ class BedResponse(Result):
     mass: tuple[SteadyBed, ...]
 
     def summary(self) -> str:
-        """Describe the largest deviation of the compliance with one mass from that with grains."""
+        """Describe the largest deviation of the compliance with one mass from the compliance with grains."""
         grains, mass = (np.abs([each.compliance for each in motions]) for motions in (self.grains, self.mass))
         deviation = mass / grains - 1.0
         k, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
@@ -111,7 +111,7 @@ def bed_response(
     cluster: str | None = None,
     progress: CountProgress | None = None,
 ) -> BedResponse:
-    """Simulate beds of grains at each frequency until their motion is steady, and the same beds as one mass.
+    """Simulate beds of grains at each frequency until their motion is steady, and each bed modeled as one mass.
 
     The motion is steady when the compliances of two successive blocks of periods agree within 1 %. The result is the
     mean of these blocks.
@@ -119,13 +119,13 @@ def bed_response(
     Parameters
     ----------
     scene : Scene, str, Path or mapping
-        With a bed of grains that can move; its test gives the level.
+        A scene with a bed of grains that can move; its test specifies the level.
     frequencies : sequence of float or str
         Hz, or texts with units.
     periods : int
         Drive periods in a block.
     table : Path, optional
-        CSV file to which each computed frequency is added; frequencies of the same scene in it are not recomputed.
+        CSV file that stores each computed frequency; stored frequencies of the same scene are not recomputed.
     cluster, progress : optional
         As for `rig.design`.
 
@@ -154,7 +154,7 @@ def bed_response(
 
 
 def format_table(response: BedResponse) -> str:
-    """Format a response as a table with two rows for each frequency, with grains and with one mass."""
+    """Format a response as a table; each frequency has one row for the grains and one for the single mass."""
     titles = ("floor N s", 12), ("ceiling N s", 12), ("loss J", 11), ("landing", 9), ("flight", 8)
     lines = [f"{'Hz':>9}  {'bed':6}{'m/N':>11}{''.join(f'{title:>{width}}' for title, width in titles)}  type"]
     for frequency, *motions in zip(response.frequency, response.grains, response.mass, strict=True):

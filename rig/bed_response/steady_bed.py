@@ -1,4 +1,4 @@
-"""Steady motion of a structure and its beds under a tone: with beds of grains, and with each bed as one mass.
+"""Steady motion of a structure and its beds under a tone; a bed consists of grains, or is modeled as one mass.
 
 A *bed* is the particles of one damper. Grains are simulated in blocks of periods until two successive blocks agree.
 """
@@ -25,7 +25,7 @@ _SAMPLES_PER_PERIOD = 50
 _ONE_MASS_SAMPLES_PER_PERIOD = 400
 #: Largest relative difference of the compliances of two blocks of periods in steady motion.
 MAX_STEADY_CHANGE = 0.01
-#: Periods in which the transient decays, for beds as one mass.
+#: Periods in which the transient decays, for beds modeled as one mass.
 _SETTLING_PERIODS = 200
 #: Following periods that are averaged.
 _AVERAGED_PERIODS = 100
@@ -41,7 +41,7 @@ class SteadyBed:
     force; shape (beds,).
     """
 
-    # first harmonic of each displacement over that of the force, m/N, shape (bodies,)
+    # first harmonic of each displacement divided by that of the force, m/N, shape (bodies,)
     compliance: ComplexArray
     floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
     ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
@@ -59,14 +59,14 @@ class SteadyBed:
 
 
 def as_one_mass(scene: Scene) -> Scene:
-    """Return the scene with each of its beds of grains as one mass."""
+    """Return the scene with each bed of grains modeled as one mass."""
     return scene.replace(dampers=[damper.replace(grains=None) for damper in scene.dampers])
 
 
 def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, min_blocks: int = 2) -> SteadyBed:
     """Simulate beds of grains under a tone until two blocks of periods agree.
 
-    `scene`: its test gives the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
+    `scene`: its test specifies the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
     periods in a block; `max_blocks`, `min_blocks`: largest and smallest number of blocks; the last two are averaged.
     """
     scene = with_ideal_force(scene)
@@ -107,7 +107,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, m
 
 
 def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
-    """Compute the steady motion with each bed of the scene as one mass."""
+    """Compute the steady motion with each bed of the scene modeled as one mass."""
     grains = assemble(scene).grains
     scene = with_ideal_force(as_one_mass(scene))
     response = frequency_response(scene, [frequency])
@@ -162,7 +162,7 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
 
 
 def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
-    """Return the steady state with each bed as one mass, to shorten the transient."""
+    """Return the steady state with each bed modeled as one mass; starting from it shortens the transient."""
     compliance = frequency_response(as_one_mass(scene), [frequency])
     bodies, n = scene.structure.bodies, system.coordinates
     harmonic = -1j * compliance.force[0] * compliance.compliance[:, 0]
@@ -181,7 +181,7 @@ def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, 
 def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:
     """Return the mean phase of a force after the rising zero of the drive Re(A e^{i w t}), degrees.
 
-    `phasor`: sum of the force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
+    `phasor`: sum of the force times e^{i w t}; `amplitudes`: A of each input; one of them is not zero.
     """
     # The force Re(A e^{i w t}) has its rising zero at the phase -arg(i A).
     zero_factor = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
@@ -202,7 +202,7 @@ def _relative_change(previous: ComplexArray | None, current: ComplexArray) -> fl
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
-    """Average two blocks; landing phase, motion type, spread and number of periods are those of the second."""
+    """Average two blocks; landing phase, motion type, spread and number of periods are taken from the second block."""
     mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
         mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))

@@ -49,7 +49,7 @@ INSTANTANEOUS = ImpactLaw()
 
 
 def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
-    """Return the impact law of the dampers of a scene; if these differ, that of the first damper.
+    """Return the impact law of the dampers of a scene; if these differ, the law of the first damper.
 
     Raises `SceneError` if the contact is given by stiffness and damping, which suit one damper mass only.
     """

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Clearances of the chart (worst peak over clearance and force), relative to those of the best design.
+#: Clearances of the chart (worst peak over clearance and force), relative to the clearances of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: Factor by which the chart extends beyond the requested levels.
 CHART_MARGIN = 2.0

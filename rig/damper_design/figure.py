@@ -207,7 +207,7 @@ def clearance_label(choice: Choice) -> str:
 
 def _draw_reductions(axes: Axes, design: Design) -> None:
     """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
-    # Over the acceleration without dampers, because that with dampers jumps where another peak becomes the largest.
+    # The axis is the acceleration without dampers: with dampers it jumps where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     undamped_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
@@ -240,7 +240,7 @@ def _draw_backbone(axes: Axes, design: Design) -> None:
 
 
 class Agreement(NamedTuple):
-    """Number of settings in which a bed as one mass agreed with a bed of grains within 10 % of the compliance."""
+    """Number of settings in which the compliances of a single-mass bed and a bed of grains agree within 10 %."""
 
     agreeing: int
     settings: int
@@ -260,10 +260,10 @@ _BAND_POINTS = 3
 
 
 def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
-    """Report how well a bed as one mass agrees with grains, and the command that simulates these dampers as grains.
+    """Report how well the single-mass model agrees with grains, and the command that simulates the grains.
 
-    `dampers`: the dampers of the design; `expected`: expected results of the check, of which the command uses the
-    largest peak; `scene`: file of the check.
+    `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest peak
+    among them; `scene`: file of the check.
     """
     peak = max(result.peak for result in expected)
     beds = ", ".join(_as_shot(damper) for damper in dampers)

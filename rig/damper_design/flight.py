@@ -41,7 +41,7 @@ class Flight:
 
 
 def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: bool) -> Flight:
-    """Compute the take-off level of the dampers of a trial, and their flight height if the ceiling is unreached."""
+    """Compute the take-off level of a trial's dampers, and their flight height if they do not reach the ceiling."""
     scene = _damped_scene(objective, trial)
     accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
     # The damper that takes off first, as the level rises.

@@ -61,7 +61,7 @@ def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tupl
     peaks = []
     for frequency, mode_objective in modes:
         in_band = low < frequency < high
-        # The peaks of a single mode in the band are those of the trial.
+        # If the band contains a single mode, its peaks are the peaks of the trial.
         if in_band and is_single_mode:
             peaks.append(ModePeaks(frequency, True, objective.undamped_peak, trial.peaks))
         else:

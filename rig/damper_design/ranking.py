@@ -8,12 +8,12 @@ import numpy as np
 
 from rig.damper_design.choice import Trial
 
-#: Largest difference of equal peaks, dB: frequency grids and averages resolve no smaller difference.
+#: Peaks that differ by no more than this count as equal, dB: frequency grids and averages do not resolve it.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
 EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
-#: Largest ratio of equal peaks where part of the motion is irregular. Averages of irregular motion scatter: a change of
-#: the clearance by 1 % changes them by up to 6 %.
+#: Peaks within this ratio count as equal if part of the motion is irregular. Averages of irregular motion scatter: a
+#: change of the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
 #: Smallest machinable clearance, m: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
@@ -27,8 +27,8 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     Each criterion decides between trials that are equal by the previous criteria; peaks within `EQUAL_DB` are equal:
 
     1. smallest worst peak, 2. smallest mean peak over the levels in dB, 3. smallest mass, 4. fewest dampers,
-    5. clearances that can be built, 6. no ceiling, 7. clearance nearest to the middle of the remaining clearances, as
-    the worst peak changes near their ends.
+    5. clearances that can be built, 6. no ceiling, 7. clearance nearest to the middle of the remaining clearances,
+    because the worst peak changes near their ends.
 
     A design with fewer dampers becomes the first if it equals the best design within the scatter of irregular motion.
     """
@@ -81,7 +81,7 @@ def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
 
 
 def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
-    """Return whether fewer dampers that are not heavier equal the best design within the resolution of the search."""
+    """Return whether a design with fewer dampers and no more mass equals the best design within the resolution."""
     choice, best_choice = trial.choice, best.choice
     ratio = IRREGULAR_RATIO if any(peak.irregular_share for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
     return (

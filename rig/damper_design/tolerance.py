@@ -13,21 +13,21 @@ from rig.results import format_number
 
 #: Rise of the worst peak at the ends of the interval, dB.
 MAX_RISE_DB = 0.5
-#: The bisection of an end stops below this ratio of clearances.
+#: Bisection stops when the ratio of its two clearances is below this value.
 _RESOLUTION_RATIO = 1.06
 #: Largest ratio of clearances per outward step.
 _STEP_RATIO = 1.6
-#: Smallest distance of a clearance from the ends of the interval, as a share of its logarithmic width. Otherwise the
-#: middle is recommended.
+#: If the chosen clearance is nearer to an end of the interval than this share of its logarithmic width, the middle is
+#: recommended instead.
 _MIN_END_DISTANCE = 0.15
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Clearances of the heaviest damper for which the worst peak rises by at most `MAX_RISE_DB`; others in proportion.
+    """Clearances of the heaviest damper for which the worst peak rises by at most `MAX_RISE_DB`.
 
-    `low`, `high`: ends of the interval, m. `high` is infinite if the peak stays low without a ceiling; both are
-    infinite if it does so only without a ceiling.
+    All clearances change by the same factor. `low`, `high`: ends of the interval, m. `high` is infinite if the peak
+    also stays low without a ceiling. Both are infinite if the peak stays low only without a ceiling.
     """
 
     low: float
@@ -45,7 +45,7 @@ class Tolerance:
         """
         if np.isinf(self.low):
             rise = f"more than {MAX_RISE_DB:g} dB higher"
-            return f"with any clearance searched the worst peak is {rise}: build no ceiling"
+            return f"with every searched clearance the worst peak is {rise}: build no ceiling"
         low = format_number(1e3 * self.low)
         if np.isinf(self.high):
             return f"the worst peak stays within {MAX_RISE_DB:g} dB for every clearance above {low} mm"
@@ -64,7 +64,7 @@ class Tolerance:
 def clearance_tolerance(
     objective: Objective, space: SearchSpace, best: Trial, trials: Iterable[Trial], evaluator: Evaluator
 ) -> Tolerance:
-    """Compute the interval: outward steps of the clearances until the peak is too high, then bisection.
+    """Compute the interval: increase and reduce the clearances in steps until the peak is too high, then bisect.
 
     `best`: the design whose interval is computed; `trials`: all designs computed.
     """

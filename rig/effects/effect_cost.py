@@ -25,7 +25,7 @@ from rig.system.structural_model import structural_model
 
 #: Number of simulated seconds that are measured, each separately, after one second of warm-up.
 SECONDS = 3
-#: Repetitions of every measurement, because other processes disturb some of them.
+#: Repetitions of every measurement; the shortest time counts, because other processes disturb some of them.
 REPEATS = 3
 
 
@@ -51,7 +51,7 @@ class EffectCost:
     name: str
     states: int  # Number of added states
     total: float  # CPU time per simulated second with this and all previous effects [s]
-    added: float  # Difference of `total` from that of the previous effect [s]
+    added: float  # Difference of `total` from the `total` of the previous effect [s]
 
 
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:

@@ -160,7 +160,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
 
 
 def _natural_frequencies_text(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone, by which the user notices a wrong unit in the scene."""
+    """List the natural frequencies of the structure alone; they reveal a wrong unit in the scene."""
     texts = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
     if len(texts) > _MAX_LISTED:
         texts = [*texts[: _MAX_LISTED - 1], "...", texts[-1]]

@@ -8,7 +8,8 @@ the instant are solved together (`rig.numerics.complementarity`).
 The gap is the distance from a damper to its wall, the opening speed its rate of change. A closing speed or approach
 speed is the negative of the opening speed.
 
-A Zeno sequence is infinitely many, ever lower rebounds in a finite time. It ends where a rebound is within rounding.
+A Zeno sequence is infinitely many, ever lower rebounds in a finite time. The simulation ends it when the height of a
+rebound is below the rounding error.
 
 Function arguments: `j` is the number of a damper from 0, and `work` is scratch space. `state.z` contains displacements
 and velocities of the bodies, `state.height` and `state.velocity` those of the dampers in flight. The `multiplicity` of
@@ -117,7 +118,7 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, rebound_speed: f
 
 @kernel
 def _touched_wall(model: Model, state: State, j: int) -> int:
-    """Return the wall that a flying damper touches within rounding while approaching it, or FLIGHT."""
+    """Return the wall that a flying damper touches within rounding error while approaching it, or FLIGHT."""
     position = state.z[model.position_index[j]]
     gap = state.height[j] - position
     floor_approach_speed = state.z[model.velocity_index[j]] - state.velocity[j]
@@ -155,7 +156,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
     `count`: number of contacts that take part in the impact; they are the first entries of the arrays in `work`.
 
     Two dampers coupled through the mass matrix can separate each other from their walls at ever shorter intervals. This
-    Zeno sequence ends in the same way as that of rebounds.
+    Zeno sequence is ended in the same way as a sequence of rebounds.
     """
     changed = False
     for a in range(count):
@@ -255,7 +256,7 @@ def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work
 
 @kernel
 def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Solve for the forces of all contacts at rest together, and separate the dampers without a compressive force."""
+    """Solve for the forces of all closed contacts, and separate the dampers without a compressive force."""
     count = 0
     for i in range(model.mass.shape[0]):
         if model.gap_coordinate[i] >= 0 or state.contact[i] == FLIGHT:

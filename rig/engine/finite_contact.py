@@ -86,7 +86,7 @@ def wall_force_rate(model: Model, z: Array, j: int, wall: int) -> float:
 
 @inlined_kernel
 def _is_zero_force(model: Model, z: Array, j: int, wall: int) -> bool:
-    """Return whether the force of a wall is zero within rounding.
+    """Return whether the force of a wall is zero within rounding error.
 
     The force is zero at every release, and at every touch without a dashpot or after recovery. An exception is a
     contact that an impact of another damper opens or closes through a full mass matrix.
@@ -163,7 +163,7 @@ def first_contact_change(
     `length`: of the step, relative to a full step.
 
     Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact change;
-    `ambiguous`: number of minima of the guards that are zero within rounding, and are not counted as crossings.
+    `ambiguous`: number of minima of the guards that are zero within rounding error, and are not counted as crossings.
     """
     contact, wall = state.contact[j], state.recovering[j]
     multiplicity = state.multiplicity[j]
@@ -182,7 +182,7 @@ def first_contact_change(
         return tau, change, ambiguous
     wall = wall if contact == FLIGHT else contact
     outward = 1.0 if wall == FLOOR else -1.0  # direction from the wall into the cavity
-    # The guard of a touching bed is the wall's force, that of a recovering bed its negative.
+    # The guard of a touching bed is the wall's force; the guard of a recovering bed is the negative of this force.
     sign = outward if contact == FLIGHT else -outward
     offset = 0.0 if wall == FLOOR else clearance
     stiffness, damping = model.wall_stiffness[j, wall - 1], model.wall_damping[j, wall - 1]

@@ -5,9 +5,9 @@ order of their first visit. The state z includes the drive and obeys z' = A z + 
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z(t) + terms of b
 
-The series converges to rounding at degree `rig.numerics.bernstein.DEGREE`, because the product of the step h and the
-largest rate of the system is at most `MAX_RATE_TIMES_STEP`. Neither eigenvectors nor a particular solution are needed,
-so that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
+The series converges to rounding error at degree `rig.numerics.bernstein.DEGREE`, because the product of the step h and
+the largest rate of the system is at most `MAX_RATE_TIMES_STEP`. Neither eigenvectors nor a particular solution are
+needed, so that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
 
 The number of states and of possible configurations determines which tables are computed. For a small system all matrix
 powers are tabulated. For a larger system the matrix of a full step is tabulated; where a contact may change, the series

@@ -87,7 +87,7 @@ class CoupledPropagator:
 
     @property
     def ambiguous(self) -> int:
-        """Number of contact decisions within rounding so far, for the dampers without grains."""
+        """Number of contact decisions within rounding error so far, for the dampers without grains."""
         return self.structure.ambiguous
 
     @property
@@ -252,8 +252,8 @@ def interpolate_drive(drive: Array, substeps: int) -> Array:
 def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
     """Assemble a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
 
-    `system`: the scene's; its initial state, which includes the beds' weight, is also that of the result; `bodies`:
-    coordinates on which the forces act.
+    `system`: the scene's; the result has the same initial state, which includes the beds' weight; `bodies`: coordinates
+    on which the forces act.
     """
     numbers = system.damper_number[system.grains]
     dampers_without_grains = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]

@@ -83,7 +83,7 @@ class PartOfBed(Bed):
         return new_lammps(communicators().COMM_WORLD)
 
     def _sum_over_processes(self, local: Array) -> Array:
-        """Return the sum over the grains of all ranks, from the sum over those of this rank."""
+        """Return the sum over the grains of all ranks, from the sum over the grains of this rank."""
         return sum_over_ranks(np.asarray(local))
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> None:

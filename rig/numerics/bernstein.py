@@ -1,9 +1,9 @@
 """First downward zero crossing of a function, isolated in Bernstein form so that no root can be stepped over.
 
 The function is called a *guard* (in the engine a gap or a contact force). Over one step of length h it is a power
-series in tau = t/h, which has converged to rounding at degree `DEGREE`. The smallest and largest Bernstein coefficients
-on an interval are bounds of the guard there. Repeated halving from the left either proves an interval free of zeros, or
-ends at the first zero. A *dip* is a minimum of the guard that is zero within rounding.
+series in tau = t/h, which has converged to rounding error at degree `DEGREE`. The smallest and largest Bernstein
+coefficients on an interval are bounds of the guard there. Repeated halving from the left either proves an interval free
+of zeros, or ends at the first zero. A *dip* is a minimum of the guard that is zero within rounding error.
 
 References
 ----------
@@ -21,7 +21,7 @@ from rig.arrays import Array
 from rig.numerics.jit import inlined_kernel, kernel
 from rig.numerics.simd import affine_product, minimum, negative_bits
 
-#: Degree at which the power series of a guard over one step has converged to rounding.
+#: Degree at which the power series of a guard over one step has converged to rounding error.
 DEGREE = 15
 #: Number of coefficients of this series.
 N_COEFFICIENTS = DEGREE + 1
@@ -143,7 +143,7 @@ def first_crossing(
     `bernstein`: the conversion matrices `BERNSTEIN`. `subdivision`, `spans`: scratch arrays; row k of `subdivision`
     contains the Bernstein coefficients on the interval of level k, and row k of `spans` its ends.
 
-    Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is zero within rounding at tau = 0 and falling;
+    Returns (tau, ambiguous). `tau`: the crossing; 0 if the guard is zero within rounding error at tau = 0 and falling;
     `NO_CROSSING` if there is none. `ambiguous`: number of dips before it, which are not counted as crossings.
     """
     while start < N_COEFFICIENTS and abs(series[start]) <= rounding:

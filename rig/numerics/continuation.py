@@ -1,6 +1,6 @@
 """Pseudo-arclength continuation: a curve of solutions is computed through its folds.
 
-The curve is defined by n equations in n + 1 unknowns, the last of which is the parameter (a frequency, a force, a
+The curve is defined by n equations in n + 1 unknowns. The last unknown is the parameter (a frequency, a force, a
 clearance). Steps are measured along the curve, so that a fold, where the curve reverses its direction in the parameter,
 is a regular point. A curve may end at a *border*, beyond which its solutions have no meaning. The *margin* is the
 distance from a border, negative beyond it. The result always states why the curve ended.

@@ -4,8 +4,8 @@ A kernel is a compiled function with the decorator `kernel`, `inlined_kernel` or
 GIL, may fuse multiplications with additions (but never reorder them), and create no arrays.
 
 The name of the folder of machine code contains a digest of all source files that a kernel may contain. numba itself
-checks only the file of the function that is called, not those of its callees; after a change of a callee it would run
-outdated code.
+checks only the file of the function that is called, not the files of its callees; after a change of a callee it would
+run outdated code.
 """
 
 from __future__ import annotations

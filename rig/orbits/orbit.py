@@ -61,7 +61,7 @@ class Orbit(Result):
     repetition : int
         Length in periods of the drive.
     compliance : ndarray of complex, shape (bodies,)
-        First harmonic of each displacement over that of the force [m/N].
+        First harmonic of each displacement divided by that of the force [m/N].
     peak : ndarray, shape (bodies,)
         Half the peak-to-peak value of each displacement [m].
     margin : float
@@ -74,7 +74,7 @@ class Orbit(Result):
     period_map : ndarray
         Scaled monodromy matrix, whose eigenvalues are the Floquet multipliers.
     border_index : int
-        Index of the nearest border among those of the plan.
+        Index of the nearest border among the borders of the plan.
     unknowns : ndarray
         State at the start, heights and velocities of dampers in flight, and instants of events; see
         `rig.orbits.shooting`.
@@ -234,9 +234,9 @@ class OrbitFamily:
         # Other states, such as a coil current, may be zero.
         other_scales = np.abs(state[2 * nq :]) + 1e-3
         first_instant = unknowns.size - len(plan.sequence.kind)
-        self.scale = scale = np.full(unknowns.size + 1, 1 / omega)  # of the instants
+        self.scale = scale = np.full(unknowns.size + 1, 1 / omega)  # scales of the instants
         scale[:nq], scale[nq : 2 * nq], scale[2 * nq : system.states] = length, omega * length, other_scales
-        scale[system.states : first_instant : 2] = length  # heights and velocities of dampers in flight
+        scale[system.states : first_instant : 2] = length  # scales of heights and velocities of dampers in flight
         scale[system.states + 1 : first_instant : 2] = omega * length
         # The motion is more sensitive to frequency than to the other parameters.
         scale[-1] = abs(getattr(setting, parameter)) * (0.02 if parameter == "frequency" else 0.2)

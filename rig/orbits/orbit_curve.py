@@ -25,8 +25,8 @@ class OrbitBranch(Result):
 
     `value`, shape (points,): values of the parameter (Hz, N, m, or factor on the mass ratios), not monotonic at folds.
 
-    `folds`, `doublings`, `toruses`: values of the parameter at which the curve turns back, at which a multiplier
-    passes -1 (period doubling), and at which a complex pair leaves the unit circle (torus bifurcation).
+    `folds`, `doublings`, `toruses`: values of the parameter at folds (the curve turns back), at period doublings (a
+    multiplier passes -1), and at torus bifurcations (a complex pair of multipliers leaves the unit circle).
     """
 
     parameter: Parameter
@@ -51,12 +51,12 @@ class OrbitBranch(Result):
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
-        """First harmonics over the force [m/N], shape (bodies, points)."""
+        """First harmonic of each displacement divided by that of the force [m/N], shape (bodies, points)."""
         return np.array([orbit.compliance for orbit in self.orbits]).T
 
     @property
     def peak(self) -> Array:
-        """Half the ranges of the displacements [m], shape (bodies, points)."""
+        """Half the peak-to-peak displacement of each body [m], shape (bodies, points)."""
         return np.array([orbit.peak for orbit in self.orbits]).T
 
     @property
@@ -102,7 +102,7 @@ class OrbitCurve(Result):
     Attributes
     ----------
     failures : tuple of str
-        Failures to follow a branch or to cross a border: value of the parameter, events, and reason.
+        Where a branch could not be followed, or its border not crossed: value of the parameter, events, and reason.
     """
 
     branches: tuple[OrbitBranch, ...]

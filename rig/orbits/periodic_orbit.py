@@ -35,9 +35,9 @@ from rig.steady_response.steady_state import MAX_REPETITION, settle
 MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
-# Limits of Newton's iteration in an early attempt. From a motion that settles to an orbit, at most 5 corrections were
-# needed in designs of dampers for the bundled scenes, the first was at most 0.5 scales of the unknowns, and each of the
-# others was less than half the previous one; an iteration that does not converge is expensive.
+# Limits of Newton's iteration in an early attempt. The values were tuned on designs of dampers for the bundled scenes.
+# Iterations from a motion that settles to an orbit needed at most 5 corrections. The first was at most 0.5 scales of
+# the unknowns, each of the others less than half the previous one. An iteration that does not converge is expensive.
 EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
 # Largest change over a cycle, relative to the motion, before an early attempt. A motion that settles to an orbit within
 # `MAX_ORBIT_DISTANCE` changes less; in designs of dampers for the bundled scenes it was at most 0.15.
@@ -145,7 +145,7 @@ def _nearby_orbit(
 
 
 def _almost_repeats(propagator: Propagator, plan: Plan, unknowns: Array, frequency: float) -> bool:
-    """Return whether a propagator's state is similar to that at the start of the last cycle (`simulate_cycle`)."""
+    """Return whether a propagator's state is similar to the state at the start of the last cycle (`simulate_cycle`)."""
     walls, change = plan.sequence.wall, _largest_difference(propagator, unknowns, frequency)
     largest = _largest_difference(propagator, np.zeros_like(unknowns), frequency)
     return np.array_equal(walls[0], walls[-1]) and change <= MAX_EARLY_CHANGE * largest

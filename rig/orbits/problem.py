@@ -50,7 +50,7 @@ class OperatingPoint:
     frequency: float  # Hz
     force: float  # Level of the drive, in the unit of the scene's test (N for a force)
     clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
-    mass_ratio: float = 1.0  # Mass factor: damper masses over those of the scene
+    mass_ratio: float = 1.0  # Mass factor: ratio of the damper masses to the masses in the scene
 
 
 def column_name(parameter: Parameter) -> str:

@@ -52,8 +52,8 @@ MAX_STEPS = 6
 # Maximum number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
 # Largest first correction after a prediction, relative to the predicted change from the previous point, and largest
-# ratio of successive corrections. In designs of dampers for the bundled scenes, 0.4 % of the useful predictions
-# exceeded them, and 97 % of those without convergence in six corrections.
+# ratio of successive corrections. In designs of dampers for the bundled scenes, 0.4 % of the predictions that converged
+# exceeded these limits, and 97 % of the predictions that did not converge in six corrections.
 MAX_CORRECTION_RATIO = 0.5
 # Largest error of a prediction, relative to the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
@@ -79,9 +79,9 @@ class OrbitResponse(Result):
     value : ndarray, shape (values,)
         Values of the parameter (Hz, N, m, or factor on the mass ratios).
     compliance : complex ndarray, shape (bodies, values)
-        First harmonic of each displacement over that of the force [m/N].
+        First harmonic of each displacement divided by that of the force [m/N].
     peak : ndarray, shape (bodies, values)
-        Half the range of each displacement [m].
+        Half the peak-to-peak value of each displacement [m].
     orbits : tuple of Orbit or None, length values
         None for irregular motion, which is simulated and averaged.
     reasons : tuple of str, length values

@@ -397,7 +397,7 @@ class Response(Result, Sequence["Response"]):
         return f" by {self.input}" if len(self.inputs) > 1 else ""
 
     def peak_line(self) -> int:
-        """Return the index of the largest value of a curve whose uncertainty is small enough for a peak.
+        """Return the index of the largest value of a curve among the values with a small uncertainty.
 
         At low frequencies, where noise is divided by the square of frequency, the largest value may be noise.
         """

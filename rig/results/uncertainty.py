@@ -58,7 +58,7 @@ class Covariance(Protocol):
 
 
 class RandomErrors(Protocol):
-    """Random errors of a response's elements, in terms of the readings' errors: elements may share readings."""
+    """Random errors of a response's elements, computed from the errors of the readings, which elements may share."""
 
     def at(self, lines: Lines) -> RandomErrors:
         """Select some lines."""
@@ -321,5 +321,5 @@ def coverage_factor(confidence: float, degrees: Array) -> Array:
 
 
 def known_degrees(degrees: Array) -> Array:
-    """Replace unknown degrees of freedom (0) by so many that the distribution is normal (GUM G.3.4)."""
+    """Replace unknown degrees of freedom (0) by a number for which the distribution is normal (GUM G.3.4)."""
     return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)

@@ -299,7 +299,7 @@ class Impulse(Settings):
 
 
 class Free(Settings):
-    """Free vibration from given displacements and velocities, the drive at rest."""
+    """Free vibration from given displacements and velocities, with the drive at rest."""
 
     kind: Literal["free"] = "free"
     start: Start = "settled"

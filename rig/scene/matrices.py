@@ -16,7 +16,7 @@ from rig.scene.settings import Problem, Settings
 
 # Maximum number of bodies of a structure.
 MAX_BODIES = 2000
-# Largest asymmetry relative to the largest element: matrices from other programs are symmetric up to rounding.
+# Largest asymmetry relative to the largest element: matrices from other programs are symmetric up to rounding error.
 MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 
@@ -69,7 +69,7 @@ class Matrices(Settings):
     """Matrix of the same size with which no free motion grows [N s/m]."""
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check sizes, symmetry and energies: positive kinetic, no negative elastic energy, no growth."""
+        """Check sizes, symmetry, positive kinetic energy, nonnegative elastic energy, and that no motion grows."""
         problems = list(self._check_shapes())
         yield from problems
         if not problems:
@@ -131,7 +131,7 @@ def positive_definite(matrix: NDArray[np.float64]) -> bool:
 
 
 def lowest_squared_frequency(mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> float:
-    """Return the lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 if zero within rounding."""
+    """Return the lowest squared natural frequency of symmetric matrices (n, n), 1/s^2; 0 within rounding error."""
     # With M = L L^T, the squared frequencies are the eigenvalues of L^-1 K L^-T.
     factor = np.linalg.cholesky((mass + mass.T) / 2.0)
     half_reduced = np.linalg.solve(factor, (stiffness + stiffness.T) / 2.0)

@@ -231,7 +231,8 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
         raw = np.atleast_1d(np.asarray(values))
         if raw.dtype.kind == "U":
             raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
-        # Conversion of a list raises an error for complex numbers, where that of an array discards the imaginary part.
+        # The conversion of a list raises an error for complex numbers; the conversion of an array discards the
+        # imaginary part.
         numbers = np.asarray(raw.tolist(), dtype=np.float64)
     except (TypeError, ValueError):
         raise SceneError(f"{name}: got {values!r}; expected a list of real numbers or texts") from None

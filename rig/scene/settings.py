@@ -169,7 +169,7 @@ class Settings(_Model):
 
     @classmethod
     def key_path_as_given(cls, key_path: KeyPath, content: Mapping[str, Any]) -> KeyPath:
-        """Convert a key path in the prepared content to that in the given content; the inverse of `prepare`."""
+        """Convert a key path in the prepared content to the key path in the given content; the inverse of `prepare`."""
         return key_path
 
     @classmethod

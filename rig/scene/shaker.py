@@ -32,7 +32,7 @@ Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
 #: Drive per volt of the output in front of a shaker, by the unit of the drive: a volt at the amplifier, a newton, or
-#: a millimetre of table displacement.
+#: a millimeter of table displacement.
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 
 

@@ -131,7 +131,7 @@ class _Reader:
 
     def _node(self, event: Any, key_path: KeyPath) -> Any:
         line = _line(event)
-        # Only lines that differ from that of the enclosing key are stored: a matrix has a million entries.
+        # Only lines that differ from the line of the enclosing key are stored: a matrix may have a million entries.
         if line != self.document.line(key_path):
             self.document.lines[key_path] = line
         if len(key_path) > MAX_DEPTH:

@@ -26,7 +26,8 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
-#: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding.
+#: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
+#: error.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
 # Maximum number of values of power series in memory at a time.
 _MAX_VALUES = 1 << 21
@@ -51,7 +52,7 @@ class Energy:
 
     @property
     def residual(self) -> float:
-        """Work minus all stored, dissipated, lost and transferred energy; zero within rounding."""
+        """Work minus all stored, dissipated, lost and transferred energy; zero within rounding error."""
         lost = self.dissipated + self.impacts + self.contacts + self.grains
         return self.work - (self.stored - self.stored_before) - lost
 
@@ -197,7 +198,7 @@ def _intervals(
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
     first_index = trajectory.table_index_before[0] if len(trajectory.table_index_before) else trajectory.table_index[0]
-    # Only breaks change the table index (-1: unchanged); other intervals have that of the previous interval.
+    # Only breaks change the table index (-1: unchanged); other intervals have the index of the previous interval.
     new_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
     new_indices[0] = first_index if new_indices[0] < 0 else new_indices[0]
     last_change = np.maximum.accumulate(np.where(new_indices >= 0, np.arange(len(new_indices)), 0))

@@ -32,7 +32,7 @@ class GrainsState(NamedTuple):
     contact: NDArray[np.int8]  # shape (dampers, samples so far)
     events: NDArray[np.void]  # events so far
     energy: tuple[Energy, ...]  # energy balance of each section
-    ambiguous: int  # number of contact decisions within rounding so far
+    ambiguous: int  # number of contact decisions within rounding error so far
 
     @property
     def samples(self) -> int:

@@ -64,7 +64,7 @@ class Plant:
 
     @property
     def ambiguous(self) -> int:
-        """Number of contact decisions within rounding so far (each was decided as no contact)."""
+        """Number of contact decisions within rounding error so far (each was decided as no contact)."""
         return self._propagator.ambiguous
 
     def advance(self, drive: ArrayLike) -> Motion:

@@ -80,7 +80,7 @@ def summary(run: Run) -> str:
         counts = Counter(str(kind) for kind in events["kind"])
         event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
         lines.append(f"damper {damper}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
-    lines.append(f"events: {len(run.events)}; contact decisions within rounding: {run.ambiguous}")
+    lines.append(f"events: {len(run.events)}; contact decisions within rounding error: {run.ambiguous}")
     energy = run.energy
     lines += [
         "",

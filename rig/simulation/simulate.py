@@ -31,7 +31,7 @@ from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, val
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Samples per period of a tone above which time steps divide a sample interval instead of a period.
+#: With more samples per period of a tone than this, time steps divide a sample interval instead of a period.
 MIN_DENSE_SAMPLES = 10
 
 
@@ -58,7 +58,7 @@ class Run(Result):
         Grains have no events.
         `events.dtype.metadata` also contains `ambiguous`.
     ambiguous : int
-        Number of contact decisions within rounding; each was decided as no contact.
+        Number of contact decisions within rounding error; each was decided as no contact.
     """
 
     scene: Scene
@@ -130,8 +130,8 @@ def simulate(
     frequency : float or str, optional
         Hz, or text with a unit: a tone of this frequency at the test's level, instead of the test's own frequencies.
     keep : Path, optional
-        Checkpoint file for a run with grains, which takes long. The same run continues from it after an interruption
-        with bit-identical results. The file is not deleted at the end.
+        Checkpoint file for a run with grains, which takes long. After an interruption, the same run continues from the
+        file, with bit-identical results. The file is not deleted at the end.
     progress : callable, optional
         Called in runs with grains with the completed and total number of samples.
 
@@ -230,7 +230,7 @@ def _segment_times(
     """
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    # From the frequency in Hz, because the rounding of omega would cause a phase error over a million periods.
+    # Computed from the frequency in Hz: the rounding of omega would cause a phase error over a million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)

@@ -223,7 +223,8 @@ class PeriodicMotion:
 def jacobian(kind: MotionType, unknowns: Array, parameters: MotionParameters, parameter: str) -> tuple[Array, Array]:
     """Compute the conditions and their derivatives with respect to the unknowns and one parameter.
 
-    The complex-step derivative Im f(x + i h)/h has no cancellation, so it is exact to rounding for a very small h.
+    The complex-step derivative Im f(x + i h)/h has no cancellation, so it is exact to rounding error for a very small
+    h.
 
     `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
     field of `parameters`. Returns the conditions, shape (n,), and their derivatives, shape (n, n + 1), with one column

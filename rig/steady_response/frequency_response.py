@@ -53,7 +53,7 @@ class SteadyResponse(Result):
     frequency : ndarray, shape (frequencies,)
         Hz.
     compliance : complex ndarray, shape (bodies, frequencies)
-        First harmonic of each displacement over that of the force, m/N; x(t) = Re(X e^{i w t}).
+        First harmonic of each displacement divided by that of the force, m/N; x(t) = Re(X e^{i w t}).
     peak : ndarray, shape (bodies, frequencies)
         Half the peak-to-peak displacement, m.
     force : ndarray, shape (frequencies,)
@@ -270,7 +270,7 @@ def _compute_in_two_sections(
     pending = pool.submit(compute_section, order[middle:])
     first = compute_section(order[:middle])
     second = pending.result()
-    # The second section started from rest, so its first points may be another motion than that of the first section.
+    # The second section started from rest, so its first points may have another motion than the first section.
     previous = first[-1]
     for k, estimate in enumerate(second):
         point = continuation.point(estimate.frequency, previous)

@@ -86,7 +86,7 @@ def settle(
 def _integrate(
     propagator: Propagator, steps: float, level: float, skipped: int, is_stopped: Callable[[], bool]
 ) -> StateSamples:
-    """Integrate the skipped periods and those of a comparison, in calls short enough for interrupts."""
+    """Integrate the skipped periods and the compared periods, in calls short enough for interrupts."""
     max_count = max(1, int(MAX_WORK_PER_CALL / (steps * propagator.multiplications_per_step)))
     comparisons: list[StateSamples] = []
     for begin in range(0, skipped + COMPARED_PERIODS, max_count):

@@ -298,7 +298,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 
 
 def _is_singular(stiffness: Array) -> bool:
-    """Return whether a stiffness matrix is singular within rounding.
+    """Return whether a stiffness matrix is singular within rounding error.
 
     Its diagonal is first scaled to 1, because a large ratio of springs makes the condition number of a regular matrix
     large.

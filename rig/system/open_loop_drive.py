@@ -42,8 +42,8 @@ class ToneDrive:
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
     """Return the tone of a test at a frequency, Hz.
 
-    Without `frequency`, it is that of a sine test, or the first of a stepped sine; None for other tests. Raises
-    `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
+    The default is the frequency of a sine test, or the first of a stepped sine. For other tests the result is None.
+    Raises `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
     """
     test = scene.test
     if frequency is None:

@@ -171,7 +171,7 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
 
 
 def transmissibility(scene: Scene, frequencies_hz: ArrayLike) -> ComplexArray:
-    """Compute the displacement of each body over that of the table, with the coil spring between table and body.
+    """Compute the ratio of each body's displacement to the table's, with the coil spring between table and body.
 
     Returns X / X_0, complex, shape (bodies, frequencies). Errors as `receptance`, and if the scene has no coil spring.
     """

@@ -1,7 +1,7 @@
 """Cost and error of models of a bed of grains: one mass, finite-duration contact, longer time steps, and softer grains.
 
-The reference is the steady motion of the grains as in the scene. It is a mean over chaotic motion: its deviation from
-another packing of the same grains is the resolution of the errors.
+The reference is the steady motion of the grains as in the scene, a mean over chaotic motion. Its deviation from another
+packing of the same grains is the smallest significant error.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ Compliance = NDArray[np.complex128]
 def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] | None = None) -> SteadyStudy:
     """Measure cost and error of models of a scene's beds of grains at one frequency.
 
-    `scene`: with beds of grains that can move. If its test controls the amplitude of the spring force, that force
-    acts on the body as a pure sinusoid; `frequency`: drive frequency, Hz. Raises `SceneError` if LAMMPS is not
-    installed.
+    `scene`: has beds of grains that can move. If its test controls the amplitude of the spring force, that force acts
+    on the body as a pure sinusoid; `frequency`: drive frequency, Hz. Raises `SceneError` if LAMMPS is not installed.
     """
     report = progress if progress is not None else lambda name: None
     report("packing")
@@ -64,7 +63,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         tuple(points),
         frequency,
         str(reference.motion_type[0]),
-        f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of computing; the last two blocks "
+        f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of CPU time; the last two blocks "
         f"of {PERIODS}\n           differ by {100 * reference.spread:.2g} %{steady}. Errors below this difference, "
         "or below that of another packing, are not significant.",
     )
@@ -95,7 +94,7 @@ def _models(scene: Scene, frequency: float) -> Models:
 
 
 def with_finite_contact(scene: Scene, duration: float) -> Scene:
-    """Return the scene with each bed of grains as one mass on finite-duration contact."""
+    """Return the scene with each bed of grains modeled as one mass with finite-duration contact."""
     wall = TimedContact(duration=duration)
     return scene.replace(
         dampers=[
@@ -116,7 +115,7 @@ def with_other_packing(scene: Scene) -> Scene:
 
 
 def with_time_step(scene: Scene, step: float) -> Scene | None:
-    """Return the scene with a time step relative to Rayleigh's time; None if its own step is as long."""
+    """Return the scene with a time step relative to Rayleigh's time; None if the scene's step is not shorter."""
     if all(
         spheres.longest_step() >= step * rayleigh_time(spheres.settings, spheres.density())
         for spheres in spheres_of(scene).values()

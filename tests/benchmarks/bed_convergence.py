@@ -28,8 +28,8 @@ BLOCKS = 3
 #: Frequency, Hz; force relative to the body's weight; clearance, m; number of layers.
 SETTINGS = ((48.5, 0.15, math.inf, 2), (49.0, 0.2, 0.98e-3, 4), (47.5, 0.08, 3e-3, 6))
 RESONANCE_HZ = 50.0
-#: Elastic modulus of the grains relative to that of the bed study (`MODULUS_PA`); time step in Rayleigh times. The
-#: first variant is the reference.
+#: Elastic modulus of the grains relative to the modulus in the bed study (`MODULUS_PA`); time step in Rayleigh times.
+#: The first variant is the reference.
 VARIANTS = ((1.0, 0.06), (0.5, 0.06), (2.0, 0.06), (1.0, 0.03), (1.0, 0.12))
 
 

@@ -33,7 +33,7 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
-# Number of simulated frequency responses of brute force, as a multiple of those of the search.
+# Number of frequency responses that brute force simulates, as a multiple of the number in the search.
 COST_FACTOR = 20
 # Largest relative excess of the design's peak over the best peak of brute force.
 MAX_EXCESS = 0.01
@@ -43,7 +43,7 @@ MAX_DIFFERENCE_DB = 0.3
 _MASS_FRACTIONS = (1.0, 0.7)
 # Number of the best choices of brute force that are computed again on the design's final frequency grid.
 _FINALISTS = 8
-# Distance of the seeds from those of the other random scenes.
+# Distance of the seeds from the seeds of the other random scenes.
 _SEED_OFFSET = 80_000
 
 

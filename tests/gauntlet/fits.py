@@ -42,7 +42,7 @@ MAX_FREQUENCY_ERROR = 1e-4
 MIN_COVERAGE = 0.90
 # Largest relative error of a value in the guess.
 _GUESS_ERROR = 0.2
-# Distances of the seeds from those of the other random scenes.
+# Distances of the seeds from the seeds of the other random scenes.
 _SEED_OFFSET = 50_000
 _CONTACT_SEED_OFFSET = 60_000
 

@@ -70,7 +70,7 @@ EQUIVALENT = {
         "all heads have the same length"
     ),
     "self._moments[begin + count : end] = -1.0": "these moments have no weight",
-    "nodes, weights = legendre.leggauss( 33)": "32 points are already exact to rounding",
+    "nodes, weights = legendre.leggauss( 33)": "32 points are already exact to rounding error",
     "grid = np.concatenate([np.geomspace(10 * lowest, 0.5 * rate, 401), np.linspace(0.3, 0.5, 400) * rate])": (
         "the fit uses hundreds of points; the place of each does not matter"
     ),

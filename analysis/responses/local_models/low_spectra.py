@@ -1,4 +1,4 @@
-"""Spectra of a long segment at its lowest frequencies, because most tests excite only a small part of the band.
+"""Spectra of a long segment, computed only at its lowest frequencies: most tests excite a small part of the band.
 
 Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
 response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
@@ -34,7 +34,7 @@ _MAX_MULTIPLICATIONS = 1 << 18
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Compute spectra and mean squares of a segment without flaws, after subtraction of the mean of each channel.
+    """Compute spectra and mean squares of a segment without lost or overloaded samples, minus each channel's mean.
 
     The spectra, shape (channels, bins), equal the first bins of `numpy.fft.rfft` of the segment with zeros in front, up
     to `size` samples. The mean squares have the shape (channels,).

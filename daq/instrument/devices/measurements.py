@@ -40,7 +40,7 @@ SENSITIVITY_UNITS: dict[int, tuple[float, str]] = {
     15963: (1.0, "V s/m"),
     15964: (1e-3 / _INCH, "mV s/in"),
 }
-# NI's numbers of the units that a setting may have: those of readings, and those of sensitivities.
+# NI's numbers of the units that a setting may have: units of readings, and units of sensitivities.
 _SUPPORTED_UNITS = {
     "ai_voltage_units": (10348,),
     "ai_accel_units": (10186, 12470, 12471),
@@ -61,7 +61,7 @@ class Measurement:
 
     type: int  # NI's number
     units_setting: str  # name of the setting of the units of the readings
-    sensitivity_setting: str = ""  # name of the setting of the sensitivity; with the suffix `_units`, that of its units
+    sensitivity_setting: str = ""  # setting of the sensitivity; the suffix `_units` gives the setting of its unit
 
     def defaults(self) -> dict[str, Any]:
         """Return the settings of this type with their defaults."""

@@ -27,7 +27,7 @@ EventTick = Callable[[OtherTask], int | None]
 class InputPlan:
     """The settings of an acquisition."""
 
-    bench_indices: tuple[int, ...]  # indices of the task's channels among those of the bench
+    bench_indices: tuple[int, ...]  # indices of the task's channels among the channels of the bench
     factors: NDArray[np.float64]  # reading per count (or per volt, if samples are volts), shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
@@ -54,8 +54,8 @@ class Acquisition:
 
     A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
     buffer. The buffer is then full: without a reserve, a reader that pauses between its reads would lose samples again
-    at every read. The ring buffer therefore has twice the size, of which the second half is used from an overflow until
-    the reader is less than half a buffer behind.
+    at every read. The ring buffer therefore has twice the size. Its second half is used from an overflow until the
+    reader is less than half a buffer behind.
 
     `tick_rate` is in ticks per second, `tick` the current tick, `dtype` the type of the converter's samples.
     """
@@ -179,7 +179,7 @@ class Acquisition:
     ) -> None:
         """Process a block of converter samples and their overload flags, shape (channels of the bench, n).
 
-        `instant` is that of the first sample; blocks are contiguous.
+        `instant` is the instant of the first sample; blocks are contiguous.
         """
         bench_indices = list(self.plan.bench_indices)
         selected, flags = samples[bench_indices], overload[bench_indices]
@@ -263,7 +263,7 @@ class Acquisition:
             self.position = self.first_readable
 
     def _event_instant(self, source: Source | None, earliest: int, event_tick: EventTick) -> int | None:
-        """Return the instant of a trigger that is not analog, from `earliest` on; None before that of another task."""
+        """Return the instant of a non-analog trigger, from `earliest` on; None before another task's trigger."""
         if isinstance(source, SyncPulse | AtTime):
             return source.next_instant(earliest, self.plan.rate)
         assert isinstance(source, OtherTask)

@@ -87,7 +87,7 @@ class CrossingFinder:
 
 @dataclass(frozen=True)
 class AnalogSource:
-    """Analog triggers on channels of a task, of which the first to fire counts."""
+    """Analog triggers on channels of a task; the first to fire counts."""
 
     conditions: tuple[tuple[int, Condition], ...]  # index of the channel in the task, and its condition
 

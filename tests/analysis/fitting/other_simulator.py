@@ -68,8 +68,8 @@ def accelerances(chain: Chain, frequency: Array) -> NDArray[np.complex128]:
 def random_test(chain: Chain, path: Path, seed: int) -> dict[str, Any]:
     """Write a random test as a text table; return the settings of its scene, with wrong masses and springs.
 
-    The force on body 1 has an rms value of 10 N. The noise is 3 % of the rms value of the force, and 1 % of that of
-    each response.
+    The force on body 1 has an rms value of 10 N. The noise is 3 % of the rms value of the force, and 1 % of the rms
+    value of each response.
     """
     random = np.random.default_rng(seed)
     rate, low, high, duration = 1000.0, 4.0, 220.0, 20.0

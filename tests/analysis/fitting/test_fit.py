@@ -69,7 +69,7 @@ def true_values():
 
 
 def scene_with_wrong_masses():
-    """Return the structure of the synthetic recordings, of which only the masses have errors of about 20 %."""
+    """Return the structure of the synthetic recordings with errors of about 20 % in the masses only."""
     return initial_scene(springs=true_values()["springs"], damping={"modal": true_values()["modal"]})
 
 

@@ -1,4 +1,4 @@
-"""Fixture of tests whose time is that of the local fits."""
+"""Fixture of tests that spend most of their time on local fits."""
 
 from __future__ import annotations
 

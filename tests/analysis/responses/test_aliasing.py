@@ -123,7 +123,8 @@ def test_table_drive_images_are_bounded(reference_share):
         # After two differentiations an image is as large as the tone; only the second-order servo attenuates it.
         servo = SimpleNamespace(response=lambda f: -((2 * np.pi * f) ** 2) / (1.0 + 1j * f / 700.0) ** 2)
         ratio = image_ratio(servo, cycles)
-        # A reading that is too small has the larger relative error, unless it is that of the reference (denominator).
+        # A reading that is too small has the larger relative error, unless it is the reading of the reference
+        # (denominator).
         expected = (ratio if reference_share else relative_to_reading(ratio)) * abs(value[column])
         assert expected <= bound[column] <= 1.25 * expected, frequency
 
@@ -143,7 +144,7 @@ def coil_drive(frequency, mode, force):
     return np.linalg.solve(equations, right[..., None])[..., 1, 0]
 
 
-# At an image, the force of the stiff spring is comparable to that of the armature mass.
+# At an image, the force of the stiff spring is comparable to the inertia force of the armature.
 @pytest.mark.parametrize("spring", [6e3, 2e8])
 @pytest.mark.parametrize("mode", ["voltage", "current"])
 def test_coil_drive_images_are_bounded(mode, spring):

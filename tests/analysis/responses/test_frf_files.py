@@ -220,7 +220,8 @@ def test_lines_are_sorted_by_frequency(tmp_path):
 @pytest.mark.parametrize("extension", ["uff", "csv"])
 def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
-    # An error that is nearly equal at neighboring lines causes no scatter, such as that of a hammer with AC coupling.
+    # An error that is nearly equal at neighboring lines causes no scatter, such as the error of AC coupling in a
+    # hammer.
     error = 1e-4 * abs(value).max() * (1.0 + 1e3 * np.exp(-FREQUENCY[1:] / 1.5))
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     measured = value + error * np.exp(0.3j * FREQUENCY[1:])

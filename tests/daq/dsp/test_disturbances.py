@@ -105,7 +105,7 @@ def test_noise_of_each_polynomial_has_its_power(degree):
     # Power ratio: 1 + 2 corner / rate, of the density at half the sample rate to that of white noise.
     for corner, rate, power_ratio in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
-        # White noise projected on P_d: a variance of 2 d + 1 times that of its average, density^2 rate / 2.
+        # White noise projected on P_d has 2 d + 1 times the variance of its average, density^2 rate / 2.
         expected = density * np.sqrt(power_ratio * (2 * degree + 1) * 0.5 * rate)
         assert samples.std() == pytest.approx(expected, rel=0.01)
         assert abs(samples.mean()) < 0.01 * expected

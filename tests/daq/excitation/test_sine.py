@@ -52,7 +52,7 @@ def test_stepped_drive_is_continuous() -> None:
     bench_run = run(scene_with({"kind": "stepped_sine", "frequencies": [20.0, 21.0, 40.0], "force": "2.6 N"}))
     drive = bench_run.drive[0]
     largest = np.abs(drive).max()
-    # The second difference of a 40 Hz tone is (2 pi f / rate)^2 times its amplitude; that of a jump is larger.
+    # The second difference of a 40 Hz tone is (2 pi f / rate)^2 times its amplitude; a jump has a larger one.
     assert np.abs(np.diff(drive, 2)).max() < 1.3 * (2 * np.pi * 40.0 / RATE) ** 2 * largest
     assert drive[0] == 0.0
     assert abs(drive[-1]) < 1e-4 * largest

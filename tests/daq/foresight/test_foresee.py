@@ -78,7 +78,7 @@ def test_long_random_scene_confirms_prediction(seed: int, number: int, tmp_path:
 
 
 def test_peaks_with_dampers_are_ranked_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    # For each scene, the response with dampers is computed first, then that without.
+    # For each scene, the response with dampers is computed first, then the response without dampers.
     has_dampers = []
 
     def constant_readings(scene: rig.Scene, channels: Any, rising: np.ndarray) -> np.ndarray:

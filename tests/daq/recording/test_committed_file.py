@@ -53,7 +53,7 @@ def recorder(path: Path, overwrite: bool = True) -> Recorder:
 
 
 def test_killed_replacement_leaves_both_recordings(path: Path) -> None:
-    # The recorder is never closed, as that of a killed process.
+    # The recorder is never closed, as if its process had been killed.
     killed_recorder = recorder(path)
     killed_recorder.write(NEW)
     assert np.allclose(volts(path), OLD, rtol=1e-15)

@@ -273,7 +273,7 @@ def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
         recorders[0].write(part)
         first += size
     assert flushed == [FLUSH_LENGTH, 2 * FLUSH_LENGTH, 3 * FLUSH_LENGTH]
-    # The file has no end yet, as that of a killed process: recovery finds the flushed samples.
+    # The file has no end yet, as after a kill of the process: recovery returns the flushed samples.
     recovered = recover(path, tmp_path / "fixed.mcap").kept
     assert set(recovered.values()) == {3 * FLUSH_LENGTH}
     recorders[0].close()

@@ -51,7 +51,7 @@ def test_output_module_clips_and_quantizes() -> None:
     text = "shaker: {kind: force, body: 1, output: {preset: NI 9263}}\nchannels: [{name: drive, at: drive}]\n"
     result, _ = read_channels(text, np.repeat(volts, 2, axis=1))
     step = 20.0 / 2**16  # the NI 9263 has 16 bits and the range ±10 V
-    # Each voltage is held for two samples, of which the second is an average over a constant voltage.
+    # Each voltage is held for two samples; the second sample is an average over a constant voltage.
     assert result[0, 1::2] == pytest.approx([round(0.1001 / step) * step, 10.0 - step, -10.0, 0.0], abs=1e-12)
 
 

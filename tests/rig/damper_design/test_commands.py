@@ -17,7 +17,7 @@ from rig.damper_design.request import parse_request
 from rig.damper_design.worst_peak import Peak
 from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
 
-# A scene whose channels lack those of the driven body and of the force.
+# A scene without channels on the driven body and for the force.
 BRACKET = """
 name: bracket
 structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 2 %}}

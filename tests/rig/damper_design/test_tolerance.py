@@ -126,7 +126,7 @@ def test_flight_height_equals_the_simulated_motion() -> None:
     frequency = trial.peak.frequency
     motion = rig.simulate(scene, 600.0 / frequency, rate=64.0 * frequency, frequency=frequency)
     simulated_height = motion.gap[0, -640:].max()  # over the last 10 periods, m
-    # The result is the largest height in the band, at least that at the peak.
+    # The result is the largest height in the band, at least the height at the peak.
     assert 0.9 * simulated_height < result.height < 5.0 * simulated_height
 
 

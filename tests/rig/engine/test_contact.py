@@ -157,7 +157,7 @@ def test_impact_obeys_the_contact_laws(
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.contact[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
-        # A separated damper has the velocity before the impact, or that of its wall after it.
+        # A separated damper has its velocity before the impact, or the velocity of its wall after the impact.
         opening_speed = SIGN[walls[j]] * (damper_velocity_after[j] - body_velocity_after[j])
         assert damper_velocity_after[j] == (body_velocity_after[j] if opening_speed == 0.0 else body_velocity[j])
         assert opening_speed >= 0.0 and state.height[j] == position[j] + (CLEARANCE if walls[j] == CEILING else 0.0)
@@ -281,7 +281,8 @@ def test_uncoupled_damper_stays_at_rest() -> None:
 @pytest.mark.parametrize(("ratio", "closed"), [(0.999, True), (1.001, False)])
 def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
     # An impact opens the contact of damper 1 at `ratio` times the largest speed v at which the gap v^2 / (2 a) stays
-    # within rounding. The reactions solve opening_speed + matrix @ reaction = 0 for the closed contacts (`active`).
+    # within rounding error. The reactions solve opening_speed + matrix @ reaction = 0 for the closed contacts
+    # (`active`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     state.contact[:], row = wall, model.position_index[1]

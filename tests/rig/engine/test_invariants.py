@@ -177,7 +177,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     contacts = np.full(system.dampers, FLOOR)
     contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = FLIGHT
     events = motion.events[motion.events["time"] > 0.0]
-    # Several breaks may coincide within rounding. The list of events does not show to which break each belongs.
+    # Several breaks may coincide within rounding error. The list of events does not show to which break each belongs.
     for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
         if breaks.size:
             simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
@@ -189,7 +189,7 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
 #: Impacts within this time, s, are treated as simultaneous in these tests.
 SIMULTANEITY_S = 1e-9
 #: Separation speed, m/s, below which the engine may keep a damper in contact during an impact and release it later:
-#: the gap would be within rounding.
+#: the gap would be within rounding error.
 MIN_SEPARATION_SPEED = 1e-6
 
 

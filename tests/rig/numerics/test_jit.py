@@ -186,7 +186,7 @@ def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
 
 @pytest.mark.thorough
 def test_public_options_give_the_same_bits(kernels: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # The machine code is cached with that of the program: both kinds have a digest of their own.
+    # The cache also contains the machine code of the program: each kind has a digest of its own.
     plain = run(kernels, BITS.format(plain=True), NUMBA_CACHE_DIR=os.environ.get("NUMBA_CACHE_DIR", ""))
     exec(BITS.format(plain=False), {})
     assert plain.stdout == capsys.readouterr().out != ""

@@ -241,7 +241,7 @@ def test_vanishing_damper_moves_as_inelastic_ball(acceleration: float) -> None:
     at_start = int(np.argmin(branch.frequency))
     assert branch.valid.all()
     assert 2 * np.pi - branch.tau_0[at_start] == pytest.approx(flight.end - flight.start, abs=1e-6)
-    # The phase of the body's motion at the floor impact is that of the ball's landing.
+    # The phase of the body's motion at the floor impact equals the phase of the ball's landing.
     motion = branch.compliance[at_start] * -1j * np.exp(-1j * branch.phi[at_start])
     landing_phase = np.angle(motion) + np.pi / 2
     assert np.angle(np.exp(1j * (landing_phase - flight.end))) == pytest.approx(0, abs=1e-6)

@@ -19,7 +19,7 @@ def test_flight_ends_at_the_first_contact(acceleration: float) -> None:
     body = acceleration * np.sin(start + t)
     ball = acceleration * (np.sin(start) + np.cos(start) * t) - t**2 / 2
     assert np.sin(start) * acceleration == pytest.approx(1, abs=1e-12)
-    # The first gaps are within rounding.
+    # The first gaps are within rounding error.
     assert (ball > body)[20:].all()
     assert (ball > body - 1e-12).all()
     duration = flight.end - start

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 
 from daq.signal_chain.channel import Quantity
 from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
@@ -19,8 +20,8 @@ _SPELLINGS = {
     "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
     "pounds": "4.4482216152605 N", "lbf": "4.4482216152605 N", "lb": "4.4482216152605 N",
     "g's": "g", "gs": "g", "gn": "g", "g_n": "g", "gee": "g",
-    "meters/second^2": "m/s^2", "m/s/s": "m/s^2", "meters": "m", "inches": "inch", "in": "inch",
-    "meters/second": "m/s", "inches/second": "inch/s", "in/s": "inch/s", "in/s^2": "inch/s^2",
+    "meters/s^2": "m/s^2", "m/s/s": "m/s^2", "meters": "m", "inches": "inch", "in": "inch",
+    "meters/s": "m/s", "inches/s": "inch/s", "in/s": "inch/s", "in/s^2": "inch/s^2",
 }  # fmt: skip
 
 
@@ -30,11 +31,12 @@ def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
     >>> quantity_and_scale("g"), quantity_and_scale("m/s2"), quantity_and_scale("2.5 mm")
     (('acceleration', 9.80665), ('acceleration', 1.0), ('displacement', 0.0025))
     """
-    normalized = re.sub(r"\bsec\b|\bsecond\b", "s", unit.strip())
+    normalized = re.sub(r"\bsec(ond)?\b", "s", unit.strip(), flags=re.IGNORECASE)
     normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
-    unit_name = _SPELLINGS.get(normalized.lower(), normalized)
-    quantity_text = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
-    for quantity, kind in KINDS.items():
+    # The case of a prefix counts: MV is not mV, GN is not gn. Other spellings are for text that is not a unit itself.
+    spelling = "" if normalized == "Mv" else _SPELLINGS.get(normalized.lower(), "")
+    for unit_name, (quantity, kind) in product((normalized, spelling), KINDS.items()):
+        quantity_text = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
         try:
             scale = parse(quantity_text, kind)
         except ValueError:

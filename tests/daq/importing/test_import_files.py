@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import daq
 from daq.cli import app
 from daq.importing.channel_table import Column
+from daq.importing.units import quantity_and_scale
 from rig.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import (
     NAMES,
@@ -459,6 +460,16 @@ def test_unit_that_contradicts_file_is_reported(tmp_path):
         )
         recording.close()
         assert any(expected_message in message for message in messages) if expected_message else not messages
+
+
+@pytest.mark.parametrize(
+    ("unit", "expected"),
+    [("MV", ("voltage", 1e6)), ("mV", ("voltage", 1e-3)), ("mv", ("voltage", 1e-3)), ("GN", ("force", 1e9)),
+     ("gn", ("acceleration", 9.80665)), ("MN", ("force", 1e6)), ("mN", ("force", 1e-3)), ("Mm", ("displacement", 1e6)),
+     ("mm", ("displacement", 1e-3)), ("Volts", ("voltage", 1.0)), ("Meters/Second^2", ("acceleration", 1.0))],
+)  # fmt: skip
+def test_case_of_unit_prefix_counts(unit, expected):
+    assert quantity_and_scale(unit) == expected
 
 
 def test_duplicate_file_is_rejected(tmp_path):

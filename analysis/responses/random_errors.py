@@ -31,6 +31,9 @@ _CONSTANT_NOISE_WIDTHS = 5
 _ITERATIONS = 4
 # Smallest noise power of a response, relative to the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
+# Weight of the normal equations of the whole test in those of each line, if there is a single response. Only the
+# variation of its magnitude, which is small far from peaks, distinguishes the noise of the reference from its own.
+_WHOLE_TEST_WEIGHT = 0.1
 # Value that replaces zero power; its square does not underflow to zero.
 _ZERO_POWER = 1e-40
 # Variance that is uncorrelated between responses, due to errors of second order and covariances of few averages,
@@ -275,7 +278,7 @@ def _separate_noise(
     `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
     in `LocalErrors`; `center`: bin at the middle of each fit.
     """
-    lines, _, width = fitted_response.shape
+    lines, elements, width = fitted_response.shape
     bins_per_line = float(np.median(np.diff(center))) if lines > 1 else 1.0
     # Lines of the local means.
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))
@@ -295,8 +298,11 @@ def _separate_noise(
         b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))
         b_response = local_mean(variances / expected**2)
         reduced = a_reference - np.sum(a_mixed**2 / a_response, axis=1)
+        right = b_reference - np.sum(a_mixed * b_response / a_response, axis=1)
+        if elements == 1:
+            reduced, right = (values + _WHOLE_TEST_WEIGHT * values.mean() for values in (reduced, right))
         is_regular = reduced > 1e-6 * a_reference
-        reference = np.where(is_regular, b_reference - np.sum(a_mixed * b_response / a_response, axis=1), 0.0)
+        reference = np.where(is_regular, right, 0.0)
         reference = np.maximum(reference / np.where(is_regular, reduced, 1.0), 0.0)
         min_noise = _MIN_NOISE_RATIO * local_mean(variances)
         response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)

@@ -186,6 +186,22 @@ def test_covariance_of_padded_segments_equals_scatter(measured_share):
     assert 0.5 < np.mean(variances) / scatter < 1.9
 
 
+@pytest.mark.parametrize("reference_noise", [0.0, 1e-3])
+def test_single_response_separates_noise_of_reference(reference_noise):
+    random, bins, lines = np.random.default_rng(18), np.arange(3000), np.arange(20, 2980, 8)
+    response = sum(60.0 / (1j * (bins - peak) + 60.0) for peak in (900, 2100))
+    force = gaussian(random, 2, bins.size)
+    reading = ideal_reading(response * force + np.sqrt(1e-3) * gaussian(random, 2, bins.size))
+    noisy_force = force + np.sqrt(reference_noise) * gaussian(random, 2, bins.size)
+    fit = local_fit(reading, noisy_force, np.zeros((2, bins.size)), lines, HALF_WIDTH)
+    errors = LocalErrors(
+        fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
+        float(fit.degrees_of_freedom[0]) / 2.0, 1.0, True, np.zeros((lines.size, 1)),
+    )  # fmt: skip
+    estimated = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0).reference
+    assert np.mean(estimated) == pytest.approx(reference_noise, rel=0.3, abs=3e-4)
+
+
 def test_model_error_of_three_near_peaks_is_estimated():
     random = np.random.default_rng(11)
     # A denominator of second order cannot represent three peaks in one fit.

@@ -28,13 +28,14 @@ Value = TypeVar("Value")
 
 @functools.cache
 def code_digest(*packages: str) -> str:
-    """Return a digest of the version and of all source files of some packages, which identifies a result's code."""
+    """Return a digest of the version, sources and data sheets of some packages, which identifies a result's code."""
     digest = hashlib.sha256(version("shotrig").encode())
     for package in packages:
         spec = find_spec(package)
         assert spec is not None and spec.origin is not None
-        for file in sorted(Path(spec.origin).parent.rglob("*.py")):
-            digest.update(file.read_bytes())
+        for file in sorted(Path(spec.origin).parent.rglob("*")):
+            if file.suffix in (".py", ".yaml"):
+                digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -23,6 +23,7 @@ from rig.grain_beds.bed import CEILING, FLOOR, Bed
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
+from rig.study import code_digest
 
 #: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1
@@ -49,8 +50,6 @@ _MAX_FALL_CHECKS = 400
 _REST_STEPS = 20
 #: Maximum number of checks of a bed that comes to rest.
 _MAX_REST_CHECKS = 40_000
-#: Name of the packing method in the digest of stored beds; change it with the method.
-_METHOD = "rain, lid and peaks 3"
 
 
 def settled_positions(spheres: Spheres) -> Array:
@@ -164,10 +163,17 @@ def _initial_positions(spheres: Spheres) -> Array:
 
 
 def _stored_file(spheres: Spheres) -> Path:
-    """Return the file of a settled bed, whose name is a digest of all inputs of the packing."""
+    """Return the file of a settled bed, whose name is a digest of all inputs of the packing and of its code."""
     # Time step and friction of the motion do not affect the packing; density and diameters follow from the inputs.
     grains = spheres.settings.replace(time_step=None, friction=0.0, side_friction=None)
-    inputs = (_METHOD, lammps_version(), repr(grains), spheres.count, spheres.seed, repr(spheres.mass))
+    inputs = (
+        code_digest("rig.grain_beds"),
+        lammps_version(),
+        repr(grains),
+        spheres.count,
+        spheres.seed,
+        repr(spheres.mass),
+    )
     name = hashlib.sha256(repr(inputs).encode()).hexdigest()[:24]
     return folder() / f"{name}.npy"
 

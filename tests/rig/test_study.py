@@ -101,12 +101,12 @@ def test_other_code_gives_another_digest(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_code_digest_follows_every_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    inner = tmp_path / "some_code" / "room" / "inner.py"
-    inner.parent.mkdir(parents=True)
+    room = tmp_path / "some_code" / "room"
+    room.mkdir(parents=True)
     (tmp_path / "some_code" / "__init__.py").touch()
     digests = set()
-    for text in ("a = 1\n", "a = 2\n"):
-        inner.write_text(text)
+    for file, text in (("inner.py", "a = 1\n"), ("inner.py", "a = 2\n"), ("preset.yaml", "a: 3\n")):
+        (room / file).write_text(text)
         digests.add(code_digest.__wrapped__("some_code"))
 
-    assert len(digests) == 2
+    assert len(digests) == 3

@@ -147,3 +147,13 @@ def test_damaged_packing_is_computed_again(tmp_path: Path, monkeypatch: pytest.M
         cache_file.write_bytes(damaged)
 
         assert np.array_equal(settled_positions(spheres), positions)
+
+
+def test_packing_of_other_code_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packing, "folder", lambda: tmp_path)
+    spheres = spheres_of(with_grains())[0]
+    for code in ("one", "other"):
+        monkeypatch.setattr(packing, "code_digest", lambda package, code=code: code)
+        monkeypatch.setattr(packing, "_pack", lambda spheres, code=code: np.full((spheres.count, 3), float(len(code))))
+
+        assert settled_positions(spheres)[0, 0] == len(code)

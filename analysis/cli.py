@@ -21,7 +21,7 @@ app = create_application("Curves, modes and reports from recordings.")
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
 Output = Annotated[
     Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: that of the first FILE."),
+    typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: the folder of the first FILE."),
 ]
 Reference = Annotated[
     str,
@@ -92,7 +92,7 @@ def decay(
     files: Files,
     output: Output = None,
     channel: Annotated[
-        str | None, typer.Option(metavar="CHANNEL", help="Response. Default: that of the last body.")
+        str | None, typer.Option(metavar="CHANNEL", help="Response. Default: the channel of the last body.")
     ] = None,
     hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit, from 1.")] = 1,
     overwrite: Overwrite = False,
@@ -164,7 +164,7 @@ def fit(
         typer.Option(
             metavar="KEY",
             help="Value to fit, such as structure.masses or dampers[1].clearance. May be repeated. Default: masses, "
-            "springs, damping and everything of the dampers.",
+            "springs, damping and all values of the dampers.",
         ),
     ] = None,
     output: Annotated[
@@ -190,7 +190,7 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR|FILE.html", help="Folder to write to. Default: that of the first FILE."
+            "--output", "-o", metavar="DIR|FILE.html", help="Folder to write to. Default: the folder of the first FILE."
         ),
     ] = None,
     overwrite: Overwrite = False,

@@ -40,12 +40,12 @@ Changes = Annotated[
 # Upper limit for numbers of frequencies or periods, to reject typing errors.
 MAX_COUNT = 100_000
 First = Annotated[
-    str | None, typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: that of the test.")
+    str | None, typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: as in the test.")
 ]
-Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: that of the test.")]
+Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: as in the test.")]
 Points = Annotated[
     int | None,
-    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: those of the test."),
+    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: as in the test."),
 ]
 Cluster = Annotated[
     str | None,

@@ -35,11 +35,11 @@ def response(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     first, last : float or str, optional
-        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; default: those of the test.
+        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; default: as in the test.
     points : int, optional
-        Number of frequencies; default: that of the test, or 101.
+        Number of frequencies; default: as in the test, or 101.
     direction : {'up', 'down', 'both'}, optional
-        Order in which the frequencies are visited; default: that of the test.
+        Order in which the frequencies are visited; default: as in the test.
     progress : callable, optional
         Called with the number of completed points and the total.
 

@@ -136,7 +136,7 @@ def simulate(
     scene: SceneName,
     changes: Changes = None,
     duration: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: that of the test.")
+        str | None, typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: as in the test.")
     ] = None,
     rate: Annotated[
         str, typer.Option(metavar="RATE", help="Sample rate of the motion, such as '5120 Hz'.")
@@ -187,7 +187,7 @@ def response(
     direction: Annotated[
         str | None,
         typer.Option(
-            metavar="up|down|both", help="Order in which the frequencies are visited. Default: that of the test."
+            metavar="up|down|both", help="Order in which the frequencies are visited. Default: as in the test."
         ),
     ] = None,
     output: Annotated[
@@ -375,11 +375,11 @@ def design(
     levels: Annotated[
         str | None,
         typer.Option(
-            metavar="F,F,...", help="Force amplitudes to consider. Default: half, once and twice that of the test."
+            metavar="F,F,...", help="Force amplitudes to consider. Default: 0.5, 1 and 2 times the force of the test."
         ),
     ] = None,
     band: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: that of the test.")
+        str | None, typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: as in the test.")
     ] = None,
     response_bodies: Annotated[
         str | None, typer.Option("--watched", metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")

@@ -55,7 +55,7 @@ REFERENCE_TOLERANCE = 1e-10
 #: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
-UNMEASURABLE = "the scene as it is cannot be measured: {}. Run `daq record` with it, and correct what it reports."
+UNMEASURABLE = "the unchanged scene cannot be measured: {}. Run `daq record` on it, and correct the reported problems."
 
 
 @dataclass(frozen=True)
@@ -165,8 +165,8 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
-            "at none of the frequencies tried does the motion repeat every period, so that there is no reference "
-            "compliance. Choose others with --frequency, or another level."
+            "the motion repeats every period at none of the tested frequencies, so that there is no reference "
+            "compliance. Choose other frequencies with --frequency, or another level."
         )
     steady = candidates[is_steady]
     peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]

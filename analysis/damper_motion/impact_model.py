@@ -251,7 +251,7 @@ def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int
     """Compute the model of a channel from its data sheet, for each polynomial order of `ORDERS`.
 
     `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
-    smooths jump, step and kink alike (None: instant); `decimation`: number of samples in each average.
+    smooths jump, step and kink in the same way (None: instantaneous); `decimation`: number of samples in each average.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)

@@ -79,7 +79,7 @@ class DamperMotion:
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.stays_on_floor else "unseen"
         if not self.pattern_periods:
-            return "unsure: impacts are missed, or the motion is irregular"
+            return "uncertain: impacts are missed, or the motion is irregular"
         once_per_period = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
             self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
         )

@@ -23,10 +23,10 @@ _LEGEND_TEXTS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",
     "II": "type II: hits floor and ceiling once a period",
-    "III": "type III: as II, staying at the ceiling",
+    "III": "type III: as type II, but stays at the ceiling",
     "other": "other pattern of impacts",
     "unseen": "may fly, impacts below the detection limit",
-    "unsure": "impacts missed, or irregular",
+    "uncertain": "impacts missed, or irregular",
 }
 # Color of each motion.
 _MOTION_COLORS = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))

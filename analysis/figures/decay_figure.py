@@ -68,7 +68,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         envelope_axes.set_xlabel("time / s")
         add_caption(
             figure, "Envelope: largest acceleration within half a period of the lowest mode on either side.",
-            "Dashed: square root of the backward-integrated (Schroeder) energy, from the same start. Dotted: 1 g.",
+            "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to start at the envelope. "
+            "Dotted: 1 g.",
             *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
         )  # fmt: skip
         _draw_damping(figure, rows, modes, gravity)

@@ -258,7 +258,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
         largest = max(comparison.relative for comparison in compared)
         warnings.append(
-            f"The residuals reach {largest:.2%} of the curves, more than their errors explain (variance "
+            f"The residuals reach {largest:.2%} of the curves, more than their errors explain (reduced chi-square "
             f"{estimated.variance:.3g}). The intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):

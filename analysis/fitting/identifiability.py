@@ -82,7 +82,7 @@ def coupled_values(
         never_moves = problem.parameters[k].damper is not None and not moving
         reason = " (no recording in which its damper moves)" if never_moves else ""
         undetermined.append(
-            f"{problem.parameters[k].key} is not determined by these recordings{reason}; it keeps about its initial "
+            f"{problem.parameters[k].key} is not determined by these recordings{reason}; it stays near its initial "
             "value."
         )
     if not determined:

@@ -158,7 +158,7 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
 def _kind(motion: DamperMotion) -> str:
     """Translate a motion name into printed text."""
     kind, _, counts = motion.name.partition(": ")
-    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "unsure": _IRREGULAR, "other": counts}
+    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
     return printed_names.get(kind, f"type {kind}")
 
 

@@ -175,8 +175,8 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
-        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they are calibrated, "
-        "state it in the scene: sensitivity_tolerance: 1 %"
+        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they were "
+        "calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: 1 %"
     )
     return [remark]
 

@@ -68,14 +68,14 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
             *(Evidence(text, ("beds",)) for text in bed_sentences),
             Evidence(_describe_contact(at_shaking_frequency(beds), parts["contacts"]), ("beds", "contacts")),
             Evidence(
-                "Verdicts on the consequences of the model, which the paper measured and our experiment with that "
-                f"model: {verdicts}.",
+                "Verdicts on the consequences of the model, which the paper measured, and which our experiment with "
+                f"that model repeats: {verdicts}.",
                 (),
             ),
             Evidence(
-                "Error of the approximate method for the same model with all modes: its peak deviates by "
-                f"{np.nanmedian(error):.0f} % (median) and at most {np.nanmax(error):.0f} % over the scanned forces "
-                "and clearances.",
+                "Error of the approximate method relative to the same model with all modes: its peak deviates by "
+                f"{np.nanmedian(error):.0f} % (median) and by at most {np.nanmax(error):.0f} % over the scanned "
+                "forces and clearances.",
                 ("approx-peaks", "scan-single"),
             ),
         ),
@@ -108,7 +108,7 @@ def verdict(beds: Columns) -> str:
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
-        f"the body's compliance is that of one mass within {100 * GOOD_DEVIATION:g} % in "
+        f"the body's compliance agrees with that of one mass within {100 * GOOD_DEVIATION:g} % in "
         f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in {acceptable} of {count} "
         "simulated settings of frequency, acceleration, clearance and depth"
     )
@@ -134,17 +134,17 @@ def _describe_settings(beds: Columns) -> str:
         for frequency, count in zip(*np.unique(beds["frequency"], return_counts=True), strict=True)
     )
     return (
-        "Beds of spheres, simulated by discrete elements, were compared with the same beds as one mass at "
-        f"{len(beds['level'])} settings: {frequencies} (the paper's resonances are at 13, 34.8 and 49.6 Hz), "
-        f"acceleration {level} g, clearance {clearance} mm or no ceiling, depth {depth} diameters{packings}. "
-        f"{min(grain_counts)} to {max(grain_counts)} grains in a cavity with a smooth side represent a section of a "
-        "wide bed; the effect of a rough side is not included. The compliance is that of a body ten times as heavy as "
-        f"its bed, damped by 0.5 %, at the peak and that acceleration. Grains were simulated for {3 * BLOCK_PERIODS} "
-        f"periods without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last "
-        "two thirds. The clearance is measured from the highest grain; most others are lower. The height of this grain "
+        f"Beds of spheres, simulated by discrete elements, were compared with one mass at {len(beds['level'])} "
+        f"settings: {frequencies} (the paper's resonances are at 13, 34.8 and 49.6 Hz), acceleration {level} g, "
+        f"clearance {clearance} mm or no ceiling, depth {depth} diameters{packings}. {min(grain_counts)} to "
+        f"{max(grain_counts)} grains in a cavity with a smooth side represent a section of a wide bed; the effect of a "
+        "rough side is not included. The compliance is the peak compliance, at that acceleration, of a body ten times "
+        f"as heavy as its bed, with a damping ratio of 0.5 %. Grains were simulated for {3 * BLOCK_PERIODS} periods "
+        f"without a ceiling and {3 * BLOCK_PERIODS_WITH_CEILING} below a ceiling, and averaged over the last two "
+        "thirds. The clearance is measured from the highest grain; most others are lower. The height of this grain "
         "differs between packings by a tenth of a diameter, which matters for small clearances. Clearances at which "
-        "one mass does not reach the ceiling are omitted, as they equal no ceiling. `analysis beds` computes the table "
-        "again; with `--points 6` a small table in minutes."
+        "one mass does not reach the ceiling are omitted, because they are equivalent to no ceiling. `analysis beds` "
+        "computes the table again; `analysis beds --points 6` computes a small table in minutes."
     )
 
 
@@ -188,7 +188,7 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
         f"; standard error {100 * np.median(error[has_error]):.1f} % (median), so {significant} of "
         f"{int(has_error.sum())} with several packings exceed this by more than two standard errors"
         if has_error.any()
-        else "; of one packing each"
+        else "; one packing per setting"
     )
     return (
         f"{label}, grains relative to one mass: median {100 * np.median(deviations):+.1f} %, from "

@@ -122,7 +122,7 @@ def optimum(parts: Parts) -> Figure:
         axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
         axes.set_xticks([], minor=True)
         axes.set(xlabel="clearance / mm", ylabel="worst peak of |X₂/F₁| / (µm/N)")
-        axes.set_title("Best clearance for the third mode, robust for 0.8 to 1.25 times 3.3 N")
+        axes.set_title("Best clearance for the third mode, for forces of 0.8 to 1.25 times 3.3 N")
         axes.legend()
     return figure
 

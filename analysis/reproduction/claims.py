@@ -58,9 +58,9 @@ def _c1(parts: Parts) -> Claim:
                 ("rec-bare", "structure"),
             ),
             Evidence(
-                f"Per table motion the same recording peaks at {_format_list(np.array(peaks), 0)} rad/s: the coil "
-                "spring then belongs to the vibrating system, but not to the structure of which the paper reports the "
-                "compliance.",
+                "The response to the table's motion in the same recording peaks at "
+                f"{_format_list(np.array(peaks), 0)} rad/s. These are the modes of the structure with the coil "
+                "spring; the paper reports the compliance without it.",
                 ("rec-bare",),
             ),
         ),
@@ -112,8 +112,8 @@ def _c2(parts: Parts) -> Claim:
             Evidence(
                 f"With one damper Type III appears in {int(has_type_iii(single).sum())} cells, with three in "
                 f"{int(has_type_iii(three).sum())}: with a common clearance the damper in body 2, which moves most, "
-                "may still show it at some frequencies, in addition to Types I and II. The paper shows two of "
-                "them, b and c.",
+                "may still show Type III at some frequencies, in addition to Types I and II. The paper shows two of "
+                "these motions, b and c.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(_describe_type_iii(single), ("scan-single",)),
@@ -184,8 +184,8 @@ def _c3(parts: Parts) -> Claim:
     ]
     return Claim(
         "C3",
-        "With 10 %, no ceiling and 2.6 N a single damper on body 1 already damps modes 2 and 3; more dampers add "
-        "up; mode 1 is least affected.",
+        "With 10 %, no ceiling and 2.6 N a single damper on body 1 already damps modes 2 and 3; more dampers increase "
+        "the damping; mode 1 is least affected.",
         (
             Evidence(
                 f"Peaks of body 3 about modes 1, 2, 3, in % of those without dampers, recorded: {'; '.join(rows)}.",

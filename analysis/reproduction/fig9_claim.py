@@ -74,7 +74,7 @@ def fig9_claim(parts: Parts) -> Claim:
         if only_type_2
         else "Type III, with a short stay at the ceiling, takes the top of the resonance at 0.98 mm for our damping of "
         f"0.5 %, but is absent there for {absent_for}",
-        *(f"the {name}'s peak is that of exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %" for name in agreements),
+        *(f"the {name}'s peak agrees with exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %" for name in agreements),
         *disagreements,
     ]
     return Claim(
@@ -96,8 +96,9 @@ def compare_directions(up: Columns, down: Columns) -> str:
     listed = ", ".join(f"{f:.2f}" for f in ambiguous)
     extent = f"more than {100 * MAX_PEAK_DIFFERENCE:g} % at {listed} Hz, where two motions are possible"
     return (
-        f"Swept downward the compliance of body 2 differs from that swept upward by {np.median(change):.2f} % in the "
-        f"median, {extent if ambiguous.size else f'at most {change.max():.1f} %: no branch depends on the direction'}."
+        "The compliance of body 2 swept downward differs from the compliance swept upward by "
+        f"{np.median(change):.2f} % in the median, "
+        f"{extent if ambiguous.size else f'at most {change.max():.1f} %: no branch depends on the direction'}."
     )
 
 

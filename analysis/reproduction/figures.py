@@ -209,7 +209,7 @@ def figure_10a(parts: Parts) -> Figure:
             deviation = 100 * abs(abs(parts[f"rec-noise-{noise}"]["compliance"][0]) / magnitude - 1.0)
             lower.semilogy(exact["frequency"], deviation, mark, color=shade, ms=3, label=f"{noise} µg/√Hz")
         lower.set_ylabel("difference / %")
-        lower.set_title("Recordings less exact motion, by the noise of the accelerometers")
+        lower.set_title("Difference between recordings and exact motion, by accelerometer noise")
         # Leave space for the legend above the points.
         lower.set_ylim(1e-3, 1e4)
         lower.legend(loc="upper left", ncols=3)

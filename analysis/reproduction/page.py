@@ -16,10 +16,11 @@ from rig.output_files import atomic_write
 
 TITLE = "The paper, reproduced"
 INTRODUCTION = (
-    "Inoue, Yokomichi and Hiraki, Particle damping with granular materials for multi degree of freedom system, "
-    "Shock and Vibration 18 (2011) 245-256. Recordings come from the virtual rig: shaker, coil spring, sensors, "
-    "amplifiers, converter; analysis reads nothing else. Simulation is the exact event-driven motion under a pure "
-    "force. Damping of 0.5 % in each mode, sensors and converter are our assumptions: the text does not give them."
+    "Inoue, Yokomichi and Hiraki, Particle damping with granular materials for multi degree of freedom system, Shock "
+    "and Vibration 18 (2011) 245-256. Recordings come from the virtual rig: shaker, coil spring, sensors, amplifiers "
+    "and converter. The analysis reads nothing else. Simulation means the exact event-driven motion under a sinusoidal "
+    "force. The damping ratio of 0.5 % in each mode, the sensors and the converter are our assumptions, because the "
+    "paper does not give them."
 )
 CAPTIONS = {
     "fig3": "Fig 3",
@@ -34,8 +35,8 @@ CAPTIONS = {
     "design": "Design chart",
     "optimum": "Best clearance",
     "trust": "Where the approximate method can be trusted",
-    "c7-beds": "Beds of grains against one mass that lands at once, and with finite-duration contact, in % of the mass",
-    "c7-modes": "Beds of grains against one mass at the paper's first and second resonance, in % of the mass",
+    "c7-beds": "Deviation of beds of grains from one mass with instantaneous and with finite-duration contact, in %",
+    "c7-modes": "Deviation of beds of grains from one mass at the paper's first and second resonance, in %",
 }
 # Figures of results that the paper does not have.
 BEYOND = ("design", "optimum", "trust")
@@ -85,8 +86,9 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
     lines = [
         Evidence(
             "Best clearance of a damper in body 2 for the third mode, robust for 0.8 to 1.25 times 3.3 N, by mass "
-            f"ratio: {optima}. Over exact orbits at {100 * np.mean([b['orbit_share'] for b in best_by_ratio]):.0f} % "
-            "of the frequencies; at the others the motion is irregular, and its average was taken.",
+            f"ratio: {optima}. The peaks are those of exact orbits at "
+            f"{100 * np.mean([b['orbit_share'] for b in best_by_ratio]):.0f} % of the frequencies. At the others the "
+            "motion is irregular, and its average was taken.",
             clearances,
         ),
         Evidence(
@@ -96,8 +98,8 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
             ("optimum",),
         ),
         Evidence(
-            f"Design chart: the peak is an exact stable orbit in {exact_cells} cells with one and three dampers; "
-            "elsewhere the motion at the peak is irregular (~), and was simulated and averaged.",
+            f"Design chart: the motion at the peak is an exact stable orbit in {exact_cells} cells with one and three "
+            "dampers. In the other cells (~) it is irregular, and was simulated and averaged.",
             ("scan-single", "scan-three"),
         ),
         Evidence(
@@ -129,10 +131,11 @@ def _compare_weightings(parts: Parts) -> str:
     median = np.median(np.abs(usable_errors), axis=0)
     better = "energy-consistent" if median[1] < median[0] else "printed"
     return (
-        "Weight of the dampers in the approximate method: Eq 13 as printed is a signed sum of the shape, which is a "
-        f"positive mass in {usable} of Fig 8; the energy-consistent weight (shape squared) always is. Error of the "
-        f"peak against the simulation, printed against energy-consistent: {'; '.join(rows)}. Where both exist, the "
-        f"{better} weight has the smaller error (median {median[0]:.0f} % against {median[1]:.0f} %)."
+        "Weight of the dampers in the approximate method: Eq 13 as printed sums the mode shape with its sign. The "
+        f"resulting mass is positive in {usable} of Fig 8; the energy-consistent weight (shape squared) is always "
+        "positive. Error of the peak relative to the simulation, printed against energy-consistent: "
+        f"{'; '.join(rows)}. Where both exist, the {better} weight has the smaller error (median {median[0]:.0f} % "
+        f"against {median[1]:.0f} %)."
     )
 
 

@@ -129,8 +129,8 @@ def all_parts(folder: Path) -> list[PaperPart]:
             "sim-noise", "Fig 10a where noise matters", simulation.simulate_response, fig10a,
             {"frequencies": np.sort(NOISE_GRID)},
         ),
-        ("sim-fig5-single", "simulation of Fig 5", simulation.simulate_response, single, dense_grid),
-        ("sim-fig5-three", "simulation of Fig 5", simulation.simulate_response, three, dense_grid),
+        ("sim-fig5-single", "simulation of Fig 5, one damper", simulation.simulate_response, single, dense_grid),
+        ("sim-fig5-three", "simulation of Fig 5, three dampers", simulation.simulate_response, three, dense_grid),
         *(
             (
                 f"wave-{letter}", f"waveform {letter} of Fig 6", simulation.waveforms, rig.load(name),
@@ -146,8 +146,8 @@ def all_parts(folder: Path) -> list[PaperPart]:
     bundled = [
         PaperPart(name, f"{name}\n{study.TABLE.bundled.read_text(encoding='utf-8')}", study.table, {}, title, 0.1)
         for name, study, title in (
-            ("beds", bed_study, "beds of grains against one mass, stored"),
-            ("contacts", contact_study, "one mass on finite-duration contacts, stored"),
+            ("beds", bed_study, "beds of grains compared with one mass, stored"),
+            ("contacts", contact_study, "one mass with finite-duration contact, stored"),
         )
     ]
     return [*_experiments(folder), *(_part(*job) for job in jobs), *bundled]

@@ -36,9 +36,9 @@ def reversed_force(curves: Sequence[Response]) -> str:
         return ""
     names = ", ".join(dict.fromkeys(curve.ratio for curve in reversed_curves))
     return (
-        f"{names}: the phase at the driving point is that of a reversed channel (+90° instead of -90° at resonances): "
-        "the structure would supply energy. Reverse the force, or this response if only it is wrong: "
-        "give sign: -1 in the table of `daq import`, or turn the sensor round."
+        f"{names}: the phase at the driving point indicates a reversed channel (+90° instead of -90° at resonances): "
+        "the structure would supply energy. In the table of `daq import`, give sign: -1 for the force, or for this "
+        "response if only it is wrong; or turn the sensor around."
     )
 
 

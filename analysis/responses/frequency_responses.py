@@ -210,7 +210,7 @@ def frequency_responses(
     unused = ", ".join(name for name, value in vars(blocks).items() if value is not None and name not in options)
     if unused:
         method = rec.test.name if kind in _KINDS_WITHOUT_ESTIMATOR else BY_KIND[kind].method
-        raise SceneError(f"{rec.path}: no effect of {unused} ({method}). Leave out {unused}.")
+        raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Leave it out.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind in _MARKED_KINDS and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")

@@ -1,7 +1,7 @@
 """Live control: control the acceleration of body 1 by writing the next block of a tone after each block read.
 
-The output does not regenerate: every written block is output once, and the next block is written meanwhile. The loop is
-causal: a written block affects the samples that are read two blocks later.
+The output does not regenerate: every written block is output once. The program writes the next block during this time.
+The loop is causal: a written block affects the samples that are read two blocks later.
 """
 
 import nidaqmx

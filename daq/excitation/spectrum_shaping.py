@@ -80,7 +80,7 @@ def equalize(
     present_wave = np.zeros(period)
     force, rms, first = target, 0.0, station.now
     for iteration in range(_MAX_ITERATIONS):
-        station.report(0.0, f"shaping the drive, round {iteration + 1}")
+        station.report(0.0, f"shaping the drive, iteration {iteration + 1}")
         wave = sum_of_tones(lines, amplitudes, phases, period)
         factor = limit_factor(station, wave)
         limited, wave = amplitudes * factor, wave * factor

@@ -169,8 +169,8 @@ class LevelMonitor:
                 remedy = f"At times the signals are below one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
-                f"in {self._intervals} stretch{'es' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep; the worst is {worst:.3g} times the level at {worst_frequency:.2f} Hz. The stretches are "
+                f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
+                f"the sweep; the worst is {worst:.3g} times the level at {worst_frequency:.2f} Hz. The intervals are "
                 f"marked 'level' in the recording. {remedy}"
             )
 

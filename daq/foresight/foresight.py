@@ -114,18 +114,18 @@ class Foresight(Result):
         if self.aborts is not None:
             statement = f"the test will abort: {self.aborts}"
         elif worst is None or worst.share == 0.0:
-            statement = "the test fits: nothing in the scene has a limit"
+            statement = "the test stays within all limits: nothing in the scene has a limit"
         elif worst.share >= 1.0:
             statement = f"the test overloads {worst}; {_describe_limit(worst)}"
         else:
-            statement = f"the test fits; nearest to its limit is {worst}, {_percent(worst.share)} of its "
-            statement += _describe_limit(worst)
+            share = f"{_percent(worst.share)} of its {_describe_limit(worst)}"
+            statement = f"the test stays within all limits; nearest to its limit is {worst}, {share}"
         if self.limited_by is None or not np.isfinite(self.largest_level):
             return statement
         about = "about " if self.nonlinear else ""
         return (
             f"{statement}\n{self.key}: at most {about}"
-            f"{format_quantity(_round_down(self.largest_level), self.level_unit)} fits "
+            f"{format_quantity(_round_down(self.largest_level), self.level_unit)} stays within all limits "
             f"({self.limited_by.name}, {self.limited_by.limited_by})"
         )
 

@@ -125,7 +125,7 @@ def record_at(read: Callable[[int, int], bytes], position: int, end: int, larges
     opcode, length = RECORD_HEAD.unpack(head)
     longest = min(largest, end - position - RECORD_HEAD.size)
     if length > longest:
-        raise Damage(f"a record with opcode {opcode} claims {length} bytes; at most {longest} are possible there")
+        raise Damage(f"a record with opcode {opcode} claims a length of {length} bytes; at most {longest} are possible")
     return opcode, memoryview(read(position + RECORD_HEAD.size, length))
 
 
@@ -144,7 +144,7 @@ def records_in(records: memoryview, stored_bytes: int) -> Iterator[tuple[int, me
         opcode, length = RECORD_HEAD.unpack_from(records, position)
         begin, position = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
         if position > end:
-            raise Damage(f"a record in it claims {length} bytes")
+            raise Damage(f"a record in it claims a length of {length} bytes")
         if opcode not in _CHUNK_OPCODES:
             raise Damage(f"a record in it with opcode {opcode} does not belong in a chunk")
         yield opcode, records[begin:position]

@@ -100,7 +100,7 @@ class Container:
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
         """Return the content of a record, given the position and length in its index."""
         if length > largest:
-            raise Damage(f"a record at byte {offset} claims {length} bytes; at most {largest} are accepted")
+            raise Damage(f"a record at byte {offset} claims a length of {length} bytes; at most {largest} are accepted")
         if offset > self.size - length:
             raise Damage(f"a record of {length} bytes at byte {offset} lies beyond the end of the file")
         data = memoryview(self.read(offset, length))

@@ -118,7 +118,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
         opcode, length = RECORD_HEAD.unpack_from(data, position)
         position += RECORD_HEAD.size
         if position + length > end:
-            raise Damage(f"a record in the summary claims {length} bytes")
+            raise Damage(f"a record in the summary claims a length of {length} bytes")
         if opcode == Opcode.CHUNK_INDEX:
             chunk_positions[length].append(position)
         elif opcode in records_of_kind:

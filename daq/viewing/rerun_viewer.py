@@ -266,8 +266,8 @@ def _await_unchanged_picture(client: ViewerClient) -> None:
 def _end_reason(output: str) -> str:
     if "graphics adapter" in output or "render context" in output:
         return (
-            "the viewer found no graphics device (Vulkan). Install one; a graphics card is not needed: on Debian and "
-            "Ubuntu, `apt-get install mesa-vulkan-drivers libvulkan1`"
+            "the viewer found no graphics device (Vulkan). Install a software driver; a graphics card is not needed: "
+            "on Debian and Ubuntu, `apt-get install mesa-vulkan-drivers libvulkan1`"
         )
     return f"the rerun viewer ended unexpectedly. Its output:\n{_last_lines(output)}"
 

@@ -202,7 +202,7 @@ def clearance_label(choice: Choice) -> str:
     """Return the label of the clearance axis, which shows the clearance of the heaviest damper."""
     if len(choice.bodies) == 1:
         return "clearance / mm"
-    return f"clearance in body {choice.bodies[choice.heaviest_index]} / mm\n(others in proportion)"
+    return f"clearance in body {choice.bodies[choice.heaviest_index]} / mm\n(other clearances in proportion)"
 
 
 def _draw_reductions(axes: Axes, design: Design) -> None:

@@ -89,7 +89,7 @@ class Structure(Settings):
         if not isinstance(masses, Mapping):
             return content, []
         has_names = content.get("names") is not None
-        problems = [Problem(("names",), "given next to masses that have names. Remove names.")] * has_names
+        problems = [Problem(("names",), "given together with masses that have names. Remove names.")] * has_names
         return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, problems
 
     @classmethod

@@ -74,7 +74,7 @@ Models = Iterator[tuple[str, str, Callable[[], Compliance]]]
 
 def _models(scene: Scene, frequency: float) -> Models:
     mass = with_ideal_force(as_one_mass(scene))
-    yield "one mass", "lands at once", partial(_one_mass_compliance, mass, frequency)
+    yield "one mass", "instantaneous contact", partial(_one_mass_compliance, mass, frequency)
     for duration in CONTACT_DURATIONS_S:
         compute = partial(_one_mass_compliance, with_ideal_force(with_finite_contact(scene, duration)), frequency)
         yield "finite-duration contact", f"{1e3 * duration:g} ms", compute

@@ -156,7 +156,7 @@ class RunningTime:
                 total_cpu_time += sum(process.cpu_times()[:4])
                 is_ready |= process.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
         except psutil.Error:
-            # A process ended meanwhile.
+            # A process ended after the list of processes was read.
             return 0.0
         cpu_time, self.last_cpu_time = max(total_cpu_time - self.last_cpu_time, 0.0), total_cpu_time
         # Background threads use up to 2 % of a processor even in a command that hangs.

@@ -161,7 +161,7 @@ def test_possible_flight_is_not_called_riding() -> None:
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
 def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
     motion_type = motion_with(floor, ceiling, pattern_periods=0).name
-    assert motion_type == "unsure: impacts are missed, or the motion is irregular"
+    assert motion_type == "uncertain: impacts are missed, or the motion is irregular"
 
 
 def test_pattern_of_two_periods_has_half_impacts() -> None:
@@ -250,7 +250,7 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
         [motion] = damper_motion(rec, sweep, "b2")
-    assert motion.name == "II" or "unsure" in motion.name or "perhaps weak ones" in motion.name
+    assert motion.name == "II" or "uncertain" in motion.name or "perhaps weak ones" in motion.name
 
 
 def test_impact_energy_agrees_with_truth(fig9):

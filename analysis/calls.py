@@ -281,7 +281,7 @@ def paper(
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Reproduce the figures of the paper and judge its claims, as `analysis paper`; return figures and pages.
+    """Reproduce the figures of the paper and assess its claims, as `analysis paper`; return figures and pages.
 
     Parameters
     ----------

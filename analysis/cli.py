@@ -48,7 +48,8 @@ def frf(
     files: Files,
     output: Output = None,
     response: Annotated[
-        list[str] | None, typer.Option(metavar="CHANNEL", help="Response. May be repeated. Default: all bodies.")
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all bodies."),
     ] = None,
     reference: Reference = "force",
     motion: Annotated[
@@ -92,7 +93,7 @@ def decay(
     files: Files,
     output: Output = None,
     channel: Annotated[
-        str | None, typer.Option(metavar="CHANNEL", help="Response. Default: the channel of the last body.")
+        str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
     ] = None,
     hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit, from 1.")] = 1,
     overwrite: Overwrite = False,
@@ -140,7 +141,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
 def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
-    Changes relative to the first recording, with 95 % bounds.
+    It prints the changes relative to the first recording, with 95 % bounds.
     """
     from analysis.presentation.comparison import present_compare
 
@@ -190,7 +191,10 @@ def report(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", metavar="DIR|FILE.html", help="Folder to write to. Default: the folder of the first FILE."
+            "--output",
+            "-o",
+            metavar="DIR|FILE.html",
+            help="Folder or page to write. Default: the folder of the first FILE.",
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -311,7 +315,7 @@ def paper(
     cluster: Cluster = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Reproduce the figures of the paper and judge its claims. A second call continues the first."""
+    """Reproduce the figures of the paper and assess its claims. A second call continues the first."""
     from analysis.reproduction.reproduce import reproduce
 
     with resumable(), allow_overwriting(overwrite):
@@ -322,7 +326,7 @@ def paper(
 def beds(
     output: Table = Path("recordings/beds.csv"),
     points: Annotated[
-        int | None, typer.Option(min=1, help="Number of settings, spread over all of them; 6 take a few minutes.")
+        int | None, typer.Option(min=1, help="Number of settings to compute, spread over all of them; 6 take minutes.")
     ] = None,
     cluster: Cluster = None,
 ) -> None:

@@ -150,7 +150,7 @@ def replay_recording(
     ] = None,
     web: Web = False,
     screenshot: Annotated[Path | None, _option("FILE.png", "Draw a picture instead; needs no display.")] = None,
-    at: Annotated[float | None, _option("S", "Time of the picture. Default: where the dampers fly highest.")] = None,
+    at: Annotated[float | None, _option("S", "Time of the picture. Default: when the dampers fly highest.")] = None,
     start: Start = None,
     stop: Stop = None,
     speed: Annotated[float, _option("X", "Playback speed; 0.1 is slow motion.")] = 1.0,
@@ -204,7 +204,7 @@ def run_scope(
     output: Annotated[Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")] = None,
     overwrite: Replace = False,
     frequency: Annotated[float | None, _option("HZ", "Initial drive frequency.", "-f", "--frequency")] = None,
-    force: Annotated[float, _option("N", "Initial force amplitude.", "-F", "--force")] = 0.0,
+    force: Annotated[float, _option("N", "Initial force amplitude, N.", "-F", "--force")] = 0.0,
     web: Web = False,
 ) -> None:
     """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
@@ -234,7 +234,7 @@ def run_a_script(
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
-        float | None, _option("S", "Bench time after which Ctrl-C, or Enter at a prompt, is sent.")
+        float | None, _option("S", "Bench time after which the script receives Ctrl-C, or Enter at a prompt.")
     ] = None,
 ) -> None:
     """Run an unchanged nidaqmx script against the rig."""

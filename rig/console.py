@@ -91,7 +91,7 @@ class _Activity:
     """Current activity and delays of a command.
 
     `description`: None while the command waits for input. `delays`: causes of the current delay. `delay_start_s`,
-    `delay_end_s`: of the last delay, on the monotonic clock.
+    `delay_end_s`: end of the last delay on the monotonic clock.
     """
 
     description: str | None = ""

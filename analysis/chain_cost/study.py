@@ -81,7 +81,7 @@ class ChainStudy:
 
     scene: Scene  # with presets expanded and all channels named
     frequency: tuple[float, ...]  # Hz
-    unchanged: Measurement  # the scene as it is
+    unchanged: Measurement  # the unchanged scene
     without_noise: Measurement
     """The scene without noise, quantization, sensor tolerances and bias, which no data sheet can correct; the
     baseline of all changes."""
@@ -99,11 +99,9 @@ def chain_study(
     reached, as recorded; it is computed until it repeats within 1e-10. `rig cost` compares the engine
     with arithmetic of 40 digits. Both references are independent of the measurement chain.
 
-    `scene`: with a shaker, and a test with a level and, unless `frequencies` is given, a frequency; `frequencies`:
-    Hz; None: the lowest, the highest and the frequency of largest acceleration of the test's range at which
-    the motion repeats every period in upward and downward sweeps. Raises `SceneError` if nothing drives the scene,
-    or its channels do not measure the force. Raises `RunError` if no motion repeats every period, or the unchanged
-    scene cannot be measured.
+    `scene`: has a shaker and a test with a level. `frequencies`: Hz; None: `steady_frequencies` selects them from the
+    range of the test. Raises `SceneError` if nothing drives the scene, or its channels do not measure the force. Raises
+    `RunError` if no motion repeats every period, or the unchanged scene cannot be measured.
     """
     expanded = expand_chain(scene)
     level_of(expanded)
@@ -149,8 +147,8 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns the lowest and the highest of these in the test's range, and the frequency of largest acceleration, Hz;
-    rising. Raises `RunError` if there is none.
+    Returns, in Hz and rising, the lowest and the highest of these in the test's range, and the frequency of largest
+    acceleration. Raises `RunError` if there is none.
     """
     motion = with_ideal_force(scene)
     candidates = select_frequencies(motion, points=CANDIDATE_FREQUENCIES)

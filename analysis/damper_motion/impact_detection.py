@@ -277,7 +277,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, settli
 def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
     """Estimate the acceleration at jumps, m/s², by a polynomial through the samples on both sides.
 
-    `impact_samples`: times of the jumps, samples; `duration`: of contact, s. NaN too close to the ends.
+    `impact_samples`: times of the jumps, samples; `duration`: duration of contact, s. NaN too close to the ends.
     """
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators distort slow motion, so their slow poles and zeros are corrected.

@@ -121,8 +121,8 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
     """Return the transmissibility from the body to a damper at rest on its floor, shape (frequencies,).
 
-    `number`: of the damper, from 1; `frequency`: Hz. The damper leaves the floor when its own acceleration falls below
-    -g. On a compliant floor this differs from the acceleration of the body.
+    `number`: number of the damper, from 1; `frequency`: Hz. The damper leaves the floor when its own acceleration falls
+    below -g. On a compliant floor this differs from the acceleration of the body.
     """
     if scene.dampers[number - 1].contact is None:
         return np.ones(frequency.size, dtype=complex)

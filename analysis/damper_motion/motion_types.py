@@ -226,7 +226,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
     """Return a lower bound of the time for which the ceiling pushes after impacts, s, for a sinusoidal acceleration.
 
-    `acceleration`: of the body at the impacts, m/s². The ceiling pushes until the acceleration rises to -g.
+    `acceleration`: acceleration of the body at the impacts, m/s². The ceiling pushes until it rises to -g.
     """
     finite = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(finite)) if finite.size else 0.0

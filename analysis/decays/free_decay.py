@@ -155,9 +155,9 @@ class Decay(Result):
 def upper_bound(acceleration: Array, period: float) -> Array:
     """Return a smooth upper bound of the magnitude of an acceleration.
 
-    `period`: of the lowest mode, in samples. The running maximum over half a period on either side is smoothed with a
-    window of the same length. All maxima in this window include the sample in its middle, so that their weighted mean
-    is not smaller than this sample.
+    `period`: period of the lowest mode, in samples. The running maximum over half a period on either side is smoothed
+    with a window of the same length. All maxima in this window include the sample in its middle, so that their weighted
+    mean is not smaller than this sample.
 
     >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
     >>> bool(np.all(upper_bound(acceleration, 2 * np.pi) >= abs(acceleration)))

@@ -54,8 +54,8 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    Bounds of systematic errors: `line_bound` is of errors that vary irregularly from line to line; `correlated_bound`
-    is of all others, without reference noise (see `reference_noise_bound`) and the tolerances of sensors and clock,
+    Bounds of systematic errors: `line_bound` bounds errors that vary irregularly from line to line; `correlated_bound`
+    bounds all others, without reference noise (see `reference_noise_bound`) and the tolerances of sensors and clock,
     which are unknowns of the fit. If the reference noise is not estimated (`errors.reference` is None),
     `correlated_bound` includes the reference noise and the errors of `line_bound`.
     """

@@ -272,8 +272,8 @@ def _separate_noise(
     The cross-powers of the residuals of local fits have two parts: the cross-powers of the fitted responses times the
     noise power of the reference, and the noise power of each response. Both noise powers are estimated by weighted
     least squares over the lines around each line. Returns the noise power of the reference, shape (lines,); the noise
-    power of each response, shape (lines, elements); and the ratio of noise power to power of the reference, shape
-    (lines,).
+    power of each response, shape (lines, elements); and the ratio of the noise power of the reference to its power,
+    shape (lines,).
 
     `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
     in `LocalErrors`; `center`: bin at the middle of each fit.

@@ -272,7 +272,7 @@ def _matrix_budget(
     """Assemble the budget of each matrix element from the gains of its output and input channels.
 
     `points`: outputs and inputs; `error`, `degrees_of_freedom` and `bounds` as in `assemble_budget`, of the shape of
-    `value`; `covariance`: of the random errors of the elements at each line, shape (n, elements, elements).
+    `value`; `covariance`: covariance of the random errors of the elements at each line, shape (n, elements, elements).
     """
     budgets = []
     for a, output in enumerate(points[0]):

@@ -79,8 +79,8 @@ class LockIn:
 
     All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
     each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and negative
-    sine of each harmonic. `frequency`: of the tone, Hz; `rate`: sample rate, Hz; `harmonics`: largest number of
-    harmonics, including the tone.
+    sine of each harmonic. `frequency`: frequency of the tone, Hz; `rate`: sample rate, Hz; `harmonics`: largest number
+    of harmonics, including the tone.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)

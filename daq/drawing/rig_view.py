@@ -85,8 +85,8 @@ def _max_magnitude(values: Array) -> float:
 def exaggeration(extremes: Extremes) -> float:
     """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
 
-    It is the largest number of the series 1, 2, 5, 10, ... for which springs stretch by less than 60 % of their length
-    and dampers stay within the drawn headroom.
+    It is the largest number of the series 1, 2, 5, 10, ... with two properties: springs stretch by less than 60 % of
+    their length, and dampers stay within the drawn headroom.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
     50.0

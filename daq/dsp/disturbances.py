@@ -55,8 +55,8 @@ def _fill_settling(samples: Array, level: float, decay: float, last_deviation: A
 class Disturbances:
     """All disturbances of a channel, each a voltage times a Legendre polynomial over the interval before a sample.
 
-    `direct`: direct feedthrough of each disturbance to the output; `degrees`: of the polynomials; `oversampling`:
-    number of intervals in a sample interval. Of each noise, degrees 0, 1 and 2 follow one another.
+    `direct`: direct feedthrough of each disturbance to the output; `degrees`: degrees of the polynomials;
+    `oversampling`: number of intervals in a sample interval. Of each noise, degrees 0, 1 and 2 follow one another.
     `has_direct`: whether any feedthrough is not 0.
     """
 

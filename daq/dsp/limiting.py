@@ -101,9 +101,9 @@ def tabulate_limits(
 ) -> Limits | None:
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
-    `sensor_sections`: number of the first sections, which form the sensor; `output_limit`: of the sensor's output, V;
-    `rails`: of each state, V, (states,); `gain`: V per unit of the input; `rate`: sample rate, Hz; `entries`: of the
-    disturbances.
+    `sensor_sections`: number of the first sections, which form the sensor; `output_limit`: limit of the sensor's
+    output, V; `rails`: limits of each state, V, (states,); `gain`: V per unit of the input; `rate`: sample rate, Hz;
+    `entries`: positions of the disturbances.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None

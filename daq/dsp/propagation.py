@@ -35,8 +35,8 @@ class CircuitWorkspace(NamedTuple):
 
 def circuit_workspace(discrete: DiscreteCircuit) -> CircuitWorkspace:
     """Allocate the working arrays for a circuit."""
-    # The rows are longer than a stretch: for the state at its end, and because rows whose length is a power of two
-    # would compete for the same cache lines.
+    # The rows are longer than a stretch, because they include the state at its end. Rows whose length is a power of two
+    # would also compete for the same cache lines.
     sources, magnitudes = (aligned_zeros(discrete.moment_weights.shape[0], STRETCH + LANES) for _ in range(2))
     return CircuitWorkspace(
         segment_workspace(discrete.generator.shape[1]), sources, magnitudes, aligned_zeros(2, STRETCH)

@@ -214,7 +214,7 @@ def _weighted_sum(
 def _split(cubic: Array, begin: float, end: float, length: float, impulse: float, out: Array) -> None:
     """Fill in a segment: the part of a cubic from `begin` to `end`, as fractions of its length.
 
-    `length`: of the segment, as a fraction of the sample interval; `impulse`: at its end.
+    `length`: length of the segment, as a fraction of the sample interval; `impulse`: at its end.
     """
     out[LENGTH], out[IMPULSE] = length, impulse
     a, b, mean, moment = cubic[0], cubic[1], cubic[2], cubic[3]

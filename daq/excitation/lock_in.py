@@ -26,7 +26,7 @@ _PIECE_SAMPLES = 1 << 16
 def min_samples(frequency: float, rate: float) -> int:
     """Return the minimum number of samples for an amplitude estimate without much noise amplification.
 
-    `frequency`: of the tone, Hz; `rate`: sample rate, Hz.
+    `frequency`: frequency of the tone, Hz; `rate`: sample rate, Hz.
 
     >>> [min_samples(frequency, 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]

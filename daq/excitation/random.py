@@ -83,7 +83,8 @@ def excite(station: Station, test: Random) -> Excitation:
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
     """Return the impulse response (period,) from white noise of unit variance to the required drive.
 
-    `amplitudes`: of the drive at `lines`; `gains`: ratio of force to drive at `lines`; `level`: required RMS force.
+    `amplitudes`: amplitudes of the drive at `lines`; `gains`: ratio of force to drive at `lines`; `level`: required RMS
+    force.
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes

@@ -69,8 +69,8 @@ def equalize(
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
-    `phases`: of the lines, rad. Returns, for each line, the drive amplitude and the ratio of force to drive; and the
-    present period of the drive, shape (period,).
+    `phases`: phases of the lines, rad. Returns, for each line, the drive amplitude and the ratio of force to drive; and
+    the present period of the drive, shape (period,).
     """
     level = station.level
     target = equal_amplitudes(level, lines)

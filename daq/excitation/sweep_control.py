@@ -183,8 +183,8 @@ def observation_samples(frequency: float, rate: float) -> int:
 def estimate_amplitudes(samples: Array, phase: Array, rate: float) -> tuple[ComplexArray, ComplexArray]:
     """Estimate complex amplitudes X in the middle and their change per second: x = Re(X e^{i phase}) + linear drift.
 
-    A Hann window weighs the samples, shape (channels, at least `observation_samples`). `phase`: of each sample, rad.
-    Both results have the shape (channels,).
+    A Hann window weighs the samples, shape (channels, at least `observation_samples`). `phase`: phase of each sample,
+    rad. Both results have the shape (channels,).
     """
     position = (np.arange(phase.size) + 0.5) / phase.size
     time = (position - 0.5) * phase.size / rate

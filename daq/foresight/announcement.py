@@ -19,7 +19,7 @@ def foresight_text(scene: Scene) -> str:
 
 
 def reject_certain_abort(name: str, foresight: Foresight) -> None:
-    """Raise `SceneError` if the test will abort; `name`: of the scene."""
+    """Raise `SceneError` if the test will abort; `name`: name of the scene."""
     if foresight.aborts is None:
         return
     remedy = "Raise the limit"

@@ -106,7 +106,7 @@ class RehearsedTest:
     def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
         """Return the largest magnitude of a quantity in a row, with its frequency (Hz) or else its time (s).
 
-        `quantity`: attribute of `Rehearsal`, such as ``readings``; `row`: of the channel, input or point.
+        `quantity`: attribute of `Rehearsal`, such as ``readings``; `row`: row of the channel, input or point.
         """
         part = max(self.parts, key=lambda rehearsal: getattr(rehearsal, quantity).magnitude[row])
         magnitude, sample = (float(getattr(part, quantity).magnitude[row]), int(getattr(part, quantity).sample[row]))
@@ -304,7 +304,7 @@ class _Assessment:
     def _solve_level(self, limiting: Expectation, row: int, level: float) -> float:
         """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals.
 
-        `row`: of the channel; `level`: first estimate.
+        `row`: row of the channel; `level`: first estimate.
         """
         part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
         seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)

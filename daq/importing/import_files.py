@@ -161,7 +161,7 @@ import_ = import_files
 
 
 def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
-    """Return the sample rate of all signals, Hz, as given by the table, or else by the files, or else by the scene."""
+    """Return the sample rate of all signals, Hz: the rate in the table, or else in the files, or else in the scene."""
 
     def rate_list(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))

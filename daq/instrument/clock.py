@@ -130,7 +130,7 @@ class Clock:
         """Let a short time pass for a query, on a clock that advances only while a call waits."""
 
     def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
-        """Wait until `ready` is true; return whether that was before the timeout.
+        """Wait until `ready` is true; return whether it became true before the timeout.
 
         The caller holds the lock of the bench. `ticks_needed` returns a lower bound of the ticks until `ready` can be
         true; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks once, a negative

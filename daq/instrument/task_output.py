@@ -31,7 +31,7 @@ class TaskOutput:
         self.run: Generation | None = None  # present or last generation
         self.buffer: OutputBuffer | None = None  # written samples
         self._is_running = False
-        self._has_played = False  # the samples of the buffer
+        self._has_played = False  # whether the samples of the buffer were played
 
     # States
 
@@ -104,7 +104,10 @@ class TaskOutput:
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples, V, as the buffer has space; return their number per channel. `timeout`: s; negative: none."""
+        """Write samples, V, as soon as the buffer has space; return their number per channel.
+
+        `timeout`: s; negative: none.
+        """
         if not self._is_running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]

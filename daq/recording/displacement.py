@@ -57,8 +57,8 @@ def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_t
 class DisplacementFilter:
     """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
 
-    With w, the corner in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by
-    ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
+    With the corner w in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by ``s
+    / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
     """
 
     def __init__(self, quantity: str, rate: float) -> None:

@@ -127,7 +127,7 @@ def _guard_series(
 ) -> float:
     """Fill `workspace.guard_series` with the series of the guard gap_factor (g - offset) + speed_factor g'.
 
-    `length`: of the step, relative to a full step. Returns the sum of the magnitudes of the terms.
+    `length`: length of the step, relative to a full step. Returns the sum of the magnitudes of the terms.
     """
     series = workspace.guard_series
     gap = model.gap_coordinate[j]
@@ -147,7 +147,7 @@ def _guard_series(
 def find_crossing(workspace: Workspace, multiplicity: int, magnitude: float) -> tuple[float, int]:
     """Find the first crossing of the guard in `workspace.guard_series`; return the results of `first_crossing`.
 
-    `multiplicity`: of the guard's zero at tau = 0; `magnitude`: sum of the magnitudes of the guard's terms.
+    `multiplicity`: multiplicity of the guard's zero at tau = 0; `magnitude`: sum of the magnitudes of its terms.
     """
     rounding = ROUNDING * magnitude
     subdivision, spans = workspace.subdivision, workspace.spans
@@ -160,7 +160,7 @@ def first_contact_change(
 ) -> tuple[float, int, int]:
     """Find the first change of the finite-duration contact of damper j in a step.
 
-    `length`: of the step, relative to a full step.
+    `length`: length of the step, relative to a full step.
 
     Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact change;
     `ambiguous`: number of minima of the guards that are zero within rounding error, and are not counted as crossings.

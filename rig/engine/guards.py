@@ -44,10 +44,9 @@ def bound_by_series(
 ) -> None:  # fmt: skip
     """Compute the bounds of the guards over a full step from the series, and the accelerations of dampers at rest.
 
-    `contact`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: of the
-    step, relative to a full step. `z`, `end_state`: states at both ends of the step; the accelerations and their
-    derivatives are written into both, from the index `first_acceleration` on. `bound`: filled as by
-    `bound_by_tables`.
+    `contact`: FLIGHT, FLOOR or CEILING of each damper. `state_series`: power series of the state. `length`: length of
+    the step, relative to a full step. `z`, `end_state`: states at both ends of the step; the accelerations and their
+    derivatives are written into both, from the index `first_acceleration` on. `bound`: filled as by `bound_by_tables`.
     """
     dampers, coordinates = model.mass.shape[0], model.first_velocity
     for j in range(dampers):

@@ -82,7 +82,7 @@ def _propagate(
 ) -> tuple[int, int, float]:  # fmt: skip
     """Propagate through segments from number `first` on, and fill the rows of `states` and the columns of `motion`.
 
-    `remaining`: steps of segment `first` still to be propagated; negative: all. `status`: of the state, see `advance`.
+    `remaining`: steps of segment `first` still to be propagated; negative: all. `status`: see `advance`.
 
     Returns (reason, segment, remaining). The reason is `DONE` after the last segment. Otherwise it is another reason of
     `advance`; after the caller has removed the cause, continue from `segment` and `remaining`.

@@ -46,7 +46,7 @@ def _lower_bound(
     """Return a bound that is positive only if a guard with these values and slopes has no zero on 0 < tau <= 1.
 
     `value`, `slope`: at the start of the step; `value_end`, `slope_end`: at its end; `fourth_derivative`: bound of its
-    magnitude; `multiplicity`: of its zero at tau = 0, negative if the other wall's. Derivatives are by tau.
+    magnitude; `multiplicity`: multiplicity of the zero at tau = 0, negative for the other wall. Derivatives are by tau.
 
     The smallest Bernstein coefficient of the interpolant bounds it from below. If the guard starts with a zero of
     multiplicity 2 or more, the first two coefficients are zero, and guard and interpolant are divided by tau^2.
@@ -66,7 +66,7 @@ def _recovery_may_end(
 ) -> bool:
     """Return whether a recovering damper (released, but still overlapping the wall) may touch it or become free.
 
-    `duration`: of the step, s; `fourth_derivative`: bound of the gap's fourth derivative with respect to tau, m.
+    `duration`: duration of the step, s; `fourth_derivative`: bound of the gap's fourth derivative by tau, m.
     """
     wall, z, z_end = state.recovering[j], state.z, workspace.end_state
     slope = -wall_force_rate(model, z, j, wall) * duration
@@ -88,7 +88,7 @@ def _contact_may_change(
 ) -> bool:
     """Return whether a guard of a finite-duration contact may have a zero.
 
-    `duration`: of the step, s; `fourth_derivative`: bound of the guard's fourth derivative with respect to tau.
+    `duration`: duration of the step, s; `fourth_derivative`: bound of the guard's fourth derivative by tau.
     """
     contact, z, z_end = state.contact[j], state.z, workspace.end_state
     if contact != FLIGHT:

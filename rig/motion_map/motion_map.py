@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
 #: The motion type is determined at this distance from steady state, relative to the motion, or less.
 STEADY_TOLERANCE = 1e-6
-#: Longest wait, relative to the time in which the slowest mode decays to the tolerance; then a motion without
-#: repetition counts as irregular.
+#: Longest wait, relative to the time in which the slowest mode decays to the tolerance. A motion that has not repeated
+#: by then counts as irregular.
 MAX_WAIT_DECAY_TIMES = 3.0
 #: Smallest limit of the wait, periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000

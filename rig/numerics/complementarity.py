@@ -33,8 +33,8 @@ class ContactWorkspace(NamedTuple):
     """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
     `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
-    `velocity_before`: of the body, m/s. `opening_speed`: of the gap before the impact, m/s. `magnitude`: sum of the
-    magnitudes of the terms of the acceleration, m/s^2.
+    `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`: opening speed of the gap before the
+    impact, m/s. `magnitude`: sum of the magnitudes of the terms of the acceleration, m/s^2.
 
     `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `active`: whether the
     contact is closed (p may be positive). `block`: scratch space.

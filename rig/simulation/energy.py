@@ -143,7 +143,7 @@ def energy_balance(
     """Compute the energy balance of a simulated motion.
 
     `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: states before and after the
-    motion; `segment_states`: states at the starts of the segments; `durations`: of the segments, s.
+    motion; `segment_states`: states at the starts of the segments; `durations`: durations of the segments, s.
     """
     forms = quadratic_forms(scene, tables.system, tables.drive.output)
     intervals = _intervals(tables, trajectory, segment_states, durations)

@@ -83,10 +83,10 @@ def reduce_to_mode(
 
     `matrices`: mass [kg], damping [N s/m] and stiffness [N/m]; `mode`: number of the mode, from 1; `driven`: driven
     bodies, from 1; `force`: amplitude of the force [N]; `dampers`: damper mass [kg] by body (from 1); `clearance`:
-    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: of the damper masses,
-    'printed' (Eq. 13) or 'energy' (squared shape); `at`: body at which the shape is 1; default the body with the
-    largest displacement. Raises `SceneError` if the mode does not exist or is not oscillatory, gravity is not positive,
-    the clearance is negative, or the printed sum is not positive (dampers in bodies that move in antiphase).
+    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: weighting of the damper
+    masses, 'printed' (Eq. 13) or 'energy' (squared shape); `at`: body at which the shape is 1; default the body with
+    the largest displacement. Raises `SceneError` if the mode does not exist or is not oscillatory, gravity is not
+    positive, the clearance is negative, or the printed sum is not positive (dampers in bodies that move in antiphase).
 
     >>> import numpy as np
     >>> m = np.diag([0.74, 0.71, 0.64])

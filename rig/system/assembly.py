@@ -95,7 +95,7 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _
 class _Coil(NamedTuple):
     """The coil of an electrodynamic shaker with a voltage amplifier; its current is a state.
 
-    `gain`: of the amplifier, V/V; `table`: row of its table; `column`: column of its drive among the inputs.
+    `gain`: gain of the amplifier, V/V; `table`: row of its table; `column`: column of its drive among the inputs.
     """
 
     coil: Coil

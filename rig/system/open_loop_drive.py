@@ -135,7 +135,7 @@ def with_ideal_force(scene: Scene) -> Scene:
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
-    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers riding; `name`: of the input u.
+    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers riding; `name`: name of the input u.
 
     E and G have the shape (states, states), b the shape (states,). E is the identity, except for the mass matrix in the
     rows of the velocities.
@@ -159,7 +159,7 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
 def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
     """Return the complex amplitudes of the states per unit of drive, all dampers riding; shape (states,) + omega.shape.
 
-    `name`: of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
+    `name`: name of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
     """
     n, ns = system.coordinates, system.states
     descriptor_matrix, state_matrix, input_vector = riding_equations(system, name)
@@ -179,7 +179,7 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
-    """Return the drive (inputs, samples) of a test that is not a tone; `rate`: sample rate, Hz.
+    """Return the drive (inputs, samples) of a test whose drive is not a tone; `rate`: sample rate, Hz.
 
     Raises `SceneError` for tests whose signal is generated only during a recording.
     """

@@ -64,7 +64,7 @@ class _Contacts:
                 self._add_guard(j, new_wall, problem.gap_row(j, new_wall), disabled_until)
 
     def _add_guard(self, j: int, new_state: int, row: Array, disabled_until: float = -np.inf) -> None:
-        """Add a guard with the value row @ z; while it is disabled, it is a positive constant, which has no root."""
+        """Add a guard with the value row @ z. While disabled, it has a positive value and therefore no root."""
         self.changes.append((j, new_state))
         self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
 

@@ -129,7 +129,7 @@ def events_of(events: Any, system: HybridSystem) -> list[Event]:
 class DecimalMotion:
     """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
-    `z`: current state, as in `FirstOrderForm`; `contact_states`: of each damper; `now`: current time, s;
+    `z`: current state, as in `FirstOrderForm`; `contact_states`: contact states of each damper; `now`: current time, s;
     `samples`: states at the sample times; `times`: event times, s.
     """
 

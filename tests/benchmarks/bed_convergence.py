@@ -3,8 +3,8 @@
     python -m tests.benchmarks.bed_convergence
 
 A single-mode structure at 50 Hz has a bed of a tenth of its mass. There are three settings: two layers in free flight,
-four layers that hit a ceiling, and six layers that barely take off, whose motion depends most on the stiffness.
-Grains and structure are coupled at every time step. Each setting takes six minutes of one core.
+four layers that hit a ceiling, and six layers that barely take off. The motion of the last depends most on the
+stiffness. Grains and structure are coupled at every time step. Each setting takes six minutes of one core.
 """
 
 from __future__ import annotations

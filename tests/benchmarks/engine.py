@@ -88,7 +88,7 @@ def solver_periods(scene: rig.Scene) -> dict[str, float]:
 def plant_speed(name: str, amplitude: float, noise: float) -> float:
     """Return the speed of the plant (the simulated rig of a scene) relative to real time, driven at 51.2 kHz.
 
-    `amplitude`: of a sine at 218.8 rad/s; `noise`: standard deviation of added white noise.
+    `amplitude`: amplitude of a sine at 218.8 rad/s; `noise`: standard deviation of added white noise.
     """
     rng = np.random.default_rng(1)
     time_s = np.arange(10 * BLOCK_SAMPLES) / RATE

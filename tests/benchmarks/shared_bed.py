@@ -32,7 +32,7 @@ STEPS_PER_GROUP = 5
 def scene_of(mass: float, cavity: float) -> Scene:
     """Return a scene with a bed of 2 mm lead shot in a body of ten times its mass.
 
-    `mass`: of the bed, kg; `cavity`: diameter, m.
+    `mass`: mass of the bed, kg; `cavity`: diameter, m.
     """
     grains = {"diameter": 2e-3, "modulus": 1e7, "cavity": cavity}
     return Scene.model_validate(

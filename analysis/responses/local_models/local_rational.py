@@ -94,11 +94,12 @@ def local_fit(
 ) -> LocalFit:
     """Fit the response at some lines, each with `half_width` bins on either side.
 
-    `reference`: true spectra of the input, shape (segments, bins). `end_phases`, shape (segments, bins), has one of
-    three values for a segment: the phase factor of its first sample if the transients at its beginning and end are
-    separate terms, 1 if they are a single term, and 0 if the rig was at rest before it. `measured_share`: measured
-    share of the samples; the other samples are zero padding, which correlates neighboring bins. `other_inputs`, shape
-    (inputs, segments, bins): true spectra of other inputs, each with its own numerator and the common denominator.
+    `reference`: true spectra of the input, shape (segments, bins). `end_phases`, shape (segments, bins), states how the
+    transients of a segment are modeled. It is the phase factor of the segment's first sample if the transients at its
+    beginning and end are separate terms. It is 1 if they are a single term, and 0 if the rig was at rest before the
+    segment. `measured_share`: measured share of the samples; the other samples are zero padding, which correlates
+    neighboring bins. `other_inputs`, shape (inputs, segments, bins): true spectra of other inputs, each with its own
+    numerator and the common denominator.
 
     >>> random = np.random.default_rng(1)
     >>> bins = np.arange(200)
@@ -149,7 +150,7 @@ def _fit(
 ) -> LocalFit:
     """Fit polynomials of one order, without the model error.
 
-    `order`: of numerator and transients; `poles`: order of the denominator; other arguments as in `local_fit`.
+    `order`: order of numerator and transients; `poles`: order of the denominator; other arguments as in `local_fit`.
     """
     segments, width = len(reference), 2 * half_width + 1
     # Segments whose transients at the beginning and at the end are separate terms.
@@ -244,8 +245,8 @@ class _Unknown(NamedTuple):
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the bins around each line."""
 
-    # inputs times powers of the frequency offset, for the numerators, which all segments have in common; shape
-    # (lines, segments, width, inputs (order + 1))
+    # inputs times powers of the frequency offset, for the common numerators of all segments; shape (lines, segments,
+    # width, inputs (order + 1))
     numerator: ComplexArray | Array
     transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, width, terms)
     denominator: Array  # powers of the frequency offset; shape (lines, 1, width, poles)

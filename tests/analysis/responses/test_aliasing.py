@@ -1,4 +1,4 @@
-"""Aliasing errors of frequency responses, against sums on a fine grid.
+"""Aliasing errors of frequency responses, compared with sums on a fine grid.
 
 A drive that is linear between samples contains images of each tone, at multiples of the sample rate plus and minus its
 frequency. Without a filter, the response to the images is aliased to the frequency of the tone.

@@ -215,7 +215,8 @@ def test_released_mode_decays_freely() -> None:
     acceleration = bench_run.readings[2]
     # Ratio of the largest accelerations in the last and in the first second.
     ratio = np.abs(acceleration[-RATE:]).max() / np.abs(acceleration[:RATE]).max()
-    # exp(-2 pi 13.8 Hz 0.5 % 2 s) = 0.42 for mode 1; the table is fixed, so that the coil spring stiffens body 1.
+    # The decay is exp(-2 pi 13.8 Hz 0.5 % 2 s) = 0.42 for mode 1. The table is fixed, so that the coil spring stiffens
+    # body 1.
     assert 0.3 < ratio < 0.6
 
 

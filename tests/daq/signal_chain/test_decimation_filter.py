@@ -51,7 +51,7 @@ def test_impact_response_is_convolved_with_filter():
     instant, jump = 20.3217 / rate, 0.13
     samples = chain.measure(motion_of([PointMotion(impacts=((instant, jump),))], rate, 110))[0]
     low_pass = DecimationFilter.standard(rate)
-    # The decaying vibration of the sensor in closed form, convolved with the filter by a fine midpoint rule.
+    # The decaying vibration of the sensor is known in closed form. A fine midpoint rule convolves it with the filter.
     omega = 2 * np.pi * resonance
     decay, damped_omega = omega / (2 * q), omega * np.sqrt(1 - 1 / (4 * q * q))
     t = (np.arange(40_000) + 0.5) * (100.0 / rate) / 40_000

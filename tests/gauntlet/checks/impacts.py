@@ -58,9 +58,9 @@ def check(case: Case, kind: str) -> list[CheckResult]:
 def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:
     """Match detected with true times, each at most once, the closest pairs first.
 
-    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns the F1 score,
-    2 × matches / (detected + true), which is 1 if both are empty; then whether each detected and each true time is
-    matched.
+    `detected`, `true`: detected and true times, s; `tolerance`: maximum distance of a pair, s. Returns the F1 score, 2
+    × matches / (detected + true), and whether each detected and each true time is matched. The score is 1 if both are
+    empty.
     """
     detected_matched, true_matched = np.zeros(detected.size, dtype=bool), np.zeros(true.size, dtype=bool)
     if not detected.size and not true.size:

@@ -1,8 +1,8 @@
 """Check of frequency responses: the exact curve lies within the 95 % interval of each line, or the line is marked.
 
-There are two comparisons. "responses": full intervals with the exact response of the structure. "responses, as built":
-intervals without sensor tolerances, with the exact response as read by the drawn sensors, which deviate from their
-data sheets. The second comparison reveals errors that wide tolerances would hide.
+There are two comparisons. "responses" compares full intervals with the exact response of the structure. "responses, as
+built" compares intervals without sensor tolerances with the exact response as the drawn sensors read it. These sensors
+deviate from their data sheets. The second comparison reveals errors that wide tolerances would hide.
 """
 
 from __future__ import annotations

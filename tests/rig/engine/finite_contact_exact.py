@@ -36,7 +36,8 @@ def spring_damper(wall, restitution: float, reduced_mass: mpmath.mpf) -> tuple[D
     """Return stiffness [N/m] and damping [N s/m] of a wall.
 
     `wall`: either both directly, or the contact duration, after which the force is zero. At restitution 0 the time
-    constant damping / stiffness is 5 ms, and the damping is at least critical. `reduced_mass`: of damper and body, kg.
+    constant damping / stiffness is 5 ms, and the damping is at least critical. `reduced_mass`: reduced mass of damper
+    and body, kg.
     """
     with mpmath.workdps(DIGITS):
         if not isinstance(wall, TimedContact):

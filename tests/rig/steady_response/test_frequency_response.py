@@ -12,7 +12,7 @@ FORCE_SHAKER: dict[str, object] = {"kind": "force", "body": 1}
 TABLE_SHAKER: dict[str, object] = {"kind": "table", "body": 1, "spring": 6600.0}
 
 
-# The servo of a table is faster than the structure, so that its steps are shorter.
+# The servo of a table is faster than the structure, so that the engine's steps are shorter.
 @pytest.mark.parametrize(
     ("shaker", "frequency"), [(FORCE_SHAKER, 0.02), (FORCE_SHAKER, 14.0), (TABLE_SHAKER, 0.2), (TABLE_SHAKER, 14.0)]
 )

@@ -204,8 +204,8 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
     """Return an upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
 
-    It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's. For
-    finite-duration contact the release is unknown and the bound is infinite.
+    It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's
+    restitution. For finite-duration contact the release is unknown and the bound is infinite.
     """
     detected = motion.impacts
     if detected.contact_duration:

@@ -85,7 +85,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
 
 
 def deviation(beds: Columns, name: str) -> NDArray[np.float64]:
-    """Compute the relative deviation of grains from one mass, shape (settings,); NaN where the mass has hardly any."""
+    """Compute the relative deviation of grains from one mass, shape (settings,); NaN where its value is negligible."""
     return _relative_to_mass(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 

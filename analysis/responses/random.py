@@ -51,8 +51,8 @@ def averaged_spectra(
 ) -> AveragedSpectra:
     """Average the spectra of a random test over blocks.
 
-    `block`: length of a block in s, for about 30 averages if omitted; `overlap`: as a fraction of the block, 0.5 if
-    omitted; `window`: its name, "hann" if omitted. All three are ignored for bursts: each burst is a block without
+    `block`: length of a block, s; default: about 30 averages. `overlap`: overlap as a fraction of the block; default:
+    0.5. `window`: name of the window; default: "hann". All three are ignored for bursts: each burst is a block without
     overlap or window.
     """
     overlap, window = 0.5 if overlap is None else overlap, window or "hann"

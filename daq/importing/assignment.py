@@ -34,7 +34,7 @@ _INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 class AssignedSignal:
     """A signal with its channel and the factor to volts: recordings contain the volts at the converter."""
 
-    channel: Channel  # the scene's, with an ideal integrator if the signal is a velocity or a displacement
+    channel: Channel  # channel of the scene, with an ideal integrator if the signal is a velocity or a displacement
     info: ChannelInfo
     signal: Signal
     column: Column

@@ -159,7 +159,7 @@ def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
         return
     is_continuous = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _MAX_AMPLITUDE_STEP)
     is_continuous &= abs(np.diff(track.frequency)) < 1.0 / HOPS_PER_BLOCK
-    # Symmetric matrix: values times it are their residuals from a straight line.
+    # Symmetric matrix that converts values to their residuals from a straight line.
     line_basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _MIN_BLOCKS), 2))[0]
     to_residual = np.eye(_MIN_BLOCKS) - line_basis @ line_basis.T
     for begin, end in runs_of(is_continuous):

@@ -58,7 +58,7 @@ class Stage:
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Return whether each sample is an average over its interval; by default it is without an integrating amplifier."""
+    """Return whether each sample is an average over its interval; by default only without an integrating amplifier."""
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)

@@ -84,7 +84,8 @@ def _gap_series(
 ) -> tuple[int, float]:
     """Fill `workspace.guard_series` with the gap of a damper in flight to the floor or the ceiling, m.
 
-    Returns the multiplicity of the gap's zero at tau = 0 (negative if the zero is the other wall's), and its magnitude.
+    Returns the multiplicity of the gap's zero at tau = 0 (negative for a zero of the gap to the other wall), and its
+    magnitude.
     """
     series = workspace.guard_series
     row = model.position_index[j]

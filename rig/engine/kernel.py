@@ -149,7 +149,8 @@ def advance(
         if flow.has_step_matrix:
             if status == STATE_ONLY or not flow.drive_is_smooth:
                 store_accelerations(flow, model, table_index, state.z, workspace.derivative, status)
-            # After a full step the accelerations at its end are known, but their derivatives only if there was room.
+            # After a full step the accelerations at its end are known, but their derivatives only with
+            # `has_derivatives`.
             if not (full_step and has_derivatives):
                 end_status = WITH_ACCELERATIONS if full_step else STATE_ONLY
                 store_accelerations(flow, model, table_index, workspace.end_state, workspace.derivative, end_status)

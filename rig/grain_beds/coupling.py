@@ -2,7 +2,7 @@
 
 A *bed* is the particles of one damper, here as grains that LAMMPS moves in the frame of their cavity. The structure and
 its other dampers are propagated exactly over a step h under the beds' forces, which are interpolated linearly from F to
-F' over the step. The body therefore receives the impulse (F + F') h / 2. Within rounding, the walls exert the
+F' over the step. The body therefore receives the impulse (F + F') h / 2. Within rounding error, the walls exert the
 same impulse on the grains in LAMMPS's velocity Verlet scheme.
 
 In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
@@ -118,7 +118,7 @@ class CoupledPropagator:
         self._read_beds()
 
     def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Propagate through time steps of the grains; `drive`, shape (inputs, steps + 1): at start and end of each.
+        """Propagate through time steps of the grains; `drive`: at the ends of the steps, shape (inputs, steps + 1).
 
         Returns the trajectory of `structure`, whose segments are the steps, and the motion of the beds.
         """
@@ -252,8 +252,8 @@ def interpolate_drive(drive: Array, substeps: int) -> Array:
 def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp]) -> HybridSystem:
     """Assemble a scene without its beds of grains, in the same coordinates, with the beds' forces as inputs.
 
-    `system`: the scene's; the result has the same initial state, which includes the beds' weight; `bodies`: coordinates
-    on which the forces act.
+    `system`: system of the scene; the result has the same initial state, which includes the beds' weight; `bodies`:
+    coordinates on which the forces act.
     """
     numbers = system.damper_number[system.grains]
     dampers_without_grains = [damper for number, damper in enumerate(scene.dampers, 1) if number not in numbers]

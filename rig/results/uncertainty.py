@@ -148,7 +148,7 @@ class UncertaintyBudget:
         return np.asarray(np.linalg.norm(bounds, axis=0)) if bounds else 0.0
 
     def systematic_bound(self) -> Array | float:
-        """Return the root of the sum of squares of these bounds, plus the tolerances of data sheets."""
+        """Return `combined_limit` plus the tolerances of data sheets."""
         return self.combined_limit + self._tolerances()
 
     def bound(self, confidence: float = 0.95) -> Array | float:

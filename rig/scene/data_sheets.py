@@ -68,8 +68,8 @@ def data_sheets() -> dict[str, DataSheet]:
 def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     """Return the data sheet of a name; case, spaces and hyphens are ignored.
 
-    `kind`: required kind: one of `KINDS`, or ``"module"``; by default any. Raises `SceneError` if no data sheet has
-    that name and kind.
+    `kind`: required kind, one of `KINDS` or ``"module"``; default: any. Raises `SceneError` if no data sheet has that
+    name and kind.
     """
     candidates = {
         _normalize(sheet.name): sheet

@@ -108,8 +108,8 @@ class _Equations:
     """The equations of motion during assembly, in SI units.
 
     `points`: names of the bodies and tables. `mass`, `damping`, `stiffness`: matrices of all coordinates. `weight`:
-    constant force on each coordinate. `inputs`, `units`: of the drive; `input_forces`: for each input, the force on
-    each coordinate per unit.
+    constant force on each coordinate. `inputs`, `units`: names and units of the drives; `input_forces`: for each input,
+    the force on each coordinate per unit.
     """
 
     def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:

@@ -33,7 +33,7 @@ MAX_ROOT_ITERATIONS = 60
 ROOT_TOLERANCE = 1e-15
 #: Steps per period after which the solver is stopped, because it alternates around one instant.
 MAX_STEPS_PER_PERIOD = 10_000
-#: Maximum number of dampers; the number of matrices doubles with each.
+#: Maximum number of dampers; each additional damper doubles the number of matrices.
 MAX_DAMPERS = 8
 
 

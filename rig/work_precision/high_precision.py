@@ -42,7 +42,8 @@ CHECK_DIGITS = 30
 MAX_RATE_STEP = 3.0
 #: A touch with at most this penetration [m] is an impact, not a resumed contact; rounding is 1e-18 m.
 MAX_TOUCH_PENETRATION_M = 1e-13
-#: Newton iterations for an event; they start within rounding of the engine, so eight doublings of the digits suffice.
+#: Newton iterations for an event; they start within the rounding error of the engine, so eight doublings of the digits
+#: suffice.
 EVENT_ITERATIONS = 8
 #: Largest difference between an event's time and the engine's, s.
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")

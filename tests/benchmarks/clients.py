@@ -1,7 +1,7 @@
 """Several simultaneous clients of a server: `python -m tests.benchmarks.clients [--clients 10] [--seconds 60]`.
 
 Each client is a process that reads four channels at 51.2 kS/s ten times a second from one `daq serve`, and checks that
-no sample is lost. Printed are the latencies of the reads after the time of their last sample, and the memory and
+no sample is lost. It prints the latencies of the reads after the time of their last sample, and the memory and
 processor load of the server. All clients read the same four channels; with `--separate` each has its own four.
 """
 

@@ -1,8 +1,8 @@
 """Mutation testing: change the code of important modules, and count the changes that the tests detect: `make mutants`.
 
-A mutation is a small change of one line. Each is made in a copy of the checkout. A group consists of modules with
-their tests. The seed chooses among all mutations of a group:
-`python -m tests.mutants --seed 2 --only filters --each 40`.
+A mutation is a small change of one line. Each mutation is made in a copy of the checkout. A group consists of modules
+with their tests. The seed chooses among all mutations of a group: `python -m tests.mutants --seed 2 --only filters
+--each 40`.
 """
 
 from __future__ import annotations

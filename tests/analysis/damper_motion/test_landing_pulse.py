@@ -1,4 +1,4 @@
-"""Velocity change of a body during an impact of finite duration, against a numerical solution of the contact."""
+"""Velocity change of a body during an impact of finite duration, compared with a numerical solution."""
 
 from __future__ import annotations
 

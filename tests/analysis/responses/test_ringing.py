@@ -1,4 +1,4 @@
-"""The bound of the residual transient of a stepped sine's previous tone, against closed form and in a recording."""
+"""The bound of the residual transient of a stepped sine's previous tone, in closed form and in a recording."""
 
 from __future__ import annotations
 

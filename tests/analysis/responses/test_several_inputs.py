@@ -1,4 +1,4 @@
-"""Frequency response matrices of two simultaneous shakers, against closed form: bounds, coherences and modes."""
+"""Frequency response matrices of two simultaneous shakers, compared with closed form: bounds, coherences and modes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounds of systematic errors of a frequency response, against the largest error that each effect can cause."""
+"""Bounds of systematic errors of a response are compared with the largest error that each effect can cause."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sections of a signal chain as state-space circuits, and circuits in series, against textbook transfer functions."""
+"""State-space circuits of a signal chain, alone and in series, compared with textbook transfer functions."""
 
 from __future__ import annotations
 

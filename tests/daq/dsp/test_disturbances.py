@@ -102,7 +102,7 @@ def test_shaped_noise_is_filtered_white_noise():
 @pytest.mark.parametrize("degree", [1, 2])
 def test_noise_of_each_polynomial_has_its_power(degree):
     density, samples = 2e-6, np.empty(200_000)
-    # Power ratio: 1 + 2 corner / rate, of the density at half the sample rate to that of white noise.
+    # The power density at half the sample rate is 1 + 2 corner / rate times the density of white noise.
     for corner, rate, power_ratio in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):
         FastNoise(density, corner, rate, generator(5, "c", "fast"), degree).fill(samples)
         # White noise projected on P_d has 2 d + 1 times the variance of its average, density^2 rate / 2.

@@ -1,4 +1,4 @@
-"""Detection of triggers in a signal, against their specification applied sample by sample."""
+"""Detection of triggers in a signal, compared with their specification applied sample by sample."""
 
 from __future__ import annotations
 

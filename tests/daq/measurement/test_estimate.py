@@ -1,4 +1,4 @@
-"""The memory and disk space of a test, estimated before it begins, against those that are used."""
+"""The estimated memory and disk space of a test are compared with the memory and disk space that it uses."""
 
 import tracemalloc
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Overload and alarm markers, aborts, and the end of a test without valid inputs, against a check of every sample.
+"""Overload and alarm markers, aborts, and the end of a test without valid inputs: compared with a check of all samples.
 
 In the scene, channels t and a have abort limits of 5 and 4 m/s^2. Channels t and b have alarm limits of 3 and 2 m/s^2.
 """

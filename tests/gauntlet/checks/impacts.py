@@ -1,4 +1,4 @@
-"""Check of impacts: F1 score of the impacts detected in the channels, against the true impacts of the simulation.
+"""Check of impacts: F1 score of the impacts detected in the channels, compared with the true impacts.
 
 True impacts count only above the detection threshold that the result states. They do not count if, according to the
 result, they cannot be separated from a larger impact or are hidden by its ringing. A detected impact may match any true

@@ -1,4 +1,4 @@
-"""Spectra of the lowest bins, computed from decimated samples, against the complete Fourier transform."""
+"""Spectra of the lowest bins, computed from decimated samples, compared with the complete Fourier transform."""
 
 from __future__ import annotations
 

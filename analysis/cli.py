@@ -30,7 +30,7 @@ Reference = Annotated[
 Block = Annotated[float | None, typer.Option(metavar="S", help="Block length, for random tests and hits.")]
 Unit = Annotated[
     str | None,
-    typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE that states none: g/N, m/N."),
+    typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE without a unit, such as g/N."),
 ]
 Count = Annotated[
     int | None, typer.Option("--modes", metavar="N", help="Largest number of modes. Default: all significant modes.")
@@ -238,7 +238,7 @@ def export(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
     what: Annotated[
         str,
-        typer.Option(metavar="samples|frfs|modes", help="What to write; frfs and modes go into .uff (58, 55) or .mat."),
+        typer.Option(metavar="samples|frfs|modes", help="What to write; frfs and modes require .uff (58, 55) or .mat."),
     ] = "samples",
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""

@@ -88,7 +88,7 @@ def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
     for name, variable in zip(names, valid, strict=True):
         if valid.count(variable) > 1:
             raise SceneError(
-                f".mat: {name!r} and another channel would both be the variable {variable!r}. Export as .uff."
+                f".mat: {name!r} and another channel would both become the variable {variable!r}. Export as .uff."
             )
     return valid
 

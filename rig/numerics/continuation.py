@@ -183,7 +183,7 @@ def _trace_one_way(
     steps: Steps,
     margins: Margins,
 ) -> tuple[list[PointWithTangent], str]:
-    "Compute the curve in one direction; return its points with tangents, and the reason of its end."
+    """Compute the curve in one direction; return its points with tangents, and the reason of its end."""
     path = [(start, direction)]
     step, arclength = steps.first_step, 0.0
     margin, border_names = margins(start)

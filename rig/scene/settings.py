@@ -367,7 +367,7 @@ def _message(item: Any) -> str:
         "too_long": f"a list of at most {context.get('max_length')}",
         "int_type": "a whole number",
         "int_parsing": "a whole number",
-        "int_parsing_size": "a whole number of ordinary size",
+        "int_parsing_size": "a whole number with fewer digits",
         "int_from_float": "a whole number",
         "bool_type": "true or false",
         "bool_parsing": "true or false",

@@ -40,8 +40,7 @@ def peak_memory() -> float:
 
 
 def measure(folder: Path, one_hour: bool) -> Iterator[str]:
-    "Yield a line for each result; `one_hour`: also measure a recording of one hour, 6 GB on disk; this takes some"
-    "minutes."
+    """Yield a line for each result; `one_hour`: also measure a recording of one hour (6 GB, minutes)."""
     rate, seconds = 10240.0, 300
     path = folder / "blocks-of-1024.mcap"
     elapsed = time_to_write(path, rate, seconds, display=False)

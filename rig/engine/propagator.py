@@ -329,7 +329,7 @@ class Propagator:
                 damper = self.system.damper_number[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
                 raise RunError(
                     f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
-                    "the contact law. Report this error with the scene."
+                    "the contact law. Report this with the scene."
                 )
             else:
                 return

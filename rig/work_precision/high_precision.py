@@ -229,7 +229,7 @@ class DecimalMotion:
                 break
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
             raise RunError(
-                f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report this error with the scene."
+                f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report this with the scene."
             )
 
     def advance(self, end_time: Decimal) -> None:
@@ -310,7 +310,7 @@ class _ClosedOrbit:
                 values = values - solve(jacobian, closure_error[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(
-                    f"the orbit in decimal arithmetic does not close: residual {residual:.0e}. Report this error with the scene."
+                    f"the orbit in decimal arithmetic does not close: residual {residual:.0e}. Report this with the scene."
                 )
             return list(values), residual
 

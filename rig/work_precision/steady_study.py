@@ -78,7 +78,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
             "the reference of the steady state is less than a thousand times more accurate than the best method. "
-            "Report this error with the scene."
+            "Report this with the scene."
         )
     return SteadyStudy(
         tuple(points),

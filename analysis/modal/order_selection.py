@@ -1,4 +1,4 @@
-"""Selection of the order of a modal model: poles are added while they reduce the misfit by more than noise explains.
+"""Selection of the order of a modal model: poles are added while they reduce the misfit more than noise could.
 
 The *misfit* is the sum of squared residuals, each divided by its standard deviation.
 

@@ -310,7 +310,7 @@ class _ClosedOrbit:
                 values = values - solve(jacobian, closure_error[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(
-                    f"the orbit in decimal arithmetic does not close: residual {residual:.0e}. Report this with the scene."
+                    f"the orbit in decimal arithmetic has a residual of {residual:.0e}. Report this with the scene."
                 )
             return list(values), residual
 

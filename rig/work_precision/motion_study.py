@@ -131,7 +131,7 @@ def motion_study(
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference is less than a thousand times more accurate than the best method. Report this with the scene."
+            "the reference is not a thousand times as accurate as the best method. Report this with the scene."
         )
     reference = (
         f"decimal arithmetic of {DIGITS} digits, with every event located again. Fewer digits change the motion by "

@@ -1,5 +1,4 @@
-"""The engine, compared with exact events, an independent solver, 40-digit solutions and closed forms; invalid
-arguments.
+"""The engine, compared with exact events, an independent solver, 40-digit solutions and closed forms.
 
 The reference cases A, B and C are bundled scenes of the published problem, from rest over 100 periods of the drive. The
 tests with `each_table_size` run for each set of tables that the engine may compute (`conftest`).

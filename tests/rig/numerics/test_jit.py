@@ -1,4 +1,4 @@
-"""Cached machine code is compiled again when any of its sources changes, and also with numba's public options only.
+"""Cached machine code is compiled again when any of its sources changes, also if only numba's public options are used.
 
 The tests compile a package `kernels` of small modules, whose sources are below.
 """

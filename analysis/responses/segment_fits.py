@@ -174,9 +174,9 @@ class SegmentFits:
         leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.
         size = fft.next_fast_len(max(stop - start for start, stop in segments) + leading_zeros, real=True)
-        # The spectrum of periodic hits is a comb, without excitation between its teeth.
-        lines_per_tooth = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
-        lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_tooth))
+        # The spectrum of periodic hits is a comb: it has no excitation between its lines.
+        lines_per_comb_line = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
+        lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_comb_line))
         # Bins that the fits use.
         first = max(int(lines[0]) - half_width, 0)
         fitted_bins = slice(first, min(max(int(lines[-1]) + half_width, first + 2 * half_width), size // 2) + 1)

@@ -167,7 +167,7 @@ class Server:
     def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
         """Count a running call of a client until it ends; `DaqError` -50103 if the maximum number is running."""
 
-        def uncount() -> None:
+        def end_call_count() -> None:
             with self._count_lock:
                 self._running_calls -= Counter({peer: 1})
 
@@ -179,8 +179,8 @@ class Server:
                     Code.PAL_RESOURCE_RESERVED,
                 )
             self._running_calls[peer] += 1
-        if not context.add_callback(uncount):
-            uncount()
+        if not context.add_callback(end_call_count):
+            end_call_count()
 
     def _stream(self, method: Method) -> Callable[[Any, grpc.ServicerContext], Iterator[Any]]:
         """Return the function that registers a client for an event and yields a response at each event."""

@@ -83,13 +83,13 @@ def select_outside_band(objective: Objective, trials: Sequence[Trial], best: Tri
     if not outside or len(buildable) < 2:
         return best
     indices = np.linspace(0, len(buildable) - 1, min(_MAX_COMPARED, len(buildable))).round().astype(int)
-    rivals = list(dict.fromkeys([best, *(buildable[k] for k in indices)]))
-    rival_choices = [trial.choice for trial in rivals]
-    mean_peaks_db = np.zeros(len(rivals))
+    candidates = list(dict.fromkeys([best, *(buildable[k] for k in indices)]))
+    candidate_choices = [trial.choice for trial in candidates]
+    mean_peaks_db = np.zeros(len(candidates))
     for mode_objective in outside:
         mean_peaks_db += [
-            20.0 * np.log10(trial.mean_peak) for trial in evaluator.compute(mode_objective, rival_choices)
+            20.0 * np.log10(trial.mean_peak) for trial in evaluator.compute(mode_objective, candidate_choices)
         ]
     mean_peaks_db /= len(outside)
     is_best_equal = mean_peaks_db[0] <= mean_peaks_db.min() + EQUAL_DB
-    return best if is_best_equal else rivals[int(mean_peaks_db.argmin())]
+    return best if is_best_equal else candidates[int(mean_peaks_db.argmin())]

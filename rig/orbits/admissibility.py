@@ -165,7 +165,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             starts_with_own_event = events > 0 and sequence.damper[s] == j
             ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if wall >= kinds.FORCELESS:
+            if wall >= kinds.WITHOUT_FORCE:
                 continue
             if wall == kinds.FLYING:
                 lowest = _lowest_minimum(track, s, j, 0.0, 1.0)

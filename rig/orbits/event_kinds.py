@@ -9,4 +9,4 @@ SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, INDUCED_SEPARATION = 0
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
 # Wall state in a segment between events: in flight, or riding (at rest on a wall). With finite-duration contact:
 # without contact force, or pressed on a wall.
-FLYING, RIDES_FLOOR, RIDES_CEILING, FORCELESS, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
+FLYING, RIDES_FLOOR, RIDES_CEILING, WITHOUT_FORCE, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5

@@ -35,7 +35,7 @@ WALL_AFTER_EVENT = {
     kinds.PRESS_FLOOR: kinds.ON_FLOOR,
     kinds.TOUCH_CEILING: kinds.ON_CEILING,
     kinds.PRESS_CEILING: kinds.ON_CEILING,
-    kinds.RELEASE: kinds.FORCELESS,
+    kinds.RELEASE: kinds.WITHOUT_FORCE,
 }
 #: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
 MIN_RELATIVE_OVERLAP = 1e-9
@@ -172,17 +172,17 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
 
 def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
-    return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.FORCELESS, kinds.FLYING)
+    return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.WITHOUT_FORCE, kinds.FLYING)
 
 
 def contacts_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the engine's contacts for wall states of a sequence, shape (dampers,)."""
-    return np.where(walls >= kinds.FORCELESS, walls - kinds.FORCELESS, walls)
+    return np.where(walls >= kinds.WITHOUT_FORCE, walls - kinds.WITHOUT_FORCE, walls)
 
 
 def configuration_of(walls: list[int]) -> int:
     """Return the contact configuration for wall states of a sequence, with bits as in `HybridSystem.toggles`."""
-    in_contact = sum(1 << j for j, wall in enumerate(walls) if wall not in (kinds.FLYING, kinds.FORCELESS))
+    in_contact = sum(1 << j for j, wall in enumerate(walls) if wall not in (kinds.FLYING, kinds.WITHOUT_FORCE))
     return in_contact + sum(1 << len(walls) + j for j, wall in enumerate(walls) if wall == kinds.ON_CEILING)
 
 

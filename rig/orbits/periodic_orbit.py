@@ -263,7 +263,7 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     state.height[orbit.plan.flying], state.velocity[orbit.plan.flying] = flights.T
     state.recovering[:] = FLIGHT
     # A damper without contact force may still overlap a wall from which it was released.
-    for j in np.flatnonzero(walls == kinds.FORCELESS):
+    for j in np.flatnonzero(walls == kinds.WITHOUT_FORCE):
         gap = state.z[system.gap_coordinate[j]]
         if not 0.0 <= gap <= system.clearance[j]:
             state.recovering[j] = FLOOR if gap < 0.0 else CEILING

@@ -138,7 +138,7 @@ def _sample_guard(
     """
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
-    if wall == kinds.FORCELESS:
+    if wall == kinds.WITHOUT_FORCE:
         gap = equations.gap_coordinate[j]
         for i in range(x.shape[0]):
             guard[i, 0], guard[i, 1], guard[i, 2] = x[i, gap], x[i, nq + gap], rate[i, nq + gap]

@@ -48,7 +48,7 @@ class Problem:
 
     key_path: KeyPath
     message: str
-    absent: str = ""  # missing key that causes the problem; the problem is not reported if the key is only misspelt
+    absent: str = ""  # missing key that causes the problem; the problem is not reported if the key is only misspelled
 
 
 def problems_of(error: ValidationError) -> list[Problem]:
@@ -218,7 +218,7 @@ class Settings(_Model):
             settings = handler(data)
         except ValidationError as error:
             items = [item for item in error.errors(include_url=False) if not _is_consequence(item)]
-            new_problems = [cls._explain(item) for item in items if not cls._is_misspelt(item, items)]
+            new_problems = [cls._explain(item) for item in items if not cls._is_misspelled(item, items)]
             problems = problems + [item for item in new_problems if item.key_path not in known_paths]
         if isinstance(data, Mapping):
             problems = problems + list(cls._check_groups(data))
@@ -235,8 +235,8 @@ class Settings(_Model):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def _is_misspelt(cls, item: Any, items: Iterable[Any]) -> bool:
-        """Return whether a key or part is missing only because it is misspelt, which is reported separately."""
+    def _is_misspelled(cls, item: Any, items: Iterable[Any]) -> bool:
+        """Return whether a key or part is missing only because it is misspelled, which is reported separately."""
         unknown_keys = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
         intended = {nearest_key(key, cls.keys()) for key in unknown_keys if key}
         if item["type"] == "missing" and len(item["loc"]) == 1:
@@ -270,8 +270,8 @@ class Settings(_Model):
     def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Problem]:
         for group in cls.one_of:
             given_keys = [key for key in group if data.get(key) is not None]
-            misspelt = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
-            if len(given_keys) != 1 and not (not given_keys and misspelt.intersection(group)):
+            misspelled = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
+            if len(given_keys) != 1 and not (not given_keys and misspelled.intersection(group)):
                 alternatives = " or ".join(group)
                 reason = f"{' and '.join(given_keys)} given together" if given_keys else f"{alternatives} missing"
                 yield Problem((), f"{reason}; expected exactly one of {alternatives}")
@@ -331,7 +331,7 @@ def unknown_key_message(key: str, keys: Iterable[str]) -> str:
 
 
 def nearest_key(key: str, keys: Iterable[str]) -> str | None:
-    """Return the valid key nearest to a misspelt key."""
+    """Return the valid key nearest to a misspelled key."""
     return next(iter(get_close_matches(key, list(keys), n=1, cutoff=0.6)), None)
 
 

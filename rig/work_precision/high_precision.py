@@ -274,7 +274,7 @@ class _ClosedOrbit:
         self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
         self._contact_states = [
-            FLIGHT if j in self._flying or wall == kinds.FORCELESS
+            FLIGHT if j in self._flying or wall == kinds.WITHOUT_FORCE
             else CEILING if wall in (kinds.RIDES_CEILING, kinds.ON_CEILING) else FLOOR
             for j, wall in enumerate(orbit.plan.sequence.wall[0])
         ]  # fmt: skip

@@ -173,7 +173,7 @@ def shake_bed(
     pair_displacements, wall_displacements = np.zeros((count, count, 3)), np.zeros((count, 3, 3))
     upward_force, history = np.zeros(3), np.empty((steps, 3))
     # Neighbors are searched again when spheres may have moved by half of `skin`, the largest gap between neighbors.
-    travelled, skin = 0.0, SKIN_RADII * radius
+    traveled, skin = 0.0, SKIN_RADII * radius
     pairs = neighboring_pairs(positions, 2.0 * radius + skin)
     inertia = 0.4 * mass * radius**2
     frame_acceleration = np.zeros(3)
@@ -198,9 +198,9 @@ def shake_bed(
         if k > 0:
             history[k - 1] = upward_force
         positions += step * velocity
-        travelled += step * math.sqrt((velocity**2).sum(axis=1).max())
-        if travelled > 0.5 * skin:
-            pairs, travelled = neighboring_pairs(positions, 2.0 * radius + skin), 0.0
+        traveled += step * math.sqrt((velocity**2).sum(axis=1).max())
+        if traveled > 0.5 * skin:
+            pairs, traveled = neighboring_pairs(positions, 2.0 * radius + skin), 0.0
     return history
 
 

@@ -37,9 +37,12 @@ EXPLAIN = "rig explain mine.yaml"
 MISTAKES = (
     # Scene: keys, values, units
     Mistake(
-        "a misspelt top-level key", EXPLAIN, ("mine.yaml", "strukture", "structure"), edited("structure:", "strukture:")
+        "a misspelled top-level key",
+        EXPLAIN,
+        ("mine.yaml", "strukture", "structure"),
+        edited("structure:", "strukture:"),
     ),
-    Mistake("a misspelt inner key", EXPLAIN, ("mine.yaml:4", "springs"), edited("springs", "sprigns")),
+    Mistake("a misspelled inner key", EXPLAIN, ("mine.yaml:4", "springs"), edited("springs", "sprigns")),
     Mistake("a wrong unit", EXPLAIN, ("mine.yaml:3", "4.2 N", "a mass such as"), edited("4.2 kg", "4.2 N")),
     Mistake("an unknown unit", EXPLAIN, ("mine.yaml:3", "klb"), edited("4.2 kg", "4.2 klb")),
     Mistake("a decimal comma", EXPLAIN, ("mine.yaml:3", "4.2"), edited("base: 4.2 kg", "base: '4,2 kg'")),
@@ -69,13 +72,13 @@ MISTAKES = (
         {"mine.yaml": SCENE + "dampers: [{body: arm, mass: 50 g, clearance: -1 mm}]\n"},
     ),
     Mistake("a scene that does not exist", "rig explain mini.yaml", ("mini.yaml", "rig scenes")),
-    Mistake("a misspelt bundled scene", "rig explain fig8-tree-dampers", ("fig8-three-dampers",)),
+    Mistake("a misspelled bundled scene", "rig explain fig8-tree-dampers", ("fig8-three-dampers",)),
     # Options
     Mistake("an unknown key in --set", "rig explain fig9 --set test.forc=3N", ("--set", "test.forc", "force")),
     Mistake("a --set without a value", "rig explain fig9 --set test.force", ("--set", "test.force", "=")),
     Mistake("a wrong unit in --set", "rig explain fig9 --set test.force=3Hz", ("--set", "3Hz", "N")),
-    Mistake("a misspelt option", "analysis frf sweep.mcap --moton velocity", ("--moton", "--motion")),
-    Mistake("a misspelt command", "analysis mode sweep.mcap", ("mode", "modes")),
+    Mistake("a misspelled option", "analysis frf sweep.mcap --moton velocity", ("--moton", "--motion")),
+    Mistake("a misspelled command", "analysis mode sweep.mcap", ("mode", "modes")),
     Mistake("an unknown motion", "analysis frf sweep.mcap --motion speed", ("speed", "velocity")),
     Mistake("an option without effect", "daq replay sweep.mcap --at 1", ("--at", "--screenshot")),
     Mistake("two exclusive options", "daq replay sweep.mcap --web --save x.rrd", ("--save", "--web")),

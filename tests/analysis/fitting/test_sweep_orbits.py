@@ -64,14 +64,14 @@ def test_continued_motions_have_right_derivatives():
 def test_infinite_rebounds_are_a_stated_reason():
     curves, frequency, level = nearest_points(49.0)
     dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
-    bouncy_scene = curves.scene.replace(dampers=dampers)
-    bouncy_curves = replace(curves, scene=bouncy_scene, frequency=frequency, level=level)
-    orbits = SweepOrbits(bouncy_curves)
-    assert np.isnan(orbits.response(scene_of_test(bouncy_scene, bouncy_curves), level, frequency)).all()
+    rebounding_scene = curves.scene.replace(dampers=dampers)
+    rebounding_curves = replace(curves, scene=rebounding_scene, frequency=frequency, level=level)
+    orbits = SweepOrbits(rebounding_curves)
+    assert np.isnan(orbits.response(scene_of_test(rebounding_scene, rebounding_curves), level, frequency)).all()
     assert "rebounds infinitely often" in orbits.uncovered[0]
-    [message] = list_omitted_points(bouncy_curves, np.array([False]), orbits.uncovered)
+    [message] = list_omitted_points(rebounding_curves, np.array([False]), orbits.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
-    assert "of another type than that of the model" in list_omitted_points(bouncy_curves, np.array([False]), {})[0]
+    assert "of another type than that of the model" in list_omitted_points(rebounding_curves, np.array([False]), {})[0]
     orbits.failed.clear()
     assert np.isfinite(orbits.response(scene_of_test(curves.scene, curves), level, frequency)).all()
     assert not orbits.uncovered

@@ -45,7 +45,7 @@ def summary_of(path):
 
 
 @pytest.fixture(scope="module")
-def unsplit_file(tmp_path_factory):
+def undivided_file(tmp_path_factory):
     """Return the bytes of a recording that was written in one piece."""
     path = tmp_path_factory.mktemp("whole") / "whole.mcap"
     return write_recording(path, random_volts(4000), DAMPER_SCENE).read_bytes()
@@ -53,10 +53,10 @@ def unsplit_file(tmp_path_factory):
 
 @settings(max_examples=12)
 @given(piece_lengths=st.lists(st.integers(1, 3000), min_size=1, max_size=5))
-def test_file_does_not_depend_on_piece_lengths(unsplit_file, tmp_path_factory, piece_lengths):
+def test_file_does_not_depend_on_piece_lengths(undivided_file, tmp_path_factory, piece_lengths):
     path = tmp_path_factory.mktemp("split") / "split.mcap"
     write_recording(path, random_volts(4000), DAMPER_SCENE, piece_lengths)
-    assert path.read_bytes() == unsplit_file
+    assert path.read_bytes() == undivided_file
 
 
 def test_markers_do_not_depend_on_piece_lengths(tmp_path):

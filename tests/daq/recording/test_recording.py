@@ -387,7 +387,7 @@ def test_zip_bomb_is_rejected_in_little_memory(tmp_path, packed_bombs, compressi
         chunk_index(0, 50, 100),
     ],
 )
-def test_absurd_lengths_are_rejected(tmp_path, index, limited_memory):
+def test_excessive_lengths_are_rejected(tmp_path, index, limited_memory):
     path = write_malicious_file(tmp_path / "absurd.mcap", record(Opcode.CHUNK, chunk(b"", b"")), index)
     with pytest.raises(RecordingError, match=r"absurd\.mcap: the file is damaged"):
         daq.open(path)
@@ -469,8 +469,8 @@ def test_malformed_message_with_right_checksum_is_rejected(tmp_path, messages):
 
 
 def test_attachment_named_like_a_path_touches_no_file(tmp_path):
-    victim = tmp_path / "victim"
-    name = f"../{tmp_path.name}/victim".encode()
+    outside_file = tmp_path / "outside_file"
+    name = f"../{tmp_path.name}/outside_file".encode()
     stored_attachment = record(Opcode.ATTACHMENT, attachment(name, b"bad"))
     position_and_sizes = struct.pack("<QQQQQ", len(BEGINNING), len(stored_attachment), 1, 2, len(b"bad"))
     attachment_index = record(Opcode.ATTACHMENT_INDEX, position_and_sizes + text(name) + text(b"text/plain"))
@@ -486,7 +486,7 @@ def test_attachment_named_like_a_path_touches_no_file(tmp_path):
             _ = recording.scene
     daq.recover(path, tmp_path / "fixed.mcap")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["a.mcap", "fixed.mcap"]
-    assert not victim.exists()
+    assert not outside_file.exists()
 
 
 @given(data=st.binary(max_size=300))

@@ -17,7 +17,7 @@ from rig.damper_design.worst_peak import Peak
 
 
 @pytest.mark.parametrize(("irregular", "bodies"), [(0.0, (1, 2)), (0.3, (2,))])
-def test_one_damper_outranks_two_with_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
+def test_one_damper_precedes_two_with_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
     # `irregular`: share of the frequencies with irregular motion; `bodies`: those of the first choice in the ranking.
     def trial(magnitude: float, *choice: Any) -> Trial:
         peak = Peak(

@@ -56,7 +56,7 @@ def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:
     assert expected_text in help_on(key)
 
 
-def test_misspelt_key_names_the_nearest() -> None:
+def test_misspelled_key_names_the_nearest() -> None:
     with pytest.raises(SceneError, match="Did you mean 'clearance'"):
         help_on("clearence")
 
@@ -73,7 +73,7 @@ def test_help_on_shaker_lists_its_kinds() -> None:
     assert "electrodynamic" in help_on("shaker") and "rig help shaker.KIND" in help_on("shaker")
 
 
-def test_misspelt_kind_names_the_nearest() -> None:
+def test_misspelled_kind_names_the_nearest() -> None:
     with pytest.raises(SceneError, match=r"Did you mean 'test.stepped_sine'"):
         help_on("test.steped_sine")
 

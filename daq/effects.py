@@ -64,7 +64,7 @@ _STEPS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("converter", "clock error", ("clock_error",)),
     ("converter", "jitter", ("jitter",)),
     ("converter", "converter noise", ("noise",)),
-    ("converter", "quantisation", ("bits", "range")),
+    ("converter", "quantization", ("bits", "range")),
 )
 
 

@@ -85,7 +85,7 @@ def beyond_the_paper(parts: Parts) -> list[Evidence]:
     clearances = tuple(name for name in sorted(parts) if name.startswith("best-"))
     lines = [
         Evidence(
-            "Best clearance of a damper in body 2 for the third mode, robust for 0.8 to 1.25 times 3.3 N, by mass "
+            "Best clearance of a damper in body 2 for the third mode, for forces of 0.8 to 1.25 times 3.3 N, by mass "
             f"ratio: {optima}. The peaks are those of exact orbits at "
             f"{100 * np.mean([b['orbit_share'] for b in best_by_ratio]):.0f} % of the frequencies. At the others the "
             "motion is irregular, and its average was taken.",

@@ -138,6 +138,6 @@ def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float)
         "jitter": converter.jitter,
         "converter noise": converter.noise,
         "clipping": converter.range,
-        "quantisation": converter.bits,
+        "quantization": converter.bits,
     }
     return effects | {name: 0 for name, value in optional_effects.items() if value is not None}

@@ -308,7 +308,7 @@ class Free(Settings):
     velocity: tuple[Annotated[float, Quantity(VELOCITY)], ...] | None = Field(None, min_length=1)
     """One initial velocity for each body [m/s]."""
     mode: Annotated[int, Field(ge=1)] | None = None
-    """Instead of these: number of the mode whose shape is the initial displacement, from 1."""
+    """Instead of displacement and velocity: number of the mode whose shape is the initial displacement, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
     """Largest initial displacement of that mode shape [m]."""
     duration: Duration = 6.0

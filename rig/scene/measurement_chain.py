@@ -47,10 +47,10 @@ Supply = Annotated[float, Quantity(CURRENT, at_least=0.0)]
 
 
 class Accelerometer(Settings):
-    """A piezoelectric accelerometer with the figures of its datasheet; only the given effects are modeled."""
+    """A piezoelectric accelerometer with the figures of its data sheet; only the given effects are modeled."""
 
     preset: Preset | None = None
-    """Name of a part whose datasheet supplies the values not given here."""
+    """Name of a part whose data sheet supplies the values not given here."""
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V per m/s^2]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
@@ -127,7 +127,7 @@ class Hammer(Settings):
     """A force sensor: in the head of an impulse hammer, or between a shaker and the body it pushes."""
 
     preset: Preset | None = None
-    """Name of a part whose datasheet supplies the values not given here."""
+    """Name of a part whose data sheet supplies the values not given here."""
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
@@ -242,7 +242,7 @@ class Converter(Settings):
     """The analog-to-digital converter and its clock, common to all channels."""
 
     preset: Preset | None = None
-    """Name of a module whose datasheet supplies the values not given here."""
+    """Name of a module whose data sheet supplies the values not given here."""
     rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
     """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None

@@ -47,7 +47,7 @@ class Quantity:
             "" if infinite else "finite",
         ]
         self.bounded_description = f"{self.description}, {' and '.join(filter(None, limits))}".rstrip(", ")
-        units = " or ".join(kind.si for kind in kinds)
+        units = " or ".join(kind.si for kind in kinds if kind.si)
         self.help_text = (
             f"{self.bounded_description}; a bare number is in {units}" if units else self.bounded_description
         )

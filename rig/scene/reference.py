@@ -48,7 +48,7 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
     "channels.integrator": ("integration", 1),
     "channels.integrator.low_cutoff": ("amplifier low cut-off", 1),
     "channels.integrator.saturation": ("saturation", 0),
-    "converter.bits": ("quantisation", 0),
+    "converter.bits": ("quantization", 0),
     "converter.range": ("clipping", 0),
     "converter.noise": ("converter noise", 0),
     "converter.coupling": ("AC coupling", 1),

@@ -49,7 +49,7 @@ class Output(Settings):
     """The output that generates a shaker's drive; ideal by default."""
 
     preset: Preset | None = None
-    """Name of a module whose datasheet supplies the values not given here."""
+    """Name of a module whose data sheet supplies the values not given here."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
     """Largest output voltage [V]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
@@ -169,7 +169,7 @@ class ElectrodynamicShaker(Settings):
 
     kind: Literal["electrodynamic"] = "electrodynamic"
     preset: Preset | None = None
-    """Name of a shaker whose datasheet supplies the values of coil and armature not given here."""
+    """Name of a shaker whose data sheet supplies the values of coil and armature not given here."""
     body: Body
     """The driven body, by its number from 1 or its name."""
     spring: CoilSpring

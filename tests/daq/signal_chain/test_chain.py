@@ -172,8 +172,8 @@ def test_effects_list_is_complete():
     sensor = {"resonance": 2, "low cut-off": 1}
     chain, _ = chain_of(scene_of(SENSOR, SENSOR + ", integrator: {order: 2}", converter="{bits: 24, range: 5 V}"))
     assert chain.effects == {
-        "c1": sensor | {"averaging": 1, "clipping": 0, "quantisation": 0},
-        "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantisation": 0},
+        "c1": sensor | {"averaging": 1, "clipping": 0, "quantization": 0},
+        "c2": sensor | {"integration": 2, "point sampling": 0, "clipping": 0, "quantization": 0},
     }
     effects = chain_of(scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS))[0].effects["c1"]
     # The spectrum of 1/f noise requires a first-order state for every two octaves.

@@ -92,7 +92,7 @@ def test_module_preset_applies():
     chain, rate = chain_of(scene)
     assert chain.channels[0].volts_per_count == 10.0 / 2**24
     assert list(chain.effects["c1"]) == [
-        "AC coupling", "decimation filter", "converter noise", "clipping", "quantisation",
+        "AC coupling", "decimation filter", "converter noise", "clipping", "quantization",
     ]  # fmt: skip
     volts = chain.measure(at_rest(1, rate, 60_000))[0]
     density = 0.31e-6  # V/sqrt(Hz), of the preset

@@ -42,13 +42,13 @@ def test_each_channel_is_listed_with_its_stages() -> None:
     # Sensor: 2 states of the resonance, 1 of the low cut-off; integrator: 1 of each of two stages.
     assert measured.states[part] == 5
     assert [effect.name for effect in measured.effects if effect.part == part][:2] == ["resonance", "low cut-off"]
-    assert "quantisation" not in {effect.name for effect in ideal.effects}
+    assert "quantization" not in {effect.name for effect in ideal.effects}
     assert "truth" not in {effect.name for effect in measured.effects}
 
 
 def test_channels_with_equal_effects_share_one_list() -> None:
     text = str(rig.explain("fig8-three-dampers"))
-    assert text.count("quantisation") == 1
+    assert text.count("quantization") == 1
     assert text.count("channel body") == 3
 
 
@@ -69,7 +69,7 @@ def test_cost_lists_each_effect_and_its_states(monkeypatch: pytest.MonkeyPatch) 
         "sensor low cut-off",
         "sensor noise",
         "integrator",
-        "quantisation",
+        "quantization",
         "recording",
         "display",
     ]

@@ -1,13 +1,13 @@
-# Every target makes the environment it needs; Python 3.11+ and make are enough.
+# Every target creates the environment that it needs. Only Python 3.11 or newer and make are required.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 BASE   := $(VENV)/.base
 STAMP  := $(VENV)/.installed
-# Python compiles a module when it is first imported and keeps the result: compiling all of them here would take a third
-# of the time. Where the environment forbids keeping it, as some container images do, every process would compile again.
+# Python compiles a module at its first import and caches the result. Compiling all modules during installation would
+# take a third of its time. Some container images disable the cache, so that every process would compile again.
 unexport PYTHONDONTWRITEBYTECODE
-# As the commands do: our matrices are small, and idle threads of a linear algebra library wait by computing.
+# The matrices are small, and idle threads of OpenBLAS use processor time while they wait.
 export OPENBLAS_NUM_THREADS ?= 1
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 
@@ -45,32 +45,32 @@ types: $(STAMP)
 layers: $(STAMP)
 	$(BIN)/lint-imports
 
-# While one works: all tests but those that run whole tests on the rig, random ensembles or figures by the dozen.
+# Fast tests for use during development: without complete tests on the rig, random ensembles and many figures.
 quick: $(STAMP)
 	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m pytest -n 2 -q -m "not thorough"
 
-# Hundreds of scenes that nobody prepared, on all cores; another seed draws others: make gauntlet SEED=2 SCENES=600.
+# The analysis on hundreds of random scenes, on all cores; for other scenes: make gauntlet SEED=2 SCENES=600.
 SEED ?= 1
 SCENES ?= 300
 gauntlet: $(STAMP)
 	$(BIN)/python -m tests.warm_up
 	$(BIN)/python -m tests.gauntlet --scenes $(SCENES) --seed $(SEED)
 
-# Fits of scenes to the recordings of benches that nobody prepared.
+# Fits of scenes to recordings of random scenes.
 fits: $(STAMP)
 	$(BIN)/python -m tests.gauntlet.fits --seed $(SEED)
 
-# The tests as on other machines: vector width, threads, locale, Pythons, oldest dependencies; the quick ones under every
-# kernel of OpenBLAS.
+# The tests as on other machines: vector widths, numbers of threads, locales, Python versions, oldest dependencies. The
+# quick tests run with every kernel of OpenBLAS.
 matrix: $(STAMP)
 	$(BIN)/python -m tests.matrix
 
-# Kills, damage, full disks and odd inputs by the hundred: make soak SEED=1000.
+# Hundreds of faults injected into commands: kills, damaged files, full disks, invalid input: make soak SEED=1000.
 soak: $(STAMP)
 	$(BIN)/python -m tests.soak --seed $(SEED)
 
-# Small faults put into the product, and whether its tests notice: make mutants SEED=2.
+# Mutation testing: small faults in the code, which the tests should detect: make mutants SEED=2.
 mutants: $(STAMP)
 	$(PIP) -e ".[dev,mutants]"
 	$(BIN)/python -m tests.warm_up
@@ -80,14 +80,14 @@ bench: $(STAMP)
 	$(PIP) -e ".[dev,peers]"
 	$(BIN)/python -m tests.benchmarks
 
-# Independent packages in an environment of their own, beside our numbers.
+# Comparison with independent packages, which are installed in a separate environment.
 peers: $(STAMP)
 	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
 	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
 	$(BIN)/python -m tests.peers.ours build/peers
 	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
 
-# The documentation as a site, in build/docs: the pages of the guides, and the reference generated from the code.
+# The documentation as a site in build/docs: the pages of the guides, and the reference generated from the code.
 docs: $(STAMP)
 	$(PIP) -e ".[dev,docs]"
 	$(BIN)/python -m sphinx -q -W --keep-going -c .docs . build/docs

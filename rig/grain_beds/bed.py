@@ -34,8 +34,8 @@ _ARRAY = 2
 class Bed:
     """Grains in a cavity, whose axis is z and whose floor is at z = 0.
 
-    `spheres`: properties of the grains; `positions`: of their centers, m, shape (grains, 3); `ceiling`: height of the
-    ceiling, m, infinite for no ceiling; `gravity`: m/s^2; `step`: time step, s.
+    `spheres`: properties of the grains; `positions`: positions of their centers, m, shape (grains, 3); `ceiling`:
+    height of the ceiling, m, infinite for no ceiling; `gravity`: m/s^2; `step`: time step, s.
     """
 
     def __init__(self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> None:
@@ -123,7 +123,7 @@ class Bed:
 
     @property
     def gap(self) -> float:
-        """Height of the center of mass above that at the start, m."""
+        """Height of the center of mass above its initial height, m."""
         return self.center_of_mass - self._initial_center_of_mass
 
     @property

@@ -71,7 +71,7 @@ class Grains(Settings):
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
     """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
-    """Coefficient of friction of grains and walls. The default is assumed: clean lead has more friction, graphited shot less."""
+    """Coefficient of friction of grains and walls. The default is assumed; graphited shot has less."""
     side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
     """Friction coefficient of the side wall; 0 for a narrow cavity that represents part of a wide cavity. None: as
     `friction`."""

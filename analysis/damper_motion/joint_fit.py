@@ -80,8 +80,13 @@ def fit_group(
 
     `residual`: differenced readings, from which all other jumps are subtracted.
     """
+    return fit_within(residual, model, group, range_of(group, model, residual.size), noise)
+
+
+def range_of(group: Sequence[Jump], model: ImpactModel, n_differences: int) -> tuple[int, int]:
+    """Return first and one-past-last difference of the windows of jumps in a segment of `n_differences`."""
     first, last = _difference_range(model, [jump.time for jump in group])
-    return fit_within(residual, model, group, (max(first, 0), min(last, residual.size)), noise)
+    return max(first, 0), min(last, n_differences)
 
 
 def fit_within(

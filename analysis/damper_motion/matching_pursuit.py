@@ -29,6 +29,7 @@ from analysis.damper_motion.joint_fit import (
     fit_group,
     fit_within,
     jump_error,
+    range_of,
 )
 from rig.arrays import Array
 from rig.numerics.runs import runs_of
@@ -248,18 +249,20 @@ class MatchingPursuit:
             self._add(other, 1.0)
         deviation = float(noise[self.window_of(jump)])
         prior = Deviations(deviation, *self.prior)
-        times = [jump.time + start for start in starts]
-        fits = [
-            fit_group(self.residual, model, [replace(jump, time=time), *others], prior)
-            for time in times
-            if time == jump.time or all(abs(time - other.time) >= _MIN_DISTANCE_SAMPLES for other in others)
+        # The same differences for all fits, because their residuals are compared.
+        shared_range = range_of(group, model, self.residual.size)
+        candidates = [
+            [replace(jump, time=jump.time + start), *others]
+            for start in starts
+            if not start or all(abs(jump.time + start - other.time) >= _MIN_DISTANCE_SAMPLES for other in others)
         ]
-        best_jumps, residual_square = min(fits, key=lambda fit: fit[1])
+        squares = [fit_within(self.residual, model, jumps, shared_range, prior)[1] for jumps in candidates]
+        best_jumps = candidates[int(np.argmin(squares))]
         if any(abs(other.time - jump.time) < _SPURIOUS_DISTANCE_SAMPLES for other in others):
-            reduced, reduced_square = fit_group(self.residual, model, others, prior)
-            if reduced_square < residual_square + (DETECTION_SIGMAS * deviation) ** 2:
-                best_jumps = reduced
-        self._replace(group, best_jumps)
+            _, reduced_square = fit_within(self.residual, model, others, shared_range, prior)
+            if reduced_square < min(squares) + (DETECTION_SIGMAS * deviation) ** 2:
+                best_jumps = others
+        self._replace(group, fit_group(self.residual, model, best_jumps, prior)[0])
 
     def _replace(self, old: list[Jump], new: list[Jump]) -> None:
         """Replace jumps that were added back to the residual."""

@@ -16,6 +16,7 @@ from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 from tests.gauntlet.checks.impacts import check, detectable, score
+from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT, draw_finite_contact
 from tests.gauntlet.instant_contact import TONE, draw_instant_contact
 from tests.gauntlet.result import Case
 
@@ -349,4 +350,13 @@ def test_separate_rebounds_in_integrated_channel_are_detected(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [result] = check(Case(scene, rec, []), TONE)
     assert result.points > 100
+    assert result.inside == result.points
+
+
+def test_overlapping_finite_duration_impacts_are_detected(tmp_path):
+    # A scene of the gauntlet: each ceiling impact is followed by a floor impact before the fitted window ends.
+    scene = draw_finite_contact(911, 13, TONE_FINITE_CONTACT)
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [result] = check(Case(scene, rec, []), TONE_FINITE_CONTACT)
+    assert result.points > 70
     assert result.inside == result.points

@@ -266,8 +266,7 @@ class _Bench:
                 ],
                 axis=1,
             )
-        locations = [info.at for info in rec.channels.values() if info.at.startswith("body")]
-        return compliance[[int(location.removeprefix("body ")) - 1 for location in locations]]
+        return compliance[[info.body - 1 for info in rec.channels.values() if info.body]]
 
 
 def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexArray:

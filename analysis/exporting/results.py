@@ -65,7 +65,7 @@ def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, 
         return [
             (
                 response,
-                [uff.node(rec.channels[point.name].at) for point in response.outputs],
+                [rec.channels[point.name].body for point in response.outputs],
                 [_force_node(rec, point.name) for point in response.inputs],
             )
             for response in frequency_responses(rec, progress=progress)

@@ -43,7 +43,7 @@ def write_uff(segment: Slice, path: Path) -> None:
                 "id1": text_line(f"{info.name}: {info.quantity} at {info.at}"),
                 "id2": text_line(f"from {recording.path.name}"),
                 "id4": text_line(f"sample rate {recording.rate!r} Hz"),
-                "rsp_ent_name": "NONE", "rsp_node": node(info.at), "rsp_dir": 3,
+                "rsp_ent_name": "NONE", "rsp_node": info.body, "rsp_dir": 3,
                 "ref_ent_name": "NONE", "ref_node": 0, "ref_dir": 0,
                 "abscissa_spacing": 1, "abscissa_spec_data_type": 17,
                 "abscissa_axis_lab": "Time", "abscissa_axis_units_lab": "s",
@@ -61,9 +61,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     The largest element of each shape is scaled to 1.
     """
     file = universal_file(path)
-    omega = 2 * np.pi * modes.frequency
-    poles = omega * (-modes.damping + 1j * np.sqrt(1.0 - modes.damping**2))
-    for number, (pole, shape) in enumerate(zip(poles, modes.shapes.T, strict=True), start=1):
+    for number, (pole, shape) in enumerate(zip(modes.poles, modes.shapes.T, strict=True), start=1):
         zeros = np.zeros(shape.size, dtype=complex)
         damping = 100.0 * modes.damping[number - 1]
         write_set(
@@ -76,12 +74,3 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
                 "node_nums": list(nodes), "r1": zeros, "r2": zeros, "r3": shape,
             },
         )  # fmt: skip
-
-
-def node(location: str) -> int:
-    """Return the node number of a location: the number of the body, or 0 for other locations.
-
-    >>> node("body 3"), node("table")
-    (3, 0)
-    """
-    return int(location.removeprefix("body ")) if location.startswith("body ") else 0

@@ -170,7 +170,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         reference_noise_bound=reference_noise_bound,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
-        bodies=tuple(int(sensor.at.split()[1]) - 1 for sensor in sensors),
+        bodies=tuple(rec.channels[sensor.name].body - 1 for sensor in sensors),
         reference=reference,
         level=frfs[0].amplitude,
         clock_tolerance=abs(rec.scene.converter.clock_error or 0.0),

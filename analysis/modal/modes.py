@@ -146,13 +146,16 @@ class Modes(Result):
         error[largest, modes] = 0.0
         return BodyShapes(tuple(names), shape / shape[largest, modes], error / abs(shape[largest, modes]))
 
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of the modes, rad/s, shape (modes,)."""
+        return np.asarray(2 * np.pi * self.frequency * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2)))
+
     def receptance(self, frequency: Array) -> ComplexArray:
         """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
         s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        omega = 2 * np.pi * self.frequency
-        poles = omega * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2))
         receptance = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
-        for pole, residue in zip(poles, self.residue.T, strict=True):
+        for pole, residue in zip(self.poles, self.residue.T, strict=True):
             receptance = receptance + residue[:, None] / (s - pole) + residue.conj()[:, None] / (s - pole.conjugate())
         return np.asarray(receptance, dtype=complex)
 

@@ -188,7 +188,7 @@ def linear_theory(rec: Recording, frf: Response) -> Response:
     low, high = float(frf.frequency.min()), float(frf.frequency.max())
     frequency = np.geomspace(low, high, 3000)
     rows = (transmissibility if frf.reference == "table" else receptance)(rec.scene, frequency)
-    body = int(rec.channels[frf.response].at.split()[1])
+    body = rec.channels[frf.response].body
     zeros = np.zeros(frequency.size)
     curve = Response.curve(
         frequency, rows[body - 1], frf.response, reference=frf.reference, coherence=zeros + 1.0,

@@ -120,5 +120,5 @@ def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
     from rig.system.structural_model import structural_model
 
     shapes = structural_model(rec.scene).modes.shapes
-    bodies = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
+    bodies = [rec.channels[name].body - 1 for name in modes.responses]
     return np.asarray(shapes)[bodies] if len(bodies) > 1 else None

@@ -76,12 +76,11 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
             recorded_ratio[row] = relative_to_reading(true_ratio[row])
             continue
         recorded_ratio[row] = _FURTHER_IMAGES * np.sum((frequency / images) ** 2 * transmission, axis=0)
-        if info.at.startswith("body"):
-            body = int(info.at.split()[1])
-            driven_ratio = _free_acceleration(rec.scene, body) / np.maximum(acceleration, 1e-300)
+        if info.body:
+            driven_ratio = _free_acceleration(rec.scene, info.body) / np.maximum(acceleration, 1e-300)
             recorded_ratio[row] *= np.maximum(above_band, driven_ratio)
             # A channel that transmits even the highest image also records impacts between two samples.
-            recorded_ratio[row] += _impact_ratio(rec.scene, body) * transmission.min(axis=0)
+            recorded_ratio[row] += _impact_ratio(rec.scene, info.body) * transmission.min(axis=0)
         # Lower bound of both contributions.
         recorded_ratio[row] = np.maximum(recorded_ratio[row], _MIN_IMAGE_RATIO * (frequency / info.rate) ** 2)
         true_ratio[row] = relative_to_reading(recorded_ratio[row])

@@ -63,7 +63,7 @@ def motion_channel_at(rec: Recording, location: str) -> ChannelInfo | None:
 
 def responses(rec: Recording) -> list[str]:
     """Return the names of the channels that measure a body's motion, in the recording's order."""
-    return [name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.at.startswith("body")]
+    return [name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.body]
 
 
 @dataclass(frozen=True)
@@ -160,8 +160,7 @@ def input_location(rec: Recording, reference: str) -> str:
 
 def location_of(rec: Recording, channel: str) -> str:
     """Return the name of the body on which a channel is mounted, or its other position."""
-    at = rec.channels[channel].at
-    return rec.scene.structure.label(int(at.removeprefix("body "))) if at.startswith("body ") else at
+    return rec.scene.structure.label(rec.channels[channel].at)
 
 
 def required_channels(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:

@@ -69,8 +69,7 @@ class LiveFrf:
         self.frequency = np.asarray(frequency[self._line_indices], dtype=float)
         station = Station(scene, channels, (), rate, mark=lambda *arguments, **fields: None)
         self._channel_weights = _force_weights(station, self.frequency)
-        on_body = (row for row, info in enumerate(channels) if info.at.startswith("body"))
-        self._rows = [row for row in on_body if channels[row].quantity != "force"]
+        self._rows = [row for row, info in enumerate(channels) if info.body and info.quantity != "force"]
         self.names = [channels[row].name for row in self._rows]
         self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
         self._hann_window = np.hanning(self._block_samples)

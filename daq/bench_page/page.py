@@ -225,7 +225,7 @@ class Page:
         bodies = [
             (info.name, "m/N", hex_color(channel_color(info.at)))
             for info in channels
-            if info.at.startswith("body") and info.quantity != "force"
+            if info.body and info.quantity != "force"
         ]
         # Its title is set by `_refresh_frf`.
         self._frf = Chart("", {"name": "frequency / Hz"}, bodies, log_axis)

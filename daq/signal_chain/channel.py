@@ -54,6 +54,11 @@ class ChannelInfo:
         return UNITS[self.quantity]
 
     @property
+    def body(self) -> int:
+        """Number of the body on which the sensor is mounted; 0 for another location."""
+        return int(self.at.removeprefix("body ")) if self.at.startswith("body ") else 0
+
+    @property
     def derivative(self) -> int | None:
         """Number of differentiations from displacement to the quantity; None for a force or a voltage."""
         return {"displacement": 0, "velocity": 1, "acceleration": 2}.get(self.quantity)

@@ -251,17 +251,16 @@ class MatchingPursuit:
         prior = Deviations(deviation, *self.prior)
         # The same differences for all fits, because their residuals are compared.
         shared_range = range_of(group, model, self.residual.size)
-        candidates = [
-            [replace(jump, time=jump.time + start), *others]
+        fits = [
+            fit_within(self.residual, model, [replace(jump, time=jump.time + start), *others], shared_range, prior)
             for start in starts
             if not start or all(abs(jump.time + start - other.time) >= _MIN_DISTANCE_SAMPLES for other in others)
         ]
-        squares = [fit_within(self.residual, model, jumps, shared_range, prior)[1] for jumps in candidates]
-        best_jumps = candidates[int(np.argmin(squares))]
+        best_jumps, residual_square = min(fits, key=lambda fit: fit[1])
         if any(abs(other.time - jump.time) < _SPURIOUS_DISTANCE_SAMPLES for other in others):
-            _, reduced_square = fit_within(self.residual, model, others, shared_range, prior)
-            if reduced_square < min(squares) + (DETECTION_SIGMAS * deviation) ** 2:
-                best_jumps = others
+            reduced, reduced_square = fit_within(self.residual, model, others, shared_range, prior)
+            if reduced_square < residual_square + (DETECTION_SIGMAS * deviation) ** 2:
+                best_jumps = reduced
         self._replace(group, fit_group(self.residual, model, best_jumps, prior)[0])
 
     def _replace(self, old: list[Jump], new: list[Jump]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.damper_motion.comparison import peak
 from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import (
     CommandOutput,
@@ -25,14 +26,21 @@ from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
 from rig.progress import CountProgress
-from rig.results import format_interval
-from rig.results.response import Response
+from rig.results import format_interval, format_quantity
+from rig.results.response import MOTIONS, Response
 from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY
 from rig.scene.presets import preset_note
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
+
+# Limits of the band around the highest point in which its peak is interpolated, relative to its frequency.
+_PEAK_BAND = (0.85, 1.15)
+# Largest relative deviation of the highest point from the interpolated peak that is not reported.
+_MAX_PEAK_DEVIATION = 0.01
+# Largest relative bound of an interpolated peak that is stated.
+_MAX_PEAK_UNCERTAINTY = 0.5
 
 
 def present_frf(
@@ -94,7 +102,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
         frfs = list(group)
         unit, factor = frfs[0].shown_in
         rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest contribution")]
-        remarks: list[str] = []
+        remarks: dict[str, list[str]] = {}
         for frf in frfs:
             if not np.isfinite(frf.value).any():
                 rows.append((frf.response, "no value", "", "", ""))
@@ -106,9 +114,39 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
             rows.append(
                 (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
             )
-            remarks += [f"{frf.response}: {text}" for text in frf.uncertain_peak()]
-        lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *remarks))]
+            for text in (*frf.uncertain_peak(), *_peak_between_points(frf)):
+                remarks.setdefault(text, []).append(frf.response)
+        notes = [f"{', '.join(names)}: {text}" for text, names in remarks.items()]
+        lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *notes))]
     return lines
+
+
+def _peak_between_points(frf: Response) -> list[str]:
+    """State the interpolated peak of a response if it may be higher than the highest point."""
+    line = frf.peak_line()
+    frequency, height, bound = frf.frequency[line], float(abs(frf.value[line])), float(frf.bound()[line])
+    if not np.isfinite(bound) or frf.resolution > 0.0:
+        return []
+    # The sensitivity errors of neighboring points are equal, so they scale the peak as they scale the highest point.
+    independent = frf.without(SENSITIVITY)
+    highest = peak(independent, *(limit * frequency for limit in _PEAK_BAND))
+    if highest is None:
+        return []
+    if highest.at_end:
+        return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside"]
+    if highest.bound > _MAX_PEAK_UNCERTAINTY * highest.value:
+        return [f"the peak may be higher than at {frequency:.4g} Hz: measure more densely around it"]
+    # `peak` estimates displacement.
+    scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
+    value = scale * highest.value
+    if value + scale * highest.interpolation_bound <= (1.0 + _MAX_PEAK_DEVIATION) * height + bound:
+        return []
+    total = scale * highest.bound + value * (bound - float(independent.bound()[line])) / height
+    unit, factor = frf.shown_in
+    return [
+        f"the peak between the points is {format_quantity(factor * value, factor * total, unit)} "
+        f"at {highest.frequency:.2f} Hz"
+    ]
 
 
 def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +21,7 @@ from analysis.figures.modes_figure import modes_figure
 from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
-from analysis.presentation.frf_findings import present_frf
+from analysis.presentation.frf_findings import describe_frfs, present_frf
 from analysis.presentation.mode_findings import theoretical_shapes, theory_warnings
 from rig.errors import RecordingError
 from rig.results.response import Response
@@ -114,6 +115,23 @@ def test_file_that_is_not_a_recording_is_rejected(tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"\0" * 500)
     with pytest.raises(RecordingError):
         present_frf([tmp_path / "no.mcap"])
+
+
+@pytest.mark.parametrize(
+    ("natural", "remarks"), [(20.8, ["body1: the peak between"]), (21.0, []), (40.0, ["body1: highest at"])]
+)
+@pytest.mark.parametrize("motion", ["displacement", "acceleration"])
+def test_peak_between_points_is_stated(natural, motion, remarks):
+    f, ratio = np.arange(15.0, 30.0, 0.5), 0.005
+    value = 1e-6 / (1.0 - (f / natural) ** 2 + 2j * ratio * f / natural)
+    curve = Response.curve(f, value, "body1", error=1e-3 * abs(value), degrees=100.0 * np.ones(f.size)).to(motion)
+    lines = describe_frfs([curve])[3:]
+    assert [line.strip()[: len(text)] for line, text in zip(lines, remarks, strict=True)] == remarks
+    if natural == 20.8:
+        peak, bound = map(float, re.search(r"\(([\d.]+) ± ([\d.]+)\)", lines[0]).groups())
+        exact = 1e-6 / (2.0 * ratio) * (1e6 if motion == "displacement" else (2.0 * np.pi * natural) ** 2)
+        assert peak == pytest.approx(exact, abs=bound + 1e-3 * exact)
+        assert lines[0].endswith("at 20.80 Hz")
 
 
 def test_long_title_does_not_overlap_axes(folder):

@@ -23,14 +23,19 @@ def format_number(value: float) -> str:
 
 
 def round_to_bound(value: float, bound: float) -> str:
-    """Write a number, rounded to the second significant digit of its bound.
+    """Write a number, rounded to the second significant digit of its bound, or of the number if that is smaller.
 
-    >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(3.14159, 0.0)
-    ('0.01235', '1078', '3.142')
+    >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(376.0, 7e4)
+    ('0.01235', '1080', '380')
+    >>> round_to_bound(3.14159, 0.0)
+    '3.142'
     """
     if not isfinite(bound) or bound <= 0.0:
         return f"{value:.4g}"
-    return f"{value:.{min(max(1 - floor(log10(bound)), 0), 9)}f}"
+    decimals = min(1 - floor(log10(bound)), 9)
+    if decimals < 0 and value:
+        decimals = max(decimals, min(1 - floor(log10(abs(value))), 0))
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 def format_interval(value: float, bound: float) -> str:

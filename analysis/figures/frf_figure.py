@@ -54,7 +54,7 @@ def frf_figure(
             color = colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
             style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
-            phase_axes.plot(*_break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
+            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
         if theory:
             magnitude_axes.plot(
                 [], [], color=_THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
@@ -150,10 +150,10 @@ def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axe
     angle = np.where(is_above_noise, phase_degrees(frf), np.nan)
     for half_width, opacity in ((total, 0.13), (random, 0.25)):
         phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
-        frequency, center = _break_at_wraps(frf.frequency, angle)
-        width = _break_at_wraps(frf.frequency, angle, phase_width)[1]
+        frequency, center = break_at_wraps(frf.frequency, angle)
+        width = break_at_wraps(frf.frequency, angle, phase_width)[1]
         phase_axes.fill_between(frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
-    phase_axes.plot(*_break_at_wraps(frf.frequency, angle), **line_style)
+    phase_axes.plot(*break_at_wraps(frf.frequency, angle), **line_style)
     if _has_scatter(frf):
         coherence_axes.plot(frf.frequency, frf.coherence, color=color, zorder=3)
 
@@ -205,11 +205,12 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     return np.asarray(local_roughness < _MAX_ROUGHNESS)
 
 
-def _break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
+def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
     """Insert gaps (NaN) into a line where the phase wraps; `values`: the line, by default the angle itself."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
-    return np.insert(frequency, wraps, np.nan), np.insert(angle if values is None else values, wraps, np.nan)
+    between = (frequency[wraps - 1] + frequency[wraps]) / 2.0
+    return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
 
 
 def phase_degrees(frf: Response) -> Array:

@@ -86,7 +86,7 @@ class ChartWriter:
 
     def write(self, chart: Chart) -> str:
         """Return the HTML of a chart: a figure that the page's script fills, and its data."""
-        identifier, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {chart.x_unit}"
+        identifier, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {_divisor(chart.x_unit)}"
         data = {
             "x": {"label": label, "name": chart.x_name, "unit": chart.x_unit, "log": chart.logarithmic},
             "panels": [_panel(panel) for panel in chart.panels],
@@ -109,7 +109,7 @@ def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
 
 def _panel(panel: Panel) -> dict[str, Any]:
     return {
-        "label": f"{panel.label} / {panel.unit}" if panel.unit else panel.label,
+        "label": f"{panel.label} / {_divisor(panel.unit)}" if panel.unit else panel.label,
         "unit": panel.unit,
         "log": panel.logarithmic,
         "height": panel.height,
@@ -118,6 +118,15 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
         "image": panel.image,
     }
+
+
+def _divisor(unit: str) -> str:
+    """Return a unit for an axis label, in parentheses if it is a quotient.
+
+    >>> _divisor("µm/N"), _divisor("dB")
+    ('(µm/N)', 'dB')
+    """
+    return f"({unit})" if "/" in unit else unit
 
 
 def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.damper_motion.dampers import Dampers
+from analysis.figures.frf_figure import break_at_wraps, phase_degrees
 from analysis.reporting.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.reporting.measurements import Measurement
 from rig.results.response import Response
@@ -45,7 +46,7 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
         # A logarithmic axis cannot show a lower limit of zero or below.
         low = np.maximum(modulus - bound, 1e-3 * modulus)
         magnitude.append(Curve(name, f, modulus, low, modulus + bound, color=k))
-        phase.append(Curve(name, f, np.degrees(np.angle(frf.value)), color=k))
+        phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf)), color=k))
         coherence.append(Curve(name, f, frf.coherence, color=k))
         relative_bound.append(Curve(name, f, 100.0 * bound / modulus, color=k))
     quantity = thinned[0].name
@@ -57,7 +58,7 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
-            Panel("phase", "°", phase, height=140, limits=(-185.0, 185.0), ticks=(-180, -90, 0, 90, 180)),
+            Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
             Panel("bound", "% of value", relative_bound, height=130, logarithmic=True),
         ],
@@ -158,7 +159,7 @@ def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 "Damping ratio of each mode against the amplitude of the acceleration.",
                 [Panel("damping ratio", "%", damping, height=240)],
                 x_name="amplitude",
-                x_unit="(m/s²)",
+                x_unit="m/s²",
                 logarithmic=True,
             )
         )

@@ -43,7 +43,7 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
         if not bounded:
             sentences.append(
                 f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks. "
-                "Measure more densely around the peaks, upwards and downwards."
+                "Measure more densely around the peaks, upwards and downwards, without overloads."
             )
             continue
         change = max(bounded, key=_initial_height)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.scene import Scene
 
-# Maximum number of overloads or gaps that are listed individually.
+# Maximum number of overloads, gaps or values of a setting that are listed individually.
 _MAX_LISTED = 5
 
 
@@ -167,6 +167,17 @@ def test_text(scene: Scene) -> str:
     return f"{kind}: {_on_one_line(stated)}" if stated else kind
 
 
+def _list_text(values: Sequence[object]) -> str:
+    """Return the values of a list, or the number and the ends of a long one.
+
+    >>> _list_text(["1 N", "2 N"]), _list_text([f"{k} Hz" for k in range(8, 58)])
+    ('1 N, 2 N', '50 values from 8 Hz to 57 Hz')
+    """
+    if len(values) > _MAX_LISTED:
+        return f"{len(values)} values from {values[0]} to {values[-1]}"
+    return ", ".join(map(str, values))
+
+
 def _on_one_line(settings: Mapping[str, object]) -> str:
     """Return settings on one line; a group of settings is in parentheses."""
     texts = []
@@ -174,7 +185,7 @@ def _on_one_line(settings: Mapping[str, object]) -> str:
         if isinstance(value, Mapping):
             text = f"({_on_one_line(value)})"
         else:
-            text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+            text = _list_text(value) if isinstance(value, list) else str(value)
         texts.append(f"{key} {text}")
     return ", ".join(texts)
 

@@ -17,6 +17,8 @@ from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, P
 from analysis.reporting.drawing import rig_drawing
 from analysis.reporting.measurements import highest_peak
 from analysis.reporting.report import write_report
+from analysis.reporting.responses import response_chart
+from rig.results.response import Response
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)
@@ -101,6 +103,14 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
 def test_chart_data_suit_axis_and_page(curve: Curve, logarithmic: bool, data: str) -> None:
     panel = Panel("size", "m", [curve], logarithmic=logarithmic)
     assert data in ChartWriter().write(Chart("caption", "alternative", [panel]))
+
+
+def test_phase_has_a_gap_where_it_wraps() -> None:
+    f = np.linspace(1.0, 10.0, 10)
+    curve = Response.curve(f, np.exp(1j * np.radians(np.linspace(60.0, -300.0, 10) + 1.0)), "body1")
+    phase = response_chart([curve], ["body1"]).panels[1]
+    assert phase.label == "phase" and np.isnan(phase.curves[0].y).sum() == 1
+    assert np.isfinite(phase.curves[0].x).all() and np.nanmax(abs(np.diff(phase.curves[0].y))) < 41.0
 
 
 def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tmp_path: Path) -> None:

@@ -66,7 +66,14 @@ def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tupl
             peaks.append(ModePeaks(frequency, True, objective.undamped_peak, trial.peaks))
         else:
             (damped,) = evaluator.compute(mode_objective, [trial.choice])
-            peaks.append(ModePeaks(frequency, in_band, mode_objective.undamped_peak, damped.peaks))
+            mode_low, mode_high = mode_objective.band
+            # Irregular motion has other averages on other grids of frequencies, so the largest peak is not repeated.
+            is_same = in_band and len(objective.scenes) == 1
+            damped_peaks = tuple(
+                whole if is_same and mode_low <= whole.frequency <= mode_high else own
+                for whole, own in zip(trial.peaks, damped.peaks, strict=True)
+            )
+            peaks.append(ModePeaks(frequency, in_band, mode_objective.undamped_peak, damped_peaks))
     return tuple(peaks)
 
 

@@ -103,6 +103,11 @@ class LiveFrf:
         if not sums.count:
             return None
         excited = sums.force > _EXCITED_RATIO * sums.force.max()
+        if self._hits:
+            # A pulse excites the band below the first zero of its spectrum.
+            strongest = int(sums.force.argmax())
+            beyond = np.flatnonzero(~excited[strongest:])
+            excited[strongest + beyond[0] if beyond.size else excited.size :] = False
         force, motion, cross = sums.force[excited], sums.motion[:, excited], sums.cross[:, excited]
         with np.errstate(divide="ignore", invalid="ignore"):
             coherence = np.abs(cross) ** 2 / (force * motion)

@@ -127,7 +127,7 @@ class Chart:
                 "legend": {"right": 10, "top": 0, "icon": "rect", "textStyle": {"color": _TEXT_COLOR}},
                 "tooltip": {"trigger": "axis"},
                 "grid": {"left": 70, "right": 70, "top": 42, "bottom": 40},
-                "toolbox": {"feature": {"dataZoom": {}}, "top": 22, "right": 10, "itemSize": 13},
+                "toolbox": {"feature": {"dataZoom": {}}, "top": 18, "right": 80, "itemSize": 13},
                 "xAxis": {"type": "value", "nameLocation": "middle", "nameGap": 24, "min": "dataMin",
                           "max": "dataMax", "splitLine": _GRID,
                           "axisLabel": {":formatter": _NUMBER_FORMAT, "hideOverlap": True}, **x_axis},
@@ -205,7 +205,7 @@ class Page:
         ui.switch("Record").bind_value(recordings, "enabled").props("data-testid=record")
         self._state_label = ui.label().classes("text-sm").props("data-testid=state")
         self._output_label = ui.label().classes("text-sm").props("data-testid=output")
-        self._file_label = ui.label().classes("text-sm break-all").props("data-testid=file")
+        self._file_label = ui.label().classes("text-sm break-words").props("data-testid=file")
         self._clients_label = ui.label().classes("text-sm whitespace-pre-line").props("data-testid=clients")
 
     def _add_charts(self) -> None:
@@ -227,11 +227,11 @@ class Page:
             for info in channels
             if info.body and info.quantity != "force"
         ]
+        # A hammer excites all modes, a sweep or random test a band.
+        frequency_axis = {"name": "frequency / Hz", "type": "log" if "hammer" in self._controller.kinds else "value"}
         # Its title is set by `_refresh_frf`.
-        self._frf = Chart("", {"name": "frequency / Hz"}, bodies, log_axis)
-        self._coherence = Chart(
-            "Coherence", {"name": "frequency / Hz"}, [(n, "", c) for n, _, c in bodies], {"min": 0, "max": 1}
-        )
+        self._frf = Chart("", frequency_axis, bodies, log_axis)
+        self._coherence = Chart("Coherence", frequency_axis, [(n, "", c) for n, _, c in bodies], {"min": 0, "max": 1})
         self._coherence.element.classes(replace="w-full h-40")
         if "hammer" in self._controller.kinds:
             self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})

@@ -128,6 +128,8 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
     assert bench.monitor.frf.curves().averages == 2
     hits[2].accepted = False
     assert bench.monitor.frf.curves().averages == 1
+    # The spectrum of a pulse of 8 ms, a half sine, has its first zero at 1.5 / 8 ms.
+    assert 150.0 < bench.monitor.frf.curves().frequency[-1] < 1.5 / 8e-3
     pass_time(bench, 2.5)
     bench.close()
     with daq.open(bench.recordings.paths[0]) as recording:

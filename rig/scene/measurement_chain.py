@@ -25,6 +25,7 @@ from rig.scene.quantities import (
     LENGTH,
     PER_KELVIN,
     RATIO,
+    SAMPLE_RATE,
     TEMPERATURE,
     TIME,
     VELOCITY,
@@ -243,7 +244,7 @@ class Converter(Settings):
 
     preset: Preset | None = None
     """Name of a module whose data sheet supplies the values not given here."""
-    rate: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 5120.0
+    rate: Annotated[float, Quantity(SAMPLE_RATE, above=0.0)] = 5120.0
     """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
     """Resolution, a whole number such as 24; needs `range`. None: not quantized."""

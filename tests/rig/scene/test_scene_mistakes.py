@@ -122,6 +122,8 @@ MISTAKES = [
     (STRUCTURE + FORCE + "test: {kind: random, from: 9, to: 8, duration: 1, force: 1}", ":3: test.from: not below to"),
     (STRUCTURE + FORCE + "test: {kind: multisine, from: 8.1, to: 8.9, period: 1 s, force: 1}",
      ":3: test.period: no multiple of its reciprocal lies between from and to. Give a longer period."),
+    (STRUCTURE + "converter: {rate: 25.6 kS/s}",
+     """:2: converter.rate: got "25.6 kS/s"; expected a sample rate such as 25.6 kHz"""),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 s}",
      ":2: test.width: not shorter than the interval between hits. Give a shorter width or a longer interval."),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 ms, double_hit: {after: 1 ms}}",

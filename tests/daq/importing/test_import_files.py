@@ -431,6 +431,7 @@ def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch)
     arguments = ["import", "a.csv", "--scene", "bench.yaml"]
     completed = CliRunner().invoke(app, arguments)
     assert completed.exit_code == 0 and "3000 samples of 3 channels" in completed.output, completed.output
+    assert CliRunner().invoke(app, [*arguments, "-o", "new/folder/a.mcap"]).exit_code == 0
     content = Path("a.mcap").read_bytes()
     assert CliRunner().invoke(app, arguments).exit_code == 0
     repeated = CliRunner().invoke(app, [*arguments, "--to", "1"])

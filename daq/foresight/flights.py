@@ -67,7 +67,8 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
             flight_range = f" at {format_frequencies(frequencies.tolist(), flies.tolist())}" if flies.any() else ""
         elif impacts:
             flight_range = f" first at {min(time for _, time in impacts):.2f} s"
-        names_by_range.setdefault(flight_range, []).append(f"damper {number} (body {scene.dampers[number - 1].body})")
+        body = scene.structure.label(scene.dampers[number - 1].body)
+        names_by_range.setdefault(flight_range, []).append(f"damper {number} ({body})")
     lines = []
     for flight_range, names in names_by_range.items():
         verb, plural = ("flies", "fly") if flight_range else ("stays on its floor", "stay on their floors")

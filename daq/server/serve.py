@@ -141,8 +141,9 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
         for terminal, bench_index in zip(module.channel_names("ai"), module.inputs, strict=True):
             info = chassis.bench.channels[bench_index]
             supply_note = "" if chassis.terminals.supply(bench_index) is None else ", IEPE"
+            place = chassis.bench.scene.structure.label(info.at)
             lines.append(
-                f"  {terminal}: {info.name} at {info.at}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{supply_note}"
+                f"  {terminal}: {info.name} at {place}, {1e3 * info.sensitivity:.4g} mV per {info.unit}{supply_note}"
             )
         for terminal, bench_index in zip(module.channel_names("ao"), module.outputs, strict=True):
             lines.append(f"  {terminal}: {describe_output(chassis.bench.scene, bench_index + 1)}")

@@ -103,10 +103,13 @@ def describe_output(scene: Scene, number: int) -> str:
     >>> import rig
     >>> describe_output(rig.load("bare-structure"), 1), describe_output(rig.load("fig8-no-damper"), 1)
     ('table position, 1 mm/V', 'voltage at the coil, 1 V/V')
+    >>> structure = {"masses": {"base": 2.0, "arm": 1.0}, "springs": [1e3, 1e3]}
+    >>> describe_output(rig.Scene(structure=structure, shaker={"kind": "force", "body": "arm"}), 1)
+    'force on arm, 1 N/V'
     """
     shaker = scene.shakers[number - 1]
     if isinstance(shaker, ForceShaker):
-        bodies = " and ".join(f"body {body}" for body in shaker.bodies)
+        bodies = " and ".join(map(scene.structure.label, shaker.bodies))
         return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"
     suffix = at_shaker("", number, len(scene.shakers))
     if isinstance(shaker, ElectrodynamicShaker):

@@ -147,6 +147,8 @@ def test_damper_flies_where_its_body_exceeds_gravity() -> None:
     above_gravity = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
     (line,) = daq.foresee(scene).flights
     assert line == f"damper 1 (body 1) flies at {above_gravity[0]:g} to {above_gravity[-1]:g} Hz"
+    (line,) = daq.foresee(scene.replace(structure=scene.structure.replace(names=["arm"]))).flights
+    assert line.startswith("damper 1 (arm) flies at")
     (line,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
     assert "stays on its floor" in line
 

@@ -221,14 +221,19 @@ def frequency_responses(
     else:
         used = required_channels(rec, names, reference)
         computed = BY_KIND[kind].estimate(Request(rec, names, reference, motion, blocks, progress, used, measured))
+    warnings = [
+        f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
+        for marker in rec.markers
+        if marker.kind == "abort"
+    ]
     unfiltered = [name for name in used if not rec.channels[name].filter]
-    if not rec.source or not unfiltered:
-        return computed
-    warning = (
-        f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty excludes "
-        "aliasing from above half the sample rate. Name the filter in the scene (converter: preset, or filter)."
-    )
-    return [response.warn(warning) for response in computed]
+    if rec.source and unfiltered:
+        warnings.append(
+            f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty "
+            "excludes aliasing from above half the sample rate. Name the filter in the scene (converter: preset, or "
+            "filter)."
+        )
+    return [response.warn(*warnings) for response in computed]
 
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:

@@ -271,3 +271,13 @@ def test_transient_of_a_mode_is_bounded_at_most_lines(decay_per_period):
     error = abs(transient.mean(axis=0)[0])
     significant = error > 0.2
     assert np.mean(bound[significant] > 0.8 * error[significant]) > 0.9
+
+
+def test_early_end_of_the_test_is_reported(tmp_path):
+    motion = np.cos(2.0 * np.pi * 10.0 / synthetic.RATE * np.arange(2560))
+    measured = {"frequency": 10.0, "level": 1.0, "direction": "up", "settled": True}
+    marks = [("measure", 0, 2559, measured), ("abort", 2559, 2559, {"reason": "interrupted"})]
+    samples = np.outer([1e-5, 2e-5, 3e-5, 2e-4], motion)
+    path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), synthetic.channels(), samples, marks)
+    (warning,) = analysis.frf(path)[0].warnings
+    assert "ended early (interrupted)" in warning

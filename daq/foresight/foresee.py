@@ -18,7 +18,7 @@ from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, format_quantity
 from daq.foresight.linear import lowest_signal_to_noise, required_drive
-from daq.foresight.rehearsal import Rehearsal, recording_size
+from daq.foresight.rehearsal import POWER_ON_RATIO, Rehearsal, recording_size
 from daq.foresight.rehearsal_plan import (
     RehearsalPlan,
     affordable_seconds,
@@ -48,8 +48,6 @@ _LIMITED_DRIVE_RATIO = 0.999
 _MAX_SECANT_STEPS = 3
 # Relative tolerance of the largest permissible level.
 _LEVEL_TOLERANCE = 0.02
-# A maximum before this fraction of the settling time of the sensor's bias is the power-on transient.
-_POWER_ON_RATIO = 0.5
 # If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
 # proportion.
 _MAX_LEVEL_RATIO = 4.0
@@ -205,11 +203,12 @@ class _Assessment:
             largest, frequency, time = self.unlimited_test.largest("readings", row)
             driven = None
             limit, limiting_part = reading_limit(settings.get(info.name), info)
-            if _POWER_ON_RATIO * settling_time(info) > self.unlimited_test.reading_time(row):
+            if POWER_ON_RATIO * settling_time(info) > self.unlimited_test.reading_time(row):
                 # While the bias of a sensor settles, its reading is not a response to the tone.
                 frequency, time = None, self.unlimited_test.reading_time(row)
-                later_peaks = (float(part.readings.magnitude[row]) for part in self.unlimited_test.parts[1:])
-                driven = max(later_peaks, default=largest)
+                first, *later = self.unlimited_test.parts
+                later_peaks = (float(part.readings.magnitude[row]) for part in later)
+                driven = max(later_peaks, default=float(first.driven_readings.magnitude[row])) or largest
             recorded = min(self.rehearsed_test.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
                 info.name, info.unit, largest, frequency, time, limit, limiting_part, largest > limit, recorded, driven

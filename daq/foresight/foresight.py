@@ -51,7 +51,8 @@ class Expectation:
         """Frequency or time of the maximum, as text."""
         if self.frequency is not None:
             return f"{self.frequency:.4g} Hz"
-        return "" if self.time is None else f"{self.time:.2f} s"
+        cause = "" if self.driven is None else ", bias settling"
+        return "" if self.time is None else f"{self.time:.2f} s{cause}"
 
     def __str__(self) -> str:
         location = f" at {self.place}" if self.place else ""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from daq.excitation import excitation
 from daq.excitation.swept_sine import sweep_frequency
+from daq.excitation.impulse import settling_time
 from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench, Block
@@ -24,6 +25,8 @@ from rig.arrays import Array
 from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 
+#: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
+POWER_ON_RATIO = 0.5
 # Time after a stored impact of a damper in which its further impacts are not stored, s.
 _MIN_IMPACT_INTERVAL_S = 0.5
 # Duration at the end of a rehearsal whose blocks are stored, s.
@@ -68,6 +71,10 @@ class Rehearsal(BenchLoop):
         bench = self.bench
         self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
         self.readings = Extremes(len(bench.channels))
+        powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
+        self._powered_on = np.round(powered_on_s * self.rate)
+        # Readings after the power-on transient.
+        self.driven_readings = Extremes(len(bench.channels))
         self.overloaded = [False] * len(bench.channels)
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
@@ -124,6 +131,7 @@ class Rehearsal(BenchLoop):
             return
         motion = block.motion
         self.readings.add(block.first, readings)
+        self.driven_readings.add(block.first, np.where(block.first >= self._powered_on[:, None], readings, 0.0))
         self.accelerations.add(motion.first, motion.acceleration)
         self.displacements.add(motion.first, motion.displacement)
         for event in motion.events[motion.events["speed"] > 0.0]:

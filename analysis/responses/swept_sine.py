@@ -25,6 +25,7 @@ from analysis.responses.systematic import UNSETTLED, power_in_counts, reproducib
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
+from rig.results import format_number
 from rig.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
@@ -80,9 +81,10 @@ class SweptTone:
         too_fast = error / abs(frf.value) > _MAX_SWEEP_ERROR_RATIO
         if not np.sum(too_fast) > _MAX_FAST_SHARE * np.sum(error > 0.0):
             return frf
-        band = frf.frequency[np.flatnonzero(too_fast)[[0, -1]]]
+        # Two digits, so that responses with nearly the same band share one warning.
+        low, high = (format_number(float(f"{end:.2g}")) for end in frf.frequency[np.flatnonzero(too_fast)[[0, -1]]])
         return frf.warn(
-            f"Between {band[0]:.4g} and {band[1]:.4g} Hz this sweep is too fast to reach steady state with dampers in "
+            f"Between {low} and {high} Hz this sweep is too fast to reach steady state with dampers in "
             f"flight, so the curve is a transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use "
             "stepped sine."
         )

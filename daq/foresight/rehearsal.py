@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.excitation import excitation
-from daq.excitation.swept_sine import sweep_frequency
 from daq.excitation.impulse import settling_time
+from daq.excitation.swept_sine import sweep_frequency
 from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench, Block

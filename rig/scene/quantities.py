@@ -216,7 +216,7 @@ def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, flo
     pair = positive_values(values, kind, name).tolist()
     if len(pair) != 2 or not pair[0] < pair[1]:
         texts = ", ".join(f"{number:g} {kind.si}" for number in pair)
-        raise SceneError(f"{name}: got {texts}; expected two different values, the smaller one first")
+        raise SceneError(f"{name}: got {texts}; expected two values, the smaller one first")
     return pair[0], pair[1]
 
 

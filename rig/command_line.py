@@ -97,7 +97,7 @@ def run_command(module: str) -> NoReturn:
         except BaseException as error:
             _set_termination_handler(signal.SIG_DFL)
             code = _report(error, debug)
-    gc.disable()
+    gc.freeze()
     sys.exit(128 + received_signals[0] if code == _INTERRUPTED_CODE and received_signals else code)
 
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 # Number of samples of each channel that are read at a time.
 PIECE_SAMPLES = 1 << 16
+# Least number of samples of each channel that are read for successive short segments. A measured window of a tone has
+# about as many samples; those between the windows are not needed.
+_READ_AHEAD_SAMPLES = 1 << 12
 
 
 @dataclass(frozen=True)
@@ -91,24 +94,17 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
     `bounds`: start and stop of each segment. The starts must not decrease; segments may overlap. Samples that are lost
     or after the end of the recording are NaN.
     """
-    cached: dict[int, Array] = {}
+    first, buffer = 0, np.empty((len(channels), 0))
     for start, stop in bounds:
-        numbers = range(start // PIECE_SAMPLES, -(-min(stop, rec.samples) // PIECE_SAMPLES))  # rounded up
-        cached = {
-            number: cached[number] if number in cached else _read_piece(rec, channels, number) for number in numbers
-        }
+        begin = max(start, first + buffer.shape[1])
+        first, buffer = start, buffer[:, start - first :]
+        if min(stop, rec.samples) > begin:
+            ahead = min(max(stop, begin + _READ_AHEAD_SAMPLES), rec.samples)
+            buffer = np.hstack([buffer, np.stack([rec.read(name, begin, ahead) for name in channels])])
         segment = np.full((len(channels), stop - start), np.nan)
-        for number, piece in cached.items():
-            first = number * PIECE_SAMPLES
-            low, high = max(first, start), min(first + piece.shape[1], stop)
-            if high > low:
-                segment[:, low - start : high - start] = piece[:, low - first : high - first]
+        available = buffer[:, : stop - start]
+        segment[:, : available.shape[1]] = available
         yield segment
-
-
-def _read_piece(rec: Recording, channels: Sequence[str], number: int) -> Array:
-    first, stop = number * PIECE_SAMPLES, min((number + 1) * PIECE_SAMPLES, rec.samples)
-    return np.stack([rec.read(name, first, stop) for name in channels])
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:

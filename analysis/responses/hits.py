@@ -167,6 +167,8 @@ class Hits:
         result has the shape (lines,).
         """
         power, noise = np.zeros(frequency.size), []
+        longest = max((end + 1 - begin for span in segments for begin, end in self.inside(*span)), default=0)
+        phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(longest))
         info = rec.channels[self.channel]
         # Rounding adds 1/12 count² even if it is not visible before the hit.
         rounding_variance = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
@@ -174,8 +176,7 @@ class Hits:
             for begin, end in self.inside(start, stop):
                 before = rec.read(self.channel, max(start, begin - int(PRE_HIT_S * rec.rate)), begin)
                 pulse = rec.read(self.channel, begin, end + 1)
-                phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(pulse.size))
-                power += abs(phases @ (pulse - before.mean() if before.size else pulse)) ** 2
+                power += abs(phases[:, : pulse.size] @ (pulse - before.mean() if before.size else pulse)) ** 2
                 if before.size > 2:
                     # Differences between samples are insensitive to the tail of an earlier hit.
                     noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance))

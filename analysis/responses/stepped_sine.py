@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from analysis.recordings.slices import read_slices
+from analysis.recordings.slices import PIECE_SAMPLES, read_slices
 from analysis.responses.clean_segments import describe_flaws, flaws
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, residual_transient
@@ -75,7 +75,7 @@ class _Part:
 
 
 class LockIn:
-    """Lock-in detection of a tone and its harmonics, with samples added part by part.
+    """Lock-in detection of a tone and its harmonics, with samples added in one or several parts at a time.
 
     All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
     each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and negative
@@ -84,8 +84,7 @@ class LockIn:
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
-    >>> for part in np.split(2.0 * np.cos(2 * np.pi * 10.0 * t - 0.5)[None] + 7.0, 4, axis=1):
-    ...     lockin.add(part)
+    >>> lockin.add(2.0 * np.cos(2 * np.pi * 10.0 * t - 0.5)[None] + 7.0, [1024, 1024, 976, 976])
     >>> tone = lockin.tone()
     >>> print(f"{abs(tone.amplitude[0, 0]):.6f}, {np.angle(tone.amplitude[0, 0]):.6f} rad")
     2.000000, -0.500000 rad
@@ -108,20 +107,27 @@ class LockIn:
         self._parts: list[_Part] = []
         self._samples = 0
 
-    def add(self, samples: Array) -> None:
-        """Add the next part of the window, shape (channels, samples); parts are contiguous."""
-        length = samples.shape[1]
-        pieces = list(self._pieces(length))
-        projection = np.zeros((2 * self.harmonics + 2, len(samples)))
-        for start, rotation, basis in pieces:
-            projection += rotation @ (basis @ samples[:, start : start + basis.shape[1]].T)
-        coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
-        squares = np.zeros(len(samples))
-        for start, rotation, basis in pieces:
-            residual = samples[:, start : start + basis.shape[1]] - (coefficients.T @ rotation) @ basis
-            squares += np.einsum("ij,ij->i", residual, residual)
-        self._parts.append(_Part(self._samples, length, projection, coefficients, squares, samples[:, [0, -1]].T))
-        self._samples += length
+    def add(self, samples: Array, lengths: Sequence[int]) -> None:
+        """Add the next parts of the window: their samples, shape (channels, samples), and the length of each part."""
+        firsts = np.cumsum([0, *lengths])[:-1]
+        added: dict[int, _Part] = {}
+        # Parts of equal length are fitted together.
+        for length in set(lengths):
+            numbers = [number for number, other in enumerate(lengths) if other == length]
+            parts = np.stack([samples[:, firsts[number] : firsts[number] + length] for number in numbers])
+            pieces = list(self._pieces(length))
+            projection = np.zeros((len(parts), 2 * self.harmonics + 2, len(samples)))
+            for start, rotation, basis in pieces:
+                projection += rotation @ (basis @ parts[:, :, start : start + basis.shape[1]].mT)
+            coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
+            squares = np.zeros(parts.shape[:2])
+            for start, rotation, basis in pieces:
+                residual = parts[:, :, start : start + basis.shape[1]] - (coefficients.mT @ rotation) @ basis
+                squares += np.einsum("kij,kij->ki", residual, residual)
+            for number, *fit in zip(numbers, projection, coefficients, squares, parts[:, :, [0, -1]].mT, strict=True):
+                added[number] = _Part(self._samples + int(firsts[number]), length, *fit)
+        self._parts += [added[number] for number in range(len(lengths))]
+        self._samples += samples.shape[1]
 
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
@@ -251,6 +257,12 @@ def parts_of_whole_periods(
     return list(pairwise(edges))
 
 
+def _batches(parts: Sequence[tuple[int, int]]) -> list[Sequence[tuple[int, int]]]:
+    """Group parts that are read together, in bounded memory."""
+    size = max(1, PIECE_SAMPLES // max(stop - first for first, stop in parts))
+    return [parts[index : index + size] for index in range(0, len(parts), size)]
+
+
 # Level (N, or the unit of the drive) and direction of a sweep, which identify it.
 _SweepKey = tuple[float, str]
 
@@ -307,13 +319,13 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     for marker in markers:
         stop = rec.samples if marker.last_sample is None else marker.stop
         windows.append((int(marker.first_sample), min(stop, rec.samples)))
-    parts = [
-        parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate)
+    batches = [
+        _batches(parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate))
         for marker, window in zip(markers, windows, strict=True)
     ]
-    part_samples = read_slices(rec, names, (part for group in parts for part in group))
-    for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, parts, strict=True), 1):
-        samples = (next(part_samples) for _ in group)
+    batch_samples = read_slices(rec, names, ((batch[0][0], batch[-1][1]) for group in batches for batch in group))
+    for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, batches, strict=True), 1):
+        samples = (next(batch_samples) for _ in group)
         frequency = float(marker.fields["frequency"])
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
         window_flaws = flaws(rec, names, first, stop)
@@ -324,11 +336,12 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
             omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
         else:
             # Harmonics below half the sample rate, with at most half as many terms as samples of a part.
-            shortest_part = min(end - begin for begin, end in group)
+            lengths = [[end - begin for begin, end in batch] for batch in group]
+            shortest_part = min(map(min, lengths))
             harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest_part - 2) // 4)))
             lockin = LockIn(frequency, rec.rate, harmonics)
-            for part in samples:
-                lockin.add(part)
+            for batch, batch_lengths in zip(samples, lengths, strict=True):
+                lockin.add(batch, batch_lengths)
             steady = marker.fields.get("settled") is not False
             points.setdefault(key, []).append(_Point(lockin.tone(), (first, stop), steady))
         # The samples of an omitted window are skipped.

@@ -75,7 +75,7 @@ def fit(curves: Curves, start: ComplexArray) -> ModalModel:
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
-            lambda x: problem.reduced_jacobian(x)[:, -1], x, lambda x: problem.reduced_jacobian(x)[:, :-1],
+            problem.reduced_residual, x, problem.reduced_jacobian,
             xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_MAX_EVALUATIONS,
         ).x  # fmt: skip
     poles = problem.poles(x)
@@ -185,7 +185,6 @@ class Projection:
         self.residual_terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms])
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
-        self._stored_jacobian: tuple[Array, Array] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
         """Convert parameters to poles, rad/s.
@@ -230,18 +229,23 @@ class Projection:
         factors = self.factors(x)
         return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
 
+    def reduced_residual(self, x: Array) -> Array:
+        """Return the residuals after the rotation in which only the first is not zero; see `reduced_jacobian`."""
+        reduced = np.zeros(min(self.target.size, x.size + 1))
+        reduced[0] = np.linalg.norm(self.residual(x))
+        return reduced
+
     def reduced_jacobian(self, x: Array) -> Array:
-        """Return the triangular factor of the Jacobian with the residuals as last column.
+        """Return the triangular factor of the residuals and their Jacobian, without its first column: the residuals.
 
         It is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete ones.
         """
-        if self._stored_jacobian is None or not np.array_equal(self._stored_jacobian[0], x):
-            jacobian = self.jacobian(x)
-            rows = np.concatenate([jacobian, self.residual(x).reshape(*jacobian.shape[:2], 1)], axis=2)
-            triangles = np.asarray(np.linalg.qr(rows, mode="r"))
-            triangle = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
-            self._stored_jacobian = x.copy(), triangle
-        return self._stored_jacobian[1]
+        jacobian = self.jacobian(x)
+        rows = np.concatenate([self.residual(x).reshape(*jacobian.shape[:2], 1), jacobian], axis=2)
+        triangles = np.asarray(np.linalg.qr(rows, mode="r"))
+        triangle = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
+        triangle[0] *= np.copysign(1.0, triangle[0, 0])
+        return triangle[:, 1:]
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""

@@ -63,7 +63,7 @@ def test_reduced_jacobian_has_the_same_normal_matrix(curves: Curves) -> None:
     x = np.array([0.1, -0.05, 0.02, 0.03])
     # Jacobian of the four parameters, and the residuals.
     rows = np.column_stack([problem.jacobian(x).reshape(-1, 4), problem.residual(x)])
-    reduced = problem.reduced_jacobian(x)
+    reduced = np.column_stack([problem.reduced_jacobian(x), problem.reduced_residual(x)])
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows
     np.testing.assert_allclose(reduced.T @ reduced, expected, rtol=1e-9, atol=1e-12 * abs(expected).max())

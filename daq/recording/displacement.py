@@ -65,19 +65,20 @@ class DisplacementFilter:
         self._sections: Array | None = None
         if quantity == "displacement":
             return
-        from scipy.signal import bilinear_zpk, zpk2sos
-
-        corner = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
+        # The bilinear transform replaces s by k (z - 1) / (z + 1).
+        k, corner = 2.0 * rate, 2 * np.pi * HIGH_PASS_HZ
+        middle, damping = k**2 + corner**2, np.sqrt(2.0) * corner * k
+        section = np.array([k, 0.0, -k, 2.0 * (corner**2 - k**2), middle - damping]) / (middle + damping)
         order = {"velocity": 1, "acceleration": 2}[quantity]
-        zeros, poles = np.zeros(order), np.tile(corner, order)
-        self._sections = zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=rate))
-        self._state = np.zeros((self._sections.shape[0], 2))
+        self._sections, self._state = np.tile(section, (order, 1)), np.zeros((order, 2))
 
     def run(self, samples: Array) -> Array:
         """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
         if self._sections is None or not samples.size:
             return samples
-        from scipy.signal import sosfilt
+        # Imported here, because a recording of displacements needs no compiled code.
+        from daq.dsp.sections import filter_sections
 
-        result, self._state = sosfilt(self._sections, samples, zi=self._state)
-        return np.asarray(result)
+        displacement = np.array(samples, dtype=float)
+        filter_sections(self._sections, self._state, displacement)
+        return displacement

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import struct
 from typing import TYPE_CHECKING
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -132,8 +131,8 @@ class RobotDescription:
 
     def urdf(self) -> str:
         """Return the description as URDF; the robot's name states the exaggeration."""
-        name = quoteattr(f"rig, motion drawn x {self.exaggeration:g}")
-        return f'<?xml version="1.0"?><robot name={name}>{"".join(self._links + self._joints)}</robot>'
+        name = f"rig, motion drawn x {self.exaggeration:g}"
+        return f'<?xml version="1.0"?><robot name="{name}">{"".join(self._links + self._joints)}</robot>'
 
     def transforms(self, times_ns: NDArray[np.uint64], displacements: Array) -> NDArray[np.uint8]:
         """Encode displacements in m (for a damper its gap), shape (points, messages), as foxglove.FrameTransforms."""

@@ -365,11 +365,14 @@ COMMON_FACTORS = {
     ("ug/sqrt(Hz)", "m/s^2/sqrt(Hz)"): Fraction("9.80665") / 1_000_000,
     ("mN/sqrt(Hz)", "N/sqrt(Hz)"): Fraction(1, 1000),
     ("nV/sqrt(Hz)", "V/sqrt(Hz)"): Fraction(1, 10**9),
+    ("uV/sqrt(Hz)", "V/sqrt(Hz)"): Fraction(1, 10**6),
+    ("MHz", "Hz"): Fraction(10**6),
     ("g", "m/s^2"): Fraction("9.80665"),
     ("MN/m", "N/m"): Fraction(10**6),
     ("mV", "V"): Fraction(1, 1000),
     ("mA", "A"): Fraction(1, 1000),
     ("mH", "H"): Fraction(1, 1000),
+    ("uH", "H"): Fraction(1, 10**6),
     ("MPa", "Pa"): Fraction(10**6),
 }
 

@@ -249,7 +249,7 @@ def export(
     from analysis.recordings.names import opened
     from analysis.recordings.slices import Slice
 
-    [path], target = _paths(recording), Path(output)
+    path, target = _path(recording), Path(output)
     if what != "samples":
         export_results(path, target, what, overwrite, progress)
         return target
@@ -302,14 +302,29 @@ def paper(
 
 
 def _as_list(recordings: Recordings) -> list[OneRecording]:
+    from analysis.recordings.names import require_recording
+
     is_single = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
-    return [recordings] if is_single else list(recordings)  # type: ignore[arg-type, list-item]
+    sources: Any = [recordings] if is_single or not isinstance(recordings, Iterable) else list(recordings)
+    for source in sources:
+        require_recording(source, "recordings")
+    return list(sources)
 
 
 def _paths(recordings: Recordings) -> list[Path]:
     return [
         Path(recording) if isinstance(recording, str | Path) else recording.path for recording in _as_list(recordings)
     ]
+
+
+def _path(recording: OneRecording) -> Path:
+    """Return the path of a single recording."""
+    from rig.errors import RecordingError
+
+    paths = _paths(recording)
+    if len(paths) != 1:
+        raise RecordingError(f"recording: got {len(paths)} recordings; expected one")
+    return paths[0]
 
 
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:

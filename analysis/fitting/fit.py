@@ -16,7 +16,7 @@ from analysis.fitting.identifiability import LevelDamping, coupled_values, dampi
 from analysis.fitting.measured import Curves, measured_curves
 from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.fitting.problem import Group, Problem
-from analysis.recordings.names import as_context
+from analysis.recordings.names import as_context, require_recording
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
@@ -222,8 +222,7 @@ def fit(
     report("reading")
     sources: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
     for recording in sources:
-        if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
-            raise RecordingError(f"fit: {recording!r:.60} is not a recording. Give paths, or recordings from daq.open.")
+        require_recording(recording, "fit")
     paths = [Path(source) if isinstance(source, str | Path) else source.path for source in sources]
     for first, duplicate in duplicate_files(paths):
         raise SceneError(f"{duplicate}: the same content as {first}. Give each recording once.")

@@ -47,6 +47,14 @@ def as_context(recording: Recording | str | Path) -> AbstractContextManager[Reco
     return opened(Path(recording)) if isinstance(recording, str | Path) else nullcontext(recording)
 
 
+def require_recording(recording: object, name: str) -> None:
+    """Reject an argument that is neither a path nor a recording; the message begins with `name`."""
+    if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
+        raise RecordingError(
+            f"{name}: got {recording!r:.60}; expected a recording: its path, or the object of daq.open"
+        )
+
+
 def takes_path(
     function: Callable[Concatenate[Recording, Parameters], Returned],
 ) -> Callable[Concatenate[Recording | str | Path, Parameters], Returned]:
@@ -56,10 +64,7 @@ def takes_path(
     def with_opened(
         recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
     ) -> Returned:
-        if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
-            raise RecordingError(
-                f"{function.__name__}: got {recording!r:.60}; expected a recording: its path, or the object of daq.open"
-            )
+        require_recording(recording, function.__name__)
         with as_context(recording) as rec:
             return function(rec, *args, **kwargs)
 

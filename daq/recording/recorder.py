@@ -30,12 +30,12 @@ from daq.recording.sample_block import SCHEMAS, block_schema, encode, stored_as
 from daq.recording.sample_groups import Group, Grouping
 from rig.arrays import Array
 from rig.ending_signals import delayed_interrupt
-from rig.errors import RunError
+from rig.errors import RecordingError, RunError
+from rig.scene.loading import SceneLike, scene_of
 
 if TYPE_CHECKING:
     from daq.recording.recorded_test import TestKind
     from daq.signal_chain.channel import ChannelInfo
-    from rig.scene.scene import Scene
     from rig.simulation.motion import Motion
 
 # Compression of each storage type. No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them
@@ -59,8 +59,9 @@ class Recorder:
     ----------
     path : str or Path
         File to create, in an existing folder.
-    scene : Scene
-        Scene to store in the file; its `recording` states how samples are stored and what else is recorded.
+    scene : Scene, str, Path or mapping
+        Scene to store in the file, or an argument of `rig.load`; its `recording` states how samples are stored and what
+        else is recorded.
     channels : sequence of ChannelInfo
         Description of each row of the samples.
     rate : float
@@ -77,7 +78,7 @@ class Recorder:
     Raises
     ------
     RecordingError
-        If the file exists, or cannot be created.
+        If there are no channels, or the file exists or cannot be created.
     DiskError
         If the disk is full or fails.
     """
@@ -85,7 +86,7 @@ class Recorder:
     def __init__(
         self,
         path: str | Path,
-        scene: Scene,
+        scene: SceneLike,
         channels: Sequence[ChannelInfo],
         rate: float,
         start_ns: int = 0,
@@ -94,7 +95,9 @@ class Recorder:
         test_kind: TestKind | None = None,
     ) -> None:
         self.path = Path(path)
-        self.channels = tuple(channels)
+        self.channels, scene = tuple(channels), scene_of(scene)
+        if not self.channels:
+            raise RecordingError(f"{self.path}: no channels. Give a ChannelInfo for each row of the samples.")
         self.clock = Timebase(rate, start_ns)
         self.closed = False
         self._scene, self._source, self._test_kind = scene, source, test_kind

@@ -12,7 +12,8 @@ from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
 from rig.engine.trajectory import Trajectory, event_table
-from rig.errors import SceneError
+from rig.scene.loading import SceneLike, scene_of
+from rig.scene.quantities import FREQUENCY, positive_value
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
 from rig.simulation.motion import Motion
@@ -29,6 +30,13 @@ class Plant:
 
     The motion between samples is exact, including contacts, for any division of the drive into blocks.
 
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or an argument of `rig.load`.
+    rate : float or str
+        Samples per second, in Hz or as a text such as ``"5120 Hz"``.
+
     Attributes
     ----------
     inputs, drive_units : tuple of str
@@ -38,10 +46,8 @@ class Plant:
         "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     """
 
-    def __init__(self, scene: Scene, rate: float) -> None:
-        if not (np.isfinite(rate) and rate > 0.0):
-            raise SceneError(f"rate: got {rate!r}; expected a positive number of samples per second")
-        self.rate = float(rate)
+    def __init__(self, scene: SceneLike, rate: float | str = 5120.0) -> None:
+        scene, self.rate = scene_of(scene), positive_value(rate, FREQUENCY, "rate")
         self.system = assemble(scene)
         self.inputs, self.drive_units = self.system.inputs, self.system.drive_units
         self.points = self.system.points

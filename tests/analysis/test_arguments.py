@@ -12,6 +12,7 @@ import analysis
 import daq
 import rig
 from analysis.modal.modes import Modes
+from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, SceneError, ShotrigError
 from rig.results.response import Response
 from tests.analysis.responses import synthetic
@@ -85,7 +86,10 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.identify(SWEEP), "expected several curves, as analysis.frfs"),
         (lambda: analysis.identify([]), "got []; expected several curves"),
         (lambda: analysis.read_frfs(7), "path: got 7; expected the path of a file"),
-        (lambda: analysis.fit(7, "bare-structure"), "fit: 7 is not a recording"),
+        (lambda: analysis.fit(7, "bare-structure"), "fit: got 7; expected a recording: its path"),
+        (lambda: analysis.modes(7), "recordings: got 7; expected a recording: its path"),
+        (lambda: analysis.compare([SWEEP, None]), "recordings: got None; expected a recording"),
+        (lambda: analysis.export([SWEEP, SWEEP], "a.npz"), "recording: got 2 recordings; expected one"),
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),
         (lambda: daq.open(7), "path: got 7; expected the path of a file"),
@@ -95,6 +99,10 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: daq.recover(None, "a.mcap"), "path: got None; expected the path of a file"),
         (lambda: daq.import_files(7, "fig9", "a.mcap"), "files: got 7; expected the path of a file"),
         (lambda: rig.explain(7), "scene: got 7; expected a name"),
+        (lambda: rig.Plant("fig99"), "Did you mean 'fig9'"),
+        (lambda: rig.Plant(BRACKET, "5 V"), "is not a unit of frequency"),
+        (lambda: daq.Recorder("a.mcap", 7, [ChannelInfo("a", "body 1", "force", 1.0, 9.0)], 9.0), "scene: got 7"),
+        (lambda: daq.Recorder("a.mcap", BRACKET, [], 9.0), "a.mcap: no channels"),
         (lambda: rig.simulate(BRACKET, None), "duration: got None"),
         (lambda: rig.simulate(BRACKET, object()), "is not a number; expected a time such as 4 ms"),
         (lambda: rig.periodic_orbit("fig9", None), "frequency: got nan"),

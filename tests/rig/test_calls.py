@@ -23,6 +23,11 @@ def test_scene_built_in_python_survives_yaml() -> None:
     assert "0.5 mm" in scene.to_yaml()
 
 
+def test_plant_takes_the_name_of_a_scene() -> None:
+    plant, expected = rig.Plant("fig9"), rig.simulate("fig9", "5 ms", drive=np.ones((1, 20)))
+    assert np.array_equal(plant.advance(np.ones((1, 20))).displacement, expected.displacement)
+
+
 def test_scene_built_in_python_names_all_mistakes() -> None:
     with pytest.raises(rig.SceneError) as caught:
         rig.Scene(structure=STRUCTURE, dampers=[DAMPER | {"body": 7}, DAMPER | {"clearence": 1}])

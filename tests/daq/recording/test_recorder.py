@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 import daq
+import rig
 from daq.recording.committed_file import RESERVE, CommittedFile
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
@@ -205,16 +206,10 @@ def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
         assert (recording.status, recording.metadata["outcome"]["reason"]) == (status, str(error))
 
 
-def test_scene_that_fails_leaves_no_file(tmp_path):
-    class FailingScene:
-        recording = make_scene().recording
-        converter = make_scene().converter
-
-        def __getattr__(self, name):
-            raise RuntimeError(name)
-
-    with pytest.raises(RuntimeError):
-        Recorder(tmp_path / "a.mcap", FailingScene(), two_channels(), RATE)
+def test_scene_that_fails_leaves_no_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(rig.Scene, "to_si_yaml", lambda _: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -592,6 +592,7 @@ class Response(Result, Sequence["Response"]):
             ),
             uncertainty=budget,
             coherence=None,  # type: ignore[arg-type]
+            unsteady=_any_unsteady((self, other)),
             label=f"{self.label} / {other.label}" if other.label else self.label,
             warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings])),
         )
@@ -613,7 +614,7 @@ class Response(Result, Sequence["Response"]):
             value=interpolate(ordered.value),
             uncertainty=ordered.uncertainty.with_arrays(interpolate, None),
             coherence=interpolate(ordered.coherence),
-            unsteady=None,
+            unsteady=None if ordered.unsteady is None else interpolate(ordered.unsteady.astype(float)) > 0.0,
             amplitude=None if ordered.amplitude is None else interpolate(ordered.amplitude),
         )
 
@@ -706,26 +707,33 @@ def stack(curves: Sequence[Response]) -> Response:
         lines = np.unique(np.concatenate([curve.frequency for curve in curves]))
         curves = [_with_added_lines(curve, lines) for curve in curves]
     shape = (curves[0].frequency.size, len(curves), len(first.inputs))
-    unsteady = [curve.unsteady for curve in curves if curve.unsteady is not None]
+    amplitudes = [curve.amplitude for curve in curves if curve.amplitude is not None]
     return replace(
         curves[0],
         value=np.stack([curve.value for curve in curves], axis=1).reshape(shape),
         outputs=tuple(curve.outputs[0] for curve in curves),
         uncertainty=stack_budgets([curve.uncertainty for curve in curves], shape),
         coherence=np.stack([curve.coherence for curve in curves], axis=1).reshape(shape[:2]),
-        unsteady=np.any(unsteady, axis=0) if unsteady else None,
+        unsteady=_any_unsteady(curves),
+        amplitude=np.fmax.reduce(amplitudes) if amplitudes else None,
         omitted=np.unique(np.concatenate([curve.omitted for curve in curves])),
         resolution=max(curve.resolution for curve in curves),
         warnings=tuple(dict.fromkeys(text for curve in curves for text in curve.warnings)),
     )
 
 
+def _any_unsteady(curves: Sequence[Response]) -> NDArray[np.bool_] | None:
+    """Return the lines at which a curve is not steady; None if no curve states it."""
+    flags = [curve.unsteady for curve in curves if curve.unsteady is not None]
+    return np.any(flags, axis=0) if flags else None
+
+
 def _with_added_lines(curve: Response, lines: Array) -> Response:
     """Return a curve at a superset of its lines, NaN at the added lines."""
     positions = np.searchsorted(lines, curve.frequency)
 
-    def fill_added_lines(column: NDArray[Any]) -> NDArray[Any]:
-        filled = np.full((lines.size, *column.shape[1:]), np.nan, dtype=np.result_type(column, float))
+    def fill_added_lines(column: NDArray[Any], value: Any = np.nan) -> NDArray[Any]:
+        filled = np.full((lines.size, *column.shape[1:]), value, dtype=np.result_type(column, value))
         filled[positions] = column
         return filled
 
@@ -735,7 +743,7 @@ def _with_added_lines(curve: Response, lines: Array) -> Response:
         value=fill_added_lines(curve.value),
         uncertainty=curve.uncertainty.with_arrays(fill_added_lines, None),
         coherence=fill_added_lines(curve.coherence),
-        unsteady=None,
+        unsteady=None if curve.unsteady is None else fill_added_lines(curve.unsteady, False),
         amplitude=None if curve.amplitude is None else fill_added_lines(curve.amplitude),
     )
 

@@ -115,6 +115,16 @@ def test_stacked_curves_share_lines() -> None:
     np.testing.assert_array_equal(both["body1"].bound(), curve().bound())
 
 
+def test_unsteady_lines_remain_marked_at_other_lines() -> None:
+    first, second = (curve(name, unsteady=LINES == line, amplitude=LINES) for name, line in (("a", 14.0), ("b", 20.0)))
+    both = stack([first.band(10.0, 25.0), second.band(15.0, 30.0)])
+    assert LINES[both.unsteady].tolist() == [14.0, 20.0]
+    np.testing.assert_array_equal(both.amplitude, LINES)
+    assert LINES[(first / second.band(15.0, 30.0)).unsteady].tolist() == [14.0, 20.0]
+    # Interpolation uses the lines on both sides.
+    assert first.interpolated(np.array([13.9, 14.2, 14.6])).unsteady.tolist() == [True, True, False]
+
+
 def test_exact_response_has_no_uncertainty() -> None:
     exact = Response.curve(LINES, curve().value, "body1", uncertainty=UncertaintyBudget())
     assert not exact.bound().any() and not exact.error.any()

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from math import inf, isinf, log10, sqrt
+from math import floor, inf, isinf, log10, sqrt
 
 import numpy as np
 
 from analysis.modal.modes import Modes
-from rig.results import format_number
+from rig.results import format_decimals, format_number
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY
 
@@ -193,6 +193,11 @@ class PeakChange:
         )
 
     @property
+    def shift_decimals(self) -> int:
+        """Number of decimals that resolve the shift to a thousandth of the frequency or better."""
+        return max(2, 3 - floor(log10(self.mode)))
+
+    @property
     def equivalent_damping(self) -> float:
         """Viscous damping ratio of the bare structure that would lower its peak by the same amount."""
         return self.damping * self.bare.value / self.damped.value
@@ -272,8 +277,8 @@ def uncompared_highest_peaks(modes: Modes, bare: Sequence[Response]) -> list[str
             else ""
         )
         messages.append(
-            f"{curve.response}: the highest peak, at {f[highest]:.2f} Hz{ratio}, is not compared, because no mode was "
-            "identified there. `analysis frf` shows its height and uncertainty."
+            f"{curve.response}: the highest peak, at {format_decimals(f[highest], 2)} Hz{ratio}, is not compared, "
+            "because no mode was identified there. `analysis frf` shows its height and uncertainty."
         )
     return messages
 
@@ -299,8 +304,8 @@ def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))
         # The error of interpolation falls at least with the square of the step.
         messages.append(
-            f"{responses}, near {worst.frequency:.2f} Hz: the points are {worst.step:.2g} Hz apart, and the peak "
-            f"between them may deviate by up to {deviation} %, which the interval includes. "
+            f"{responses}, near {format_decimals(worst.frequency, 2)} Hz: the points are {worst.step:.2g} Hz "
+            f"apart, and the peak between them may deviate by up to {deviation} %, which the interval includes. "
             f"Measure every {worst.step * sqrt(_MAX_INTERPOLATION_ERROR / error):.1g} Hz there."
         )
     return messages

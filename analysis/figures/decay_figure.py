@@ -10,6 +10,7 @@ import numpy as np
 from analysis.decays.free_decay import Decay
 from rig.escaping import escape_figure
 from rig.figure_style import add_caption, add_title, color_of, new_figure, set_log_scale
+from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +118,9 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
 def _frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
     """Return the frequencies of a mode in the order of the recordings, or their range if there are many."""
     listed = list(
-        dict.fromkeys(f"{mode.frequency:.1f}" for _, mode in sorted(decays_of_mode, key=lambda pair: pair[0]))
+        dict.fromkeys(
+            format_decimals(mode.frequency, 1) for _, mode in sorted(decays_of_mode, key=lambda pair: pair[0])
+        )
     )
     if len(listed) > _MAX_LISTED_FREQUENCIES:
         low, *_, high = sorted(listed, key=float)

@@ -30,7 +30,7 @@ from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, responses
 from rig.errors import SceneError
 from rig.progress import CountProgress
-from rig.results import round_to_bound
+from rig.results import format_decimals, round_to_bound
 from rig.results.response import Response
 from rig.results.result import Result, complete_style
 from rig.results.text import table_lines
@@ -161,23 +161,34 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
     remarks = []
     for change in changes:
         before, after = change.bare, change.damped
-        cells = (change.response, f"{change.mode:.2f}", round_to_bound(1e6 * before.value, 1e6 * before.bound))
+        mode_text = format_decimals(change.mode, 2)
+        cells = (
+            change.response,
+            mode_text,
+            round_to_bound(1e6 * before.value, 1e6 * before.bound),
+        )
         after_text = round_to_bound(1e6 * after.value, 1e6 * after.bound)
         if after.at_end:
             rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
-                f"{change.response}, mode at {change.mode:.2f} Hz: no peak is left between "
-                f"{after.lowest_frequency:.2f} and {after.highest_frequency:.2f} Hz, where the curve reaches "
-                f"{after_text} µm/N"
+                f"{change.response}, mode at {mode_text} Hz: no peak is left between "
+                f"{format_decimals(after.lowest_frequency, 2)} and {format_decimals(after.highest_frequency, 2)} Hz, "
+                f"where the curve reaches {after_text} µm/N"
             )
             continue
         unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]
         equivalent = "" if unbounded else f"{100 * change.equivalent_damping:.2g}"
         rows.append(
-            (*cells, after_text, *_format_change(change.decibel, 1), *_format_change(change.shift, 2), equivalent)
+            (
+                *cells,
+                after_text,
+                *_format_change(change.decibel, 1),
+                *_format_change(change.shift, change.shift_decimals),
+                equivalent,
+            )
         )
         remarks += [
-            f"{change.response}, mode at {change.mode:.2f} Hz: the peak {name} may be higher than measured"
+            f"{change.response}, mode at {mode_text} Hz: the peak {name} may be higher than measured"
             for name in unbounded
         ]
     return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
@@ -223,7 +234,7 @@ def _uncompared_peaks(
             if not covers(curves_by_name[name], float(mode))
         ]
         reason = "; ".join(bands) or "no separate peak in the first recording, or too few points around it"
-        lines.append(f"  {name}, mode at {mode:.2f} Hz: not compared: {reason}")
+        lines.append(f"  {name}, mode at {format_decimals(mode, 2)} Hz: not compared: {reason}")
     return lines
 
 

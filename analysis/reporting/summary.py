@@ -11,7 +11,7 @@ from analysis.damper_motion.comparison import PeakChange
 from analysis.damper_motion.dampers import Dampers
 from analysis.reporting.measurements import Measurement
 from analysis.reporting.tables import peak_height, with_bound
-from rig.results import format_frequencies
+from rig.results import format_decimals, format_frequencies
 
 # Number of sentences in the summary.
 _MAX_SENTENCES = 3
@@ -48,7 +48,7 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
             continue
         change = max(bounded, key=_initial_height)
         change_db, low_db, high_db = change.decibel
-        peak_text = f"the peak at {change.mode:.2f} Hz ({change.response})"
+        peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
         if low_db <= 0.0 <= high_db:
             interval = f"{low_db:+.1f} to {high_db:+.1f} dB"
             text = f"“{label}” against “{first.label}”: no significant change of {peak_text}, {interval}"
@@ -62,7 +62,7 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
             )
         highest = max(changes_of_label, key=_initial_height)
         if highest.mode != change.mode:
-            text += f"; the change of the highest peak ({highest.mode:.2f} Hz) cannot be determined"
+            text += f"; the change of the highest peak ({format_decimals(highest.mode, 2)} Hz) cannot be determined"
         sentences.append(f"{text}.")
     return sentences
 

@@ -13,7 +13,7 @@ from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measurements import Measurement
 from analysis.responses.systematic import tolerance
 from rig.escaping import escape_html
-from rig.results import format_number, round_to_bound
+from rig.results import format_decimals, format_number, round_to_bound
 from rig.results.response import Response
 from rig.scene.yaml_writer import write
 
@@ -87,8 +87,9 @@ def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
         shift, shift_low, shift_high = change.shift
         exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
         decibel = f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown"
-        shift_text = f"{shift:+.2f} ({shift_low:+.2f} to {shift_high:+.2f})"
-        location = f"{change.response}, {change.mode:.2f} Hz"
+        decimals = change.shift_decimals
+        shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
+        location = f"{change.response}, {format_decimals(change.mode, 2)} Hz"
         rows.append((location, decibel, _interval(low, high), shift_text, exceeds))
     heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""

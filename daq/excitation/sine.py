@@ -8,6 +8,7 @@ from daq.excitation.lock_in import whole_periods
 from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import WINDOW_S, SteadyTone
+from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
@@ -27,14 +28,14 @@ def excite(station: Station, test: Sine) -> Excitation:
     tone, level = SteadyTone(station, test.frequency, station.is_force_controlled), station.level
     if station.is_force_controlled:
         fields = {"frequency": test.frequency, "level": level}
-        station.report(0.0, f"{test.frequency:.2f} Hz, settling at {level:g} N")
+        station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")
         settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, fields)
         if not settled:
             station.warn(
-                f"{test.frequency:.3f} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
+                f"{format_decimals(test.frequency, 3)} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
                 "The measurement is marked as not settled. Choose another frequency or level."
             )
-        station.report(0.5, f"{test.frequency:.2f} Hz, measuring")
+        station.report(0.5, f"{format_decimals(test.frequency, 2)} Hz, measuring")
         yield from tone.measure(station.samples(test.duration), settled, fields)
         yield tone.end()
         return
@@ -44,7 +45,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     window = whole_periods(test.frequency, station.rate, WINDOW_S)
     first, total, steady_from = station.now, station.samples(test.duration), None
     while (remaining := first + total - station.now) > 0:
-        station.report((total - remaining) / total, f"{test.frequency:.2f} Hz, level {level:g}")
+        station.report((total - remaining) / total, f"{format_decimals(test.frequency, 2)} Hz, level {level:g}")
         n_samples, phase = min(window, remaining), tone.phase
         readings = yield station.drive(tone.hold(n_samples))
         if n_samples == window and steady_from is None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
+from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
@@ -36,7 +37,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= up_steps else "up"
-            station.report(completed / total, f"{frequency:.2f} Hz {direction}, {at_level}")
+            station.report(completed / total, f"{format_decimals(frequency, 2)} Hz {direction}, {at_level}")
             if station.is_force_controlled and last_drives:
                 drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
             fields = {"frequency": frequency, "level": level, "direction": direction}

@@ -20,6 +20,7 @@ from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
 from daq.excitation.sweep_control import Observation, SweepControl, estimate_amplitudes, observation_samples
 from rig.arrays import Array, ComplexArray
+from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
@@ -54,7 +55,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
     if station.is_force_controlled:
         station.report(0.0, "measuring the shaker")
         law = yield from pretest(station, min(test.from_, test.to), max(test.from_, test.to), level)
-    station.report(0.0, f"settling at {test.from_:.2f} Hz")
+    station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
     first = station.now
     settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)
     station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
@@ -81,7 +82,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
             phase = _phase(test, start_phase, completed, window, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
             completed += window
-            station.report(completed / total, f"{sweep_frequency(test, completed / total):.2f} Hz")
+            station.report(completed / total, f"{format_decimals(sweep_frequency(test, completed / total), 2)} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
     periods = float(sweep_periods(test, np.ones(1))[0])
     tone.phase = float(np.fmod(start_phase + 2 * np.pi * periods + np.angle(1j * amplitude), 2 * np.pi))
@@ -127,7 +128,7 @@ def _sweep_controlled(
         sweep_rate = (sweep_frequency(test, completed / total) - middle_frequency) / (length / 2 / rate)
         observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, force)
         next_amplitude = control.next_drive(observation, window / rate)
-        station.report(completed / total, f"{middle_frequency:.2f} Hz")
+        station.report(completed / total, f"{format_decimals(middle_frequency, 2)} Hz")
     return amplitude
 
 
@@ -170,8 +171,8 @@ class LevelMonitor:
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
                 f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep; the worst is {worst:.3g} times the level at {worst_frequency:.2f} Hz. The intervals are "
-                f"marked 'level' in the recording. {remedy}"
+                f"the sweep; the worst is {worst:.3g} times the level at {format_decimals(worst_frequency, 2)} Hz. "
+                f"The intervals are marked 'level' in the recording. {remedy}"
             )
 
     def _end_interval(self) -> None:

@@ -15,6 +15,7 @@ from daq.excitation.manual_tone import ToneEstimate
 from daq.viewing.blueprint import live_layout
 from daq.viewing.viewer_stream import CurveSender, plots
 from rig.escaping import escape_markdown
+from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -112,8 +113,8 @@ def tone_page(estimate: ToneEstimate) -> str:
     # Held: steady state; silent: no excitation; settling: transient.
     state = "held" if estimate.is_settled else "silent" if estimate.level == 0.0 else "settling"
     lines = [
-        f"## {estimate.frequency:.2f} Hz, {estimate.level:g} N: {state}",
-        f"force {abs(estimate.force):.3f} N, drive amplitude {estimate.drive:.4g}",
+        f"## {format_decimals(estimate.frequency, 2)} Hz, {estimate.level:g} N: {state}",
+        f"force {format_decimals(abs(estimate.force), 3)} N, drive amplitude {estimate.drive:.4g}",
         "",
         "| channel | displacement | over force | phase |",
         "|---|---|---|---|",

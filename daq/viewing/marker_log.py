@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rig.results.text import format_decimals
+
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
@@ -72,7 +74,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
         if end <= start or marker.first_sample >= stop:
             continue
         frequency = marker.fields.get("frequency")
-        label = f"{frequency:.2f} Hz" if isinstance(frequency, int | float) else marker.kind
+        label = f"{format_decimals(frequency, 2)} Hz" if isinstance(frequency, int | float) else marker.kind
         if marker.kind == "hit":
             label = f"hit {hits.index(marker.first_sample) + 1}"
         first, last = max(start, marker.first_sample), min(stop, end)

@@ -21,7 +21,7 @@ from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import spheres_of
 from rig.progress import CountProgress
-from rig.results import Result, complete_style
+from rig.results import Result, complete_style, format_decimals
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.quantities import FREQUENCY, count, positive_values
 from rig.scene.scene import Scene
@@ -161,7 +161,7 @@ def format_table(response: BedResponse) -> str:
         for model, motion in zip(("grains", "mass"), motions, strict=True):
             largest = np.abs(motion.compliance).max()
             lines.append(
-                f"{frequency:9.4f}  {model:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
+                f"{format_decimals(frequency, 4):>9}  {model:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
                 f"{100 * motion.flight[0]:7.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', not steady'}"
             )

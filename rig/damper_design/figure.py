@@ -17,7 +17,7 @@ from rig.damper_design.ranking import MIN_MACHINABLE_CLEARANCE
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
 from rig.output_files import atomic_write, file_stem
-from rig.results import format_number
+from rig.results import format_decimals, format_number
 from rig.scene.damper import Damper
 from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY
@@ -64,7 +64,7 @@ def _verdict(design: Design) -> list[str]:
     heading = "best" if design.serves else "no dampers reduce the worst peak at each of these levels; the closest"
     lines = [
         f"{heading}: {design.best.choice}",
-        f"worst peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {peak.frequency:.2f} Hz, "
+        f"worst peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {format_decimals(peak.frequency, 2)} Hz, "
         f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {below_or_above} the bare structure's "
         f"{1e6 * design.bare.compliance:.4g} µm/N",
         *design.shortfall,
@@ -90,12 +90,12 @@ def _tables(design: Design) -> list[str]:
     lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{forces}  dampers"]
     for trial in design.front:
         reductions = "".join(f"{design.reduction(peak):9.1f}" for peak in trial.peaks)
-        lines.append(f"{factor * trial.choice.mass:14.1f}{reductions}  {trial.choice}")
+        lines.append(f"{format_decimals(factor * trial.choice.mass, 1):>14}{reductions}  {trial.choice}")
     lines += ["", f"{'':14}  largest peak in µm/N", f"{'mode, Hz':>14}{'without':>10}{forces}"]
     for mode in design.modes:
         peaks = "".join(f"{1e6 * peak.compliance:9.4g}" for peak in mode.damped)
         remark = "" if mode.in_band else "  outside the band"
-        lines.append(f"{mode.frequency:14.2f}{1e6 * mode.undamped.compliance:10.4g}{peaks}{remark}")
+        lines.append(f"{format_decimals(mode.frequency, 2):>14}{1e6 * mode.undamped.compliance:10.4g}{peaks}{remark}")
     return lines
 
 
@@ -158,7 +158,7 @@ def _expected_line(expected: Expected) -> str:
     if expected.compliances is not None:
         low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
         in_this_test = f"{nominal} ({low} to {high})"
-    operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{peak.frequency:9.2f}"
+    operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{format_decimals(peak.frequency, 2):>9}"
     return f"{operating_point}{1e6 * peak.compliance:15.4g}  {in_this_test}"
 
 

@@ -41,7 +41,7 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
         return (
             max(trial.peak.compliance, worst_limit),
             max(trial.mean_peak, mean_limit),
-            round(choice.mass, 9),
+            _rounded(choice.mass),
             len(choice.bodies),
             min(choice.clearances) < MIN_MACHINABLE_CLEARANCE,
             choice.has_ceiling,
@@ -86,10 +86,15 @@ def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
     ratio = IRREGULAR_RATIO if any(peak.irregular_share for peak in (*trial.peaks, *best.peaks)) else EQUAL_RATIO
     return (
         len(choice.bodies) < len(best_choice.bodies)
-        and round(choice.mass, 9) <= round(best_choice.mass, 9)
+        and _rounded(choice.mass) <= _rounded(best_choice.mass)
         and trial.peak.compliance <= ratio * best.peak.compliance
         and trial.mean_peak <= ratio * best.mean_peak
     )
+
+
+def _rounded(mass: float) -> float:
+    """Return a mass without the rounding errors of its sum."""
+    return float(f"{mass:.9g}")
 
 
 def search_cost(trial: Trial) -> float:
@@ -99,6 +104,6 @@ def search_cost(trial: Trial) -> float:
 
 def pareto_front(trials: Sequence[Trial]) -> list[Trial]:
     """Return the Pareto front of worst peak against mass, from light to heavy."""
-    masses = sorted({round(trial.choice.mass, 9) for trial in trials})
-    best = [rank_trials(trial for trial in trials if round(trial.choice.mass, 9) <= mass)[0] for mass in masses]
+    masses = sorted({_rounded(trial.choice.mass) for trial in trials})
+    best = [rank_trials(trial for trial in trials if _rounded(trial.choice.mass) <= mass)[0] for mass in masses]
     return list(dict.fromkeys(best))

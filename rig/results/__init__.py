@@ -1,11 +1,19 @@
 """Results of all three packages: their base class, frequency responses, uncertainty budgets, numbers as text."""
 
 from rig.results.result import Result, complete_style, join_columns, missing_package
-from rig.results.text import format_frequencies, format_interval, format_number, format_quantity, round_to_bound
+from rig.results.text import (
+    format_decimals,
+    format_frequencies,
+    format_interval,
+    format_number,
+    format_quantity,
+    round_to_bound,
+)
 
 __all__ = [
     "Result",
     "complete_style",
+    "format_decimals",
     "format_frequencies",
     "format_interval",
     "format_number",

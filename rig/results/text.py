@@ -22,6 +22,16 @@ def format_number(value: float) -> str:
     return f"{float(f'{value:.3g}'):.10g}"
 
 
+def format_decimals(value: float, decimals: int) -> str:
+    """Write a number with fixed decimals, or with three significant digits if these are more.
+
+    >>> [format_decimals(value, 2) for value in (34.7773, 0.0, 2.0, 0.28, 4.10936e-05)]
+    ['34.78', '0.00', '2.00', '0.280', '4.11e-05']
+    """
+    is_small = 0.0 < abs(value) < 10.0 ** (2 - decimals)
+    return f"{value:#.3g}" if is_small else f"{value:.{decimals}f}"
+
+
 def round_to_bound(value: float, bound: float) -> str:
     """Write a number, rounded to the second significant digit of its bound, or of the number if that is smaller.
 
@@ -29,10 +39,15 @@ def round_to_bound(value: float, bound: float) -> str:
     ('0.01235', '1080', '380')
     >>> round_to_bound(3.14159, 0.0)
     '3.142'
+    >>> round_to_bound(3.14159e-12, 2e-14)
+    '3.142e-12'
     """
     if not isfinite(bound) or bound <= 0.0:
         return f"{value:.4g}"
-    decimals = min(1 - floor(log10(bound)), 9)
+    decimals = 1 - floor(log10(bound))
+    if decimals > 9 and 0.0 < abs(value) < 1e-6:
+        return f"{value:.{max(decimals + floor(log10(abs(value))) + 1, 1)}g}"
+    decimals = min(decimals, 9)
     if decimals < 0 and value:
         decimals = max(decimals, min(1 - floor(log10(abs(value))), 0))
     return f"{round(value, decimals):.{max(decimals, 0)}f}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.numerics.peaks import prominent_maxima
 from rig.output_files import atomic_write, csv_text
-from rig.results.text import format_frequencies
+from rig.results.text import format_decimals, format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
 from rig.scene.quantities import count
 from rig.scene.scene import Scene
@@ -119,7 +119,7 @@ def _motion_labels(response: SteadyResponse) -> list[str]:
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
     """Return a table of the peaks of each body's compliance: local maxima 10 % above both minima, or the maximum."""
     peak_lines = [
-        f"{label:<12}{response.frequency[k]:>14.4f}{1e6 * row[k]:>20.4g}  {motion[k]}"
+        f"{label:<12}{format_decimals(response.frequency[k], 4):>14}{1e6 * row[k]:>20.4g}  {motion[k]}"
         for label, row in zip(response.labels, abs(response.compliance), strict=True)
         for k in prominent_maxima(np.log(row), 0.1).tolist() or [int(np.argmax(row))]
     ]
@@ -134,5 +134,5 @@ def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
         columns = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
         remark = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
         impacts = float(response.impacts[:, k].sum())
-        lines.append(f"{frequency:14.4f}{columns}  {impacts:7.3g}  {motion[k]}{remark}")
+        lines.append(f"{format_decimals(frequency, 4):>14}{columns}  {impacts:7.3g}  {motion[k]}{remark}")
     return lines

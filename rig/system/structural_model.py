@@ -14,15 +14,18 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack
+from scipy.linalg import lapack, solve_triangular
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
+from rig.scene.matrices import positive_definite
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 
 # Maximum number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
 _MAX_ELEMENTS = 1_000_000
+# A squared frequency below this multiple of its rounding error is computed again by a method of small relative error.
+_MAX_AMPLIFIED_ROUNDING = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,10 +269,26 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
             f"structure: the stiffness is not positive semidefinite (squared frequency {squared_omega[0]:.3g} "
             "1/s^2), so there are no natural modes. Add springs that stabilize it."
         )
+    if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and positive_definite(stiffness):
+        squared_omega, shapes = _modes_of_extreme_masses(mass, stiffness)
+        rounding = 0.0
     # The computed eigenvalue of a rigid-body motion is a rounding error of either sign.
     omega = np.sqrt(np.where(np.abs(squared_omega) <= rounding, 0.0, squared_omega))
     largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=0)[None, :], axis=0)
     return omega, shapes / largest
+
+
+def _modes_of_extreme_masses(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Compute squared frequencies and shapes, each with a small relative error, of a structure that has a support.
+
+    With M = R R^T and K = L L^T, the frequencies are the singular values of R^-1 L. Jacobi's method is accurate even if
+    they differ by many orders of magnitude (Z. Drmac, K. Veselic, SIAM J. Matrix Anal. Appl. 29 (2008) 1322-1362).
+    """
+    mass_factor = np.linalg.cholesky(mass)
+    reduced = solve_triangular(mass_factor, np.linalg.cholesky(stiffness), lower=True)
+    values, left, _, scale, _, _ = lapack.dgejsv(reduced, joba=2, jobv=3)
+    omega = np.sort(values * (scale[0] / scale[1]))
+    return omega**2, solve_triangular(mass_factor, left[:, np.argsort(values)], lower=True, trans="T")
 
 
 def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:

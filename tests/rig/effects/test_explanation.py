@@ -88,4 +88,6 @@ def test_natural_frequencies_are_listed_first_and_last() -> None:
         structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
     )
     assert "13.04, 34.78, 49.66 Hz" in str(rig.explain("fig9"))
+    extreme_masses = rig.load("bare-structure", {"structure.masses": [1e-9, 1e9, 1.0]})
+    assert "0.0005395, 22.4, 1.081e+06 Hz" in str(rig.explain(extreme_masses))
     assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(nine_bodies)))

@@ -34,6 +34,14 @@ def test_uniform_chain_frequencies_are_closed_form() -> None:
     np.testing.assert_allclose(omega, expected, rtol=1e-11)
 
 
+def test_modes_of_extreme_masses_are_accurate() -> None:
+    # Body 1 is quasi-static in the slow modes: its springs act in series, between ground and the heavy body 2.
+    omega, shapes = natural_modes(np.diag([1e-9, 1e9, 1.0]), chain_matrix((100.0, 200.0, 300.0)))
+    expected = np.sqrt([200.0 / 3.0 / (1e9 + 1.0), 300.0 * (1.0 + 1e-9), 300.0 / 1e-9])
+    np.testing.assert_allclose(omega, expected, rtol=1e-6)
+    np.testing.assert_allclose(shapes[:, 0], [2.0 / 3.0, 1.0, 1.0], rtol=1e-6)
+
+
 def test_spring_joins_neighboring_bodies() -> None:
     np.testing.assert_array_equal(
         chain_matrix(SPRINGS), [[46100.0, -21800.0, 0.0], [-21800.0, 41600.0, -19800.0], [0.0, -19800.0, 19800.0]]

@@ -18,6 +18,7 @@ from analysis.reporting.measurements import Measurement, Measurements
 from analysis.reporting.responses import damper_chart, decay_charts, response_charts
 from analysis.reporting.summary import summarize
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
+from rig.errors import SceneError
 from rig.escaping import escape_html
 from rig.output_files import atomic_write, create_folder
 from rig.progress import CountProgress
@@ -34,6 +35,8 @@ def write_report(
     summary, and the warnings. Raises `RecordingError` if a file is not a recording. Raises `SceneError` if the page
     exists and was not made from these recordings.
     """
+    if not paths:
+        raise SceneError("report: no recordings. Give at least one.")
     with _page(paths, output):
         pass  # Raise the error of an existing page before the long analysis.
     with Measurements(paths, progress) as measurements:

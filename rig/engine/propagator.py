@@ -34,7 +34,7 @@ from rig.engine.state import (
 )
 from rig.engine.trajectory import Trajectory
 from rig.engine.workspace import Workspace, workspace_for
-from rig.errors import RunError, SceneError
+from rig.errors import RunError
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.jit import kernel
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
@@ -135,12 +135,7 @@ class Propagator:
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
-        if system.grains.any():
-            number = system.damper_number[system.grains][0]
-            raise SceneError(
-                f"dampers[{number}] is a bed of grains, which only rig simulate, rig grains and daq "
-                "record can simulate. Remove the damper's key grains to treat the bed as one mass."
-            )
+        system.reject_grains()
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
         dampers, size = system.dampers, padded_length(self.tables.size + 2 * system.coordinates)

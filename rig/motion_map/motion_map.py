@@ -23,6 +23,7 @@ from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import SteadyContinuation
 from rig.study import Study, digest
+from rig.system.assembly import assemble
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
 
@@ -199,10 +200,12 @@ def map_motion(
     RunError
         If that file cannot be read or written.
     SceneError
-        If the scene has no moving damper, no shaker or no level, or a value is not positive.
+        If the scene has no moving damper, no shaker or no level, a bed of grains, or a value that is not positive.
     """
     scene = scene_of(scene)
     over, unit = vertical_axis(scene, over)
+    # Checked here, because worker processes take seconds to start.
+    assemble(scene).reject_grains()
     scene = with_ideal_force(scene)
     requested = frequencies if frequencies is not None else select_frequencies(scene)
     frequency = np.unique(positive_values(requested, FREQUENCY, "frequencies"))

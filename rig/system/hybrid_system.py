@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rig.errors import SceneError
 from rig.system.landing import duration_and_restitution
 
 #: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
@@ -77,6 +78,15 @@ class HybridSystem:
     def dampers(self) -> int:
         """Number of dampers that can move in their cavities."""
         return self.damper_mass.shape[0]
+
+    def reject_grains(self) -> None:
+        """Raise `SceneError` if a damper is a bed of grains, which the engine cannot simulate."""
+        if self.grains.any():
+            number = self.damper_number[self.grains][0]
+            raise SceneError(
+                f"dampers[{number}] is a bed of grains, which only rig simulate, rig grains and daq "
+                "record can simulate. Remove the damper's key grains to treat the bed as one mass."
+            )
 
     @property
     def coupled(self) -> bool:

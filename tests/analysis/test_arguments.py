@@ -89,6 +89,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.fit(7, "bare-structure"), "fit: got 7; expected a recording: its path"),
         (lambda: analysis.modes(7), "recordings: got 7; expected a recording: its path"),
         (lambda: analysis.compare([SWEEP, None]), "recordings: got None; expected a recording"),
+        (lambda: analysis.report([]), "report: no recordings"),
         (lambda: analysis.export([SWEEP, SWEEP], "a.npz"), "recording: got 2 recordings; expected one"),
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),

@@ -18,6 +18,7 @@ from rig.motion_map.motion_map import KINDS, summarize_map, write_map
 from rig.output_files import create_folder
 from rig.system.open_loop_drive import with_ideal_force
 from rig.system.structural_model import receptance
+from tests.rig.grain_beds.scenes import with_grains
 from tests.rig.this_process import pieces_in_this_process
 
 
@@ -114,6 +115,12 @@ def test_locked_dampers_keep_their_clearance() -> None:
 def test_linear_scene_is_rejected() -> None:
     with pytest.raises(SceneError, match="no damper that moves"):
         rig.map_motion("fig8-no-damper")
+
+
+def test_bed_of_grains_is_rejected_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.study.Workers", lambda cluster: pytest.fail("workers were started"))
+    with pytest.raises(SceneError, match=r"dampers\[1\] is a bed of grains"):
+        rig.map_motion(with_grains(), values=[1.0], frequencies=[30.0])
 
 
 def test_errors_state_the_invalid_range() -> None:

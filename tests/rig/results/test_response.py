@@ -116,7 +116,7 @@ def test_stacked_curves_share_lines() -> None:
 
 
 def test_unsteady_lines_remain_marked_at_other_lines() -> None:
-    first, second = (curve(name, unsteady=LINES == line, amplitude=LINES) for name, line in (("a", 14.0), ("b", 20.0)))
+    first, second = (curve(name, unsteady=line == LINES, amplitude=LINES) for name, line in (("a", 14.0), ("b", 20.0)))
     both = stack([first.band(10.0, 25.0), second.band(15.0, 30.0)])
     assert LINES[both.unsteady].tolist() == [14.0, 20.0]
     np.testing.assert_array_equal(both.amplitude, LINES)

@@ -86,11 +86,11 @@ class Estimate:
 def estimate(problem: Problem, report: Report) -> Estimate:
     """Estimate the unknowns: first of the structure from linear recordings, then of the dampers, then all together."""
     linear_groups = [group for group in problem.groups if group.orbits is None]
-    report("structure")
+    report("fitting the structure")
     x = _estimate_structure(problem, linear_groups) if linear_groups else problem.start.copy()
     damper_groups = [group for group in problem.groups if group.orbits is not None]
     if damper_groups:
-        report("dampers")
+        report("fitting the dampers")
         x = _estimate_dampers(problem, x, damper_groups, bool(linear_groups), report)
     return Estimate(x, *_covariance(problem, x))
 
@@ -111,11 +111,11 @@ def _estimate_dampers(
     trials = [(1.0, 1.0), *product(_MASS_FACTORS, _CLEARANCE_FACTORS if has_ceiling else (1.0,))]
     if has_ceiling:
         trials.append((1.0, _UNREACHED_CLEARANCE_FACTOR))
-    for mass_factor, clearance_factor in trials:
+    for number, (mass_factor, clearance_factor) in enumerate(trials, 1):
         is_unreached = clearance_factor == _UNREACHED_CLEARANCE_FACTOR
         if lowest_cost < _MAX_EXPLAINED_SQUARE and not is_unreached:
             continue
-        report("all")
+        report(f"fitting all values, start {number} of at most {len(trials)}")
         for group, state in zip(damper_groups, orbit_states, strict=True):
             group.restore(state)
         factors = {"mass": mass_factor, "mass_ratio": mass_factor, "clearance": clearance_factor}

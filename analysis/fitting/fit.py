@@ -219,7 +219,7 @@ def fit(
         )
     model = with_ratio_per_mode(scene)
     parameters = free_parameters(model, free)
-    report("reading")
+    report("reading the recordings")
     sources: Sequence[Any] = recordings if isinstance(recordings, list | tuple) else [recordings]
     for recording in sources:
         require_recording(recording, "fit")

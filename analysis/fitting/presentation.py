@@ -9,6 +9,7 @@ from pathlib import Path
 
 from analysis.fitting.figure import fit_figure
 from analysis.fitting.fit import Fit, fit
+from rig.console import show_activity
 from rig.errors import RunError, SceneError
 from rig.figure_style import save_figure
 from rig.output_files import atomic_write, create_folder
@@ -39,7 +40,8 @@ def present_fit(
         residuals = output.with_name(f"{output.stem}-residuals")
         create_folder(output.parent)
         reject_foreign_files(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
-        result = fit(list(recordings), scene, free)
+        with show_activity() as report:
+            result = fit(list(recordings), scene, free, report)
         files = save_figure(fit_figure(result), residuals)
         if result.misfit:
             for warning in result.warnings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,10 +15,12 @@ from typer.testing import CliRunner
 
 import analysis
 import daq
+import rig
 from analysis.cli import app
 from analysis.figures.decay_figure import decay_figure
 from analysis.figures.frf_figure import frf_figure
 from analysis.figures.modes_figure import modes_figure
+from analysis.fitting.presentation import present_fit
 from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
@@ -237,6 +240,14 @@ def test_axis_of_constant_damping_has_distinct_labels(folder):
         tick.get_text() for tick in axes.get_yticklabels() if tick.get_text() and low <= tick.get_position()[1] <= high
     ]
     assert len(labels) >= 3 and len(set(labels)) == len(labels)
+
+
+def test_fit_command_reports_its_stages(folder, tmp_path, monkeypatch):
+    stages = []
+    monkeypatch.setattr("analysis.fitting.presentation.show_activity", lambda: nullcontext(stages.append))
+    output = tmp_path / "fitted.yaml"
+    present_fit([folder / "one.mcap"], rig.load("bare-structure"), ["structure.masses"], output, False, print)
+    assert stages == ["reading the recordings", "fitting the structure"]
 
 
 def test_swapped_channels_are_reported():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,17 @@ if TYPE_CHECKING:
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
+# A mode is compared with the modes of the scene up to this ratio of their frequencies, and with the nearest. The
+# spacing of close modes may be smaller than the error of the scene's values. With a wrong sign, a shape can be that of
+# a distant mode.
+_MAX_FREQUENCY_RATIO = 1.25
+
+
+class TheoreticalModes(NamedTuple):
+    """Modes of the scene's structure at the measured points."""
+
+    frequency: NDArray[np.float64]  # Hz; (modes,)
+    shapes: NDArray[np.float64]  # (responses, modes)
 
 
 def present_modes(
@@ -49,7 +60,7 @@ def present_modes(
     warnings = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
     check_outputs(paths, output, "modes", "csv")
     for path, label in zip(paths, labels(paths), strict=True):
-        identified: list[tuple[Sequence[Response], Modes, np.ndarray | None]] = []
+        identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
         if is_frf_file(path):
             curves = read_curves(path, reference, None, unit)
             identified = [(curves, replace(identify(curves, count), label=label), None)]
@@ -58,7 +69,7 @@ def present_modes(
                 options = vars(Blocks(block=block).for_kind(rec.test.kind))
                 for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
                     modes = relabel(identify(sweep, count), rec.scene.name, label)
-                    theory = theoretical_shapes(rec, modes) if reference == "force" else None
+                    theory = theoretical_modes(rec, modes) if reference == "force" else None
                     identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):
             all_modes.append(modes)
@@ -72,11 +83,8 @@ def present_modes(
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
 
 
-def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
-    """Return a table of natural frequency, damping ratio, shape and MAC of each mode.
-
-    `theory`: theoretical mode shapes, shape (responses, modes), for the MAC.
-    """
+def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:
+    """Return a table of natural frequency, damping ratio, shape and MAC with `theory` of each mode."""
     count = modes.frequency.size
     bodies = modes.of_bodies()
     rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
@@ -91,12 +99,15 @@ def describe_modes(modes: Modes, theory: np.ndarray | None = None) -> list[str]:
     return [heading, *(f"  {line}" for line in table_lines(rows, ">" * len(rows[0])) if count)]
 
 
-def nearest_mac(modes: Modes, theory: np.ndarray) -> NDArray[np.float64]:
-    """Return the largest MAC of each mode shape with any theoretical shape, shape (modes,)."""
-    return np.asarray(mac(modes.shapes, theory).max(axis=1))
+def nearest_mac(modes: Modes, theory: TheoreticalModes) -> NDArray[np.float64]:
+    """Return the largest MAC of each mode shape with a theoretical shape of similar frequency, shape (modes,)."""
+    with np.errstate(divide="ignore"):
+        distance = abs(np.log(modes.frequency[:, None] / theory.frequency))
+    is_similar = distance <= np.maximum(np.log(_MAX_FREQUENCY_RATIO), distance.min(axis=1, keepdims=True))
+    return np.where(is_similar, mac(modes.shapes, theory.shapes), 0.0).max(axis=1)
 
 
-def theory_warnings(modes: Modes, theory: np.ndarray | None) -> list[str]:
+def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
     """Warn of mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
     if theory is None:
         return []
@@ -109,16 +120,16 @@ def theory_warnings(modes: Modes, theory: np.ndarray | None) -> list[str]:
     pairs = zip(modes.frequency[mismatched], nearest[mismatched], strict=True)
     listed = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
     return [
-        f"{listed}: the shape matches no mode of the scene's structure (MAC above {MIN_SAME_SHAPE_MAC:g}). Check for "
-        "swapped channels and wrong signs or places, check the scene (analysis fit estimates its values), and measure "
-        "at a lower level if dampers fly."
+        f"{listed}: the shape matches no mode of the scene's structure near this frequency (MAC above "
+        f"{MIN_SAME_SHAPE_MAC:g}). Check for swapped channels and wrong signs or places, check the scene (analysis fit "
+        "estimates its values), and measure at a lower level if dampers fly."
     ]
 
 
-def theoretical_shapes(rec: Recording, modes: Modes) -> np.ndarray | None:
-    """Compute the mode shapes of the scene's structure at the measured points, shape (responses, bodies)."""
+def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
+    """Compute the modes of the scene's structure at the measured points; None for a single point."""
     from rig.system.structural_model import structural_model
 
-    shapes = structural_model(rec.scene).modes.shapes
+    theory = structural_model(rec.scene).modes
     bodies = [rec.channels[name].body - 1 for name in modes.responses]
-    return np.asarray(shapes)[bodies] if len(bodies) > 1 else None
+    return TheoreticalModes(theory.frequency, np.asarray(theory.shapes)[bodies]) if len(bodies) > 1 else None

@@ -25,7 +25,7 @@ from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
 from analysis.presentation.frf_findings import describe_frfs, present_frf
-from analysis.presentation.mode_findings import theoretical_shapes, theory_warnings
+from analysis.presentation.mode_findings import theoretical_modes, theory_warnings
 from rig.errors import RecordingError
 from rig.results.response import Response
 from tests.analysis.responses import synthetic
@@ -254,9 +254,13 @@ def test_swapped_channels_are_reported():
     path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
     with daq.open(path) as rec:
         modes = analysis.identify(analysis.frfs(rec))
-        theory = theoretical_shapes(rec, modes)
+        theory = theoretical_modes(rec, modes)
     assert not theory_warnings(modes, theory) and not theory_warnings(modes, None)
-    (note,) = theory_warnings(modes, theory[[2, 1, 0]])
+    swapped = theory._replace(shapes=theory.shapes[[2, 1, 0]])
+    (note,) = theory_warnings(modes, swapped)
     assert "49.66 Hz (MAC 0." in note and "swapped channels" in note
     uncertain_shapes = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
-    assert not theory_warnings(uncertain_shapes, theory[[2, 1, 0]])
+    assert not theory_warnings(uncertain_shapes, swapped)
+    # With a wrong sign, a shape can be that of a distant mode.
+    (note,) = theory_warnings(modes, theory._replace(shapes=theory.shapes[:, [1, 0, 2]]))
+    assert "13.04 Hz" in note and "34.78 Hz" in note and "49.66" not in note

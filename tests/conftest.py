@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import signal
 
+import typer.testing
 from hypothesis import HealthCheck, settings
 
 from rig import console
@@ -16,6 +18,9 @@ settings.load_profile("project")
 
 # No messages that a command is still running: on a busy machine they would appear between the lines that tests check.
 console.MAX_SILENCE_S = float("inf")
+
+# The commands of a program are built once, not for each call: building them takes longer than many tests.
+typer.testing._get_command = functools.cache(typer.main.get_command)
 
 # A shell starts background programs with interrupts ignored, and child processes inherit this setting: then
 # programs that a test interrupts would not end.
@@ -32,7 +37,11 @@ gc.disable()
 
 
 def pytest_collection_finish() -> None:
-    """Exclude all imported modules from garbage collection, which would scan them again in every test."""
+    """Exclude all imported modules from garbage collection, which would scan them again in every test.
+
+    Modules that tests import are scanned seldom.
+    """
     gc.enable()
     gc.collect()
     gc.freeze()
+    gc.set_threshold(2000, 20, 100)

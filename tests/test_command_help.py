@@ -6,19 +6,19 @@ import shlex
 from importlib import import_module
 
 import pytest
-import typer
+import typer.testing
 
 from rig.scene.loading import load_with_options
 
 COMMANDS = [
     (program, name)
     for program in ("rig", "daq", "analysis")
-    for name in typer.main.get_command(import_module(f"{program}.cli").app).commands
+    for name in typer.testing._get_command(import_module(f"{program}.cli").app).commands
 ]
 
 
 def command(program, name):
-    return typer.main.get_command(import_module(f"{program}.cli").app).commands[name]
+    return typer.testing._get_command(import_module(f"{program}.cli").app).commands[name]
 
 
 @pytest.mark.parametrize(("program", "name"), COMMANDS)

@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-import typer
+import typer.testing
 from typer.testing import CliRunner
 
 import rig
@@ -103,7 +103,7 @@ def test_python_of_pages_runs(page, folder) -> None:
 def test_commands_of_pages_have_existing_options(page, folder) -> None:
     (folder / "your_script.py").touch()
     for words in commands(page, "sh", "bash"):
-        command = typer.main.get_command(import_module(f"{words[0]}.cli").app).commands[words[1]]
+        command = typer.testing._get_command(import_module(f"{words[0]}.cli").app).commands[words[1]]
         command.make_context(words[1], words[2:])
         for word in words[2:]:
             assert word not in (*scenes(), *bundled_scenes()) or rig.load(word)

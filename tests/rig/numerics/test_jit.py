@@ -179,6 +179,8 @@ def test_unwritable_cache_is_reported(kernels: Path) -> None:
 
 def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
     code = "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
+    # The interval of the garbage collector is the user's again afterwards.
+    code = f"import gc\nthresholds = gc.get_threshold()\n{code}\nassert gc.get_threshold() == thresholds"
     script = kernels / "script.py"
     script.write_text(code)
     assert "compiling machine code" in run(kernels, f"import runpy; runpy.run_path({str(script)!r})").stderr

@@ -178,6 +178,7 @@ def progress(title: str) -> Iterator[FractionProgress]:
             parts = (title, title and f"{100 * fraction:.0f} %", message)
             _Activity.description = ", ".join(filter(None, parts))
 
+        _Activity.description = title
         yield report
         _Activity.description = ""
         return

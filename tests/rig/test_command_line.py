@@ -193,6 +193,7 @@ def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
 
     def wait_for_report() -> None:
         with console.progress("a long test") as report:
+            assert console._Activity.description == "a long test"
             report(0.5, "20 Hz")
             while "running for" not in "".join(reported):
                 reported.append(capsys.readouterr().err)

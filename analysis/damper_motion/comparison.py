@@ -220,13 +220,13 @@ def peak_changes(
     """
     frequency, low, high = peak_bands(modes)
     damping = modes.damping[np.argsort(modes.frequency)]
-    by_name = {frf.response: frf for frf in bare}
+    bare_by_name = by_name(bare)
     changes = []
-    for curve in damped:
-        if curve.response not in by_name:
+    for name, curve in by_name(damped).items():
+        if name not in bare_by_name:
             continue
         for f, zeta, band_low, band_high in zip(frequency, damping, low, high, strict=True):
-            pair = by_name[curve.response], curve
+            pair = bare_by_name[name], curve
             bare_peak, damped_peak = (peak(response, band_low, band_high) for response in pair)
             if bare_peak is None or damped_peak is None or bare_peak.at_end:
                 continue
@@ -240,10 +240,14 @@ def peak_changes(
                 assert bare_without is not None
                 assert damped_without is not None
                 without_sensitivity = bare_without, damped_without
-            changes.append(
-                PeakChange(curve.response, float(f), float(zeta), bare_peak, damped_peak, without_sensitivity)
-            )
+            changes.append(PeakChange(name, float(f), float(zeta), bare_peak, damped_peak, without_sensitivity))
     return changes
+
+
+def by_name(curves: Sequence[Response]) -> dict[str, Response]:
+    """Return curves by the name of the response or, if there are several inputs, of response and input."""
+    several = len({curve.input for curve in curves}) > 1
+    return {curve.ratio if several else curve.response: curve for curve in curves}
 
 
 def covers(curve: Response, frequency: float) -> bool:

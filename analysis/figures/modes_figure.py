@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
 
-    `frfs`: the FRFs from which `analysis.modal.identification.identify` estimated the modes.
+    `frfs`: the FRFs from which `analysis.modal.identification.identify` estimated the modes; of several inputs, those
+    of the input of the modes are drawn.
     """
-    curves = [frf.to("displacement").with_gaps() for frf in frfs]
+    several = len({frf.input for frf in frfs}) > 1
+    curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
     count = modes.frequency.size
     with new_figure(7.6) as figure:

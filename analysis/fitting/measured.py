@@ -13,6 +13,7 @@ import numpy as np
 
 from analysis.responses.frequency_responses import annotate, frequency_responses
 from analysis.responses.measurands import reference_of, required_channels, responses
+from analysis.responses.several_inputs import driven_forces
 from analysis.responses.stepped_sine import sweep_name, sweeps
 from analysis.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from daq.recording.recorded_test import TestKind
@@ -98,6 +99,11 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
         raise RecordingError(
             f"{name}: a free decay has no response to a force. Record a stepped_sine, swept_sine, multisine, random "
             "or impulse test."
+        )
+    if len(driven_forces(rec)) > 1:
+        raise RecordingError(
+            f"{name}: several shakers were driven at once, but a fit needs responses to one force. Record one "
+            "shaker at a time, and fit the recordings together."
         )
     names = responses(rec)
     if not names:

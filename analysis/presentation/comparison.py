@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.damper_motion.comparison import (
     PeakChange,
+    by_name,
     coarse_step_warnings,
     covers,
     peak_changes,
@@ -222,7 +223,7 @@ def _uncompared_peaks(
 ) -> list[str]:
     """List the modes and responses that are not compared, with the reason."""
     compared = {(change.response, change.mode) for change in changes}
-    curves = [{curve.response: curve for curve in group} for _, group in measured]
+    curves = [by_name(group) for _, group in measured]
     lines = []
     for name, mode in product([name for name in curves[1] if name in curves[0]], sorted(modes.frequency)):
         if (name, float(mode)) in compared:

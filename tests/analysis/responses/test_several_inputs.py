@@ -11,9 +11,11 @@ import analysis
 import daq
 import rig
 from analysis.exporting.results import export_results
+from analysis.presentation.comparison import compare_peaks
+from analysis.presentation.mode_findings import present_modes
 from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
 from daq.recording.markers import Marker
-from rig.errors import SceneError
+from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import structure_matrices
 
 pytestmark = [pytest.mark.filterwarnings("ignore::daq.RunWarning"), pytest.mark.usefixtures("few_lines")]
@@ -231,3 +233,12 @@ def test_close_modes_are_separated_by_two_references(coupling, noise, tmp_path):
     # Both shapes together span all motions of the two bodies.
     assert np.linalg.svd(modes.shapes)[1][1] > 0.5
     assert any("Repeated modes" in text for text in modes.warnings) == (coupling == 0.0)
+
+
+def test_modes_and_changes_belong_to_one_input(random_path, tmp_path):
+    assert present_modes([random_path], tmp_path).lines[0].startswith("two shakers, force at body")
+    changes = [change for _, _, change in compare_peaks([random_path, random_path]).changes]
+    assert {change.response for change in changes} >= {"a1 / force at body 1", "a1 / force at body 3"}
+    assert all(abs(change.decibel[0]) < 1e-9 for change in changes)
+    with pytest.raises(RecordingError, match="several shakers were driven"):
+        analysis.fit(random_path, "bare-structure")

@@ -21,4 +21,4 @@ def filter_sections(sections: Array, state: Array, samples: Array) -> None:
             samples[k] = b0 * value + first
             first = b1 * value - a1 * samples[k] + second
             second = b2 * value - a2 * samples[k]
-        state[s] = first, second
+        state[s, 0], state[s, 1] = first, second

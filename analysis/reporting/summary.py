@@ -82,7 +82,8 @@ def _resonance_sentences(measurement: Measurement) -> list[str]:
         pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
         listed = ", ".join(f"{frequency:.4g} Hz ({100 * damping:.2g} % damping)" for frequency, damping in pairs)
         plural = "s" * (modes.frequency.size != 1)
-        text = f"“{measurement.label}”: {modes.frequency.size} resonance{plural} at {listed}"
+        label = modes.label if len(measurement.sweeps) > 1 else measurement.label
+        text = f"“{label}”: {modes.frequency.size} resonance{plural} at {listed}"
         if sweep.highest is not None:
             curve, highest = sweep.highest
             where = f"{curve.ratio}, {highest.frequency:.4g} Hz"

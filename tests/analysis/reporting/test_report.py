@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import analysis
+import daq
 import rig
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
@@ -103,6 +104,14 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
 def test_chart_data_suit_axis_and_page(curve: Curve, logarithmic: bool, data: str) -> None:
     panel = Panel("size", "m", [curve], logarithmic=logarithmic)
     assert data in ChartWriter().write(Chart("caption", "alternative", [panel]))
+
+
+def test_answer_names_each_sweep(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    scene = rig.load("bare-structure", {"test.points": 30, "test.from": "45 Hz", "test.force": ["1 N", "2 N"]})
+    daq.record(scene, path)
+    answer = write_report([path], tmp_path).lines
+    assert "1 N" in answer[0] and "2 N" in answer[1]
 
 
 def test_phase_has_a_gap_where_it_wraps() -> None:

@@ -93,7 +93,7 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         set_log_scale(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
-        axes.set_title(_frequency_title(decays_of_mode), fontsize=9, fontweight="normal")
+        axes.set_title(_frequency_title(decays_of_mode), y=1.0, fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
         else:

@@ -37,7 +37,8 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
     for number in range(1, len(scene.shakers) + 1):
         yield Effect("outputs", f"ao{number - 1}", 0, describe_output(scene, number))
     if intervals > 1:
-        yield Effect("converter", "oversampling", 0, f"{intervals} intervals a sample, for fast oscillations")
+        details = f"{intervals} simulation steps per sample, to resolve fast oscillations"
+        yield Effect("converter", "oversampling", 0, details)
     recording = scene.recording
     yield Effect("recording", "samples", 0, stored_as(scene, chain.channels))
     if recording.display:

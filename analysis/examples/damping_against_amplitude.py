@@ -12,9 +12,9 @@ import matplotlib.pyplot as plt
 import analysis
 import daq
 
-undamped = daq.open("recordings/demo-impulse-no-damper.mcap")
+bare = daq.open("recordings/demo-impulse-no-damper.mcap")
 damped = daq.open("recordings/demo-impulse-three-dampers.mcap")
-decays = [analysis.decay(recording, "body3") for recording in (undamped, damped)]
+decays = [analysis.decay(recording, "body3") for recording in (bare, damped)]
 print(*decays, sep="\n")
 
 # %%

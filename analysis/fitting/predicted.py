@@ -1,6 +1,6 @@
-"""Response that a scene predicts for the test of a recording, in closed form, with all dampers *riding*.
+"""Response that a scene predicts for the test of a recording, in closed form, with *riding* dampers.
 
-Riding dampers rest on the floors of their cavities and move with their bodies.
+A riding damper rests on the floor of its cavity, and moves with its body.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from rig.system.open_loop_drive import riding_equations, riding_response
 
 
 def scene_of_test(model: Scene, curves: Curves) -> Scene:
-    """Return the model with the shaker and test of a recording, and with those dampers that the recording has.
+    """Return the model with the shaker, the test and the dampers of a recording.
 
-    Raises `SceneError` if the recording has bodies or dampers that the model lacks.
+    The returned dampers have the properties of the dampers of the model. Raises `SceneError` if the recording has
+    bodies or dampers that the model lacks.
     """
     recorded = curves.scene
     bodies = model.structure.bodies
@@ -36,8 +37,8 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
         match = next((pair for pair in remaining if pair[1].body == damper.body), None)
         if match is None:
             raise SceneError(
-                f"{curves.label}: recorded with a damper in body {damper.body} (number {number} in its scene), which "
-                "the scene to fit lacks. Add it there, with its known values."
+                f"{curves.label}: recorded with a damper in body {damper.body} (number {number} in its scene). The "
+                "scene to fit lacks this damper. Add the damper with its known properties to the scene to fit."
             )
         remaining.remove(match)
         dampers.append(match[1].with_valid(locked=damper.locked))
@@ -46,10 +47,10 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
 
 
 def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return displacement / reference of the bodies and of the beds (the masses of dampers) that could lift off.
+    """Return displacement / reference of the bodies, and of the beds (masses of dampers) that could leave their floors.
 
-    A bed with finite-duration contact moves on the spring of its floor: its own motion, not its body's, lifts it off.
-    The shapes are (bodies, frequencies) and (beds, frequencies).
+    A bed with finite-duration contact moves on the spring of its floor. Whether the bed leaves the floor depends on the
+    motion of the bed, not on the motion of the body. Shapes: (bodies, frequencies) and (beds, frequencies).
     """
     system = assemble(test_scene)
     states = riding_response(system, _excitation_point(test_scene), 2.0 * np.pi * frequency)
@@ -63,20 +64,21 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
 def linear_derivatives(
     test_scene: Scene, curves: Curves, frequency: Array, changed_scenes: Sequence[tuple[Scene, float]]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return the derivatives of displacement / reference with respect to values of the scene, and to the frequency.
+    """Return the sensitivities of displacement / reference to the parameters of a scene, and to the frequency.
 
-    They follow from the derivatives of the matrices, which are linear in masses and springs. Differences of the
-    response itself are too inaccurate near narrow resonances for combinations of values that hardly change it.
+    The sensitivities are computed from the derivatives of the matrices, because the matrices are linear in masses and
+    springs. Finite differences of the response would be too inaccurate: near a narrow resonance, some combinations of
+    parameters hardly change the response.
 
-    `changed_scenes`: for each value, the scene with a slightly larger value, and the change of the value. The shapes
-    are (values, bodies, frequencies) and (bodies, frequencies); the second is per Hz.
+    `changed_scenes`: for each parameter, the scene with a slightly larger parameter, and the change of the parameter.
+    Shapes: (parameters, bodies, frequencies), and (bodies, frequencies) for the derivative per Hz.
     """
     system = assemble(test_scene)
     equations = riding_equations(system, _excitation_point(test_scene))
     descriptor_matrix, state_matrix, _ = equations
     omega = 2.0 * np.pi * frequency
     states = riding_response(system, _excitation_point(test_scene), omega)
-    # Derivative of the equations (j omega E - G) x = b with respect to omega first, then to each value.
+    # Derivatives of the equations (j omega E - G) x = b: first with respect to omega, then to each parameter.
     right_sides = [-1j * (descriptor_matrix @ states)]
     if not test_scene.dampers:
         equations = _structure_equations(test_scene, system.states)
@@ -100,7 +102,7 @@ def linear_derivatives(
 
 
 def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, Array]:
-    """Return `riding_equations` without dampers; only blocks with fitted values are filled, which is faster."""
+    """Return `riding_equations` of a scene without dampers; only the blocks with parameters are filled, for speed."""
     mass, damping, stiffness = matrices_without_free_beds(test_scene)
     n = len(mass)
     descriptor_matrix, state_matrix = np.zeros((2, states, states))

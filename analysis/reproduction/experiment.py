@@ -1,4 +1,4 @@
-"""Virtual experiments of the reproduction: recordings of scenes with the virtual rig, and their evaluation."""
+"""Virtual experiments of the reproduction: recordings of scenes, and the results of their analysis."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ BODIES = ("body1", "body2", "body3")
 
 
 def open_or_record(scene: Scene, path: Path) -> Recording:
-    """Open the recording of a scene; record it first unless a complete recording of the same scene exists."""
+    """Open the recording of a scene. Unless the file is a complete recording of this scene, record the scene first."""
     try:
         recording = daq.open(path)
         if recording.scene == scene and not recording.gaps:
             return recording
         recording.close()
     except ShotrigError:
-        # The recording is missing or was interrupted: record it again.
+        # The recording is missing or incomplete: record the scene again.
         pass
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_name(path)
     with warnings.catch_warnings():
-        # Warnings of the test are stored as markers of the recording and reported by the analysis.
+        # The recording stores the warnings of the test as markers, and the analysis reports the markers.
         warnings.simplefilter("ignore", daq.RunWarning)
         daq.record(scene, partial, overwrite=True)
     partial.replace(path)
@@ -43,9 +43,10 @@ def open_or_record(scene: Scene, path: Path) -> Recording:
 
 
 def sweep(scene: Scene, path: Path) -> Arrays:
-    """Estimate the compliances of the bodies, X_j / F_1, from a stepped-sine recording.
+    """Record a stepped sine, and estimate the compliances X_j / F_1 of the bodies.
 
-    Returns `frequency` [Hz] (points,), and `compliance`, `error` [m/N] and `coherence` (bodies, points).
+    Returns `frequency` in Hz, shape (points,); `compliance` and its `error` in m/N, and `coherence`, each of shape
+    (bodies, points).
     """
     with open_or_record(scene, path) as recording:
         curves = frequency_responses(recording, BODIES)[0]
@@ -58,10 +59,11 @@ def sweep(scene: Scene, path: Path) -> Arrays:
 
 
 def bare_sweep(scene: Scene, path: Path) -> Arrays:
-    """Estimate compliances as `sweep`, transmissibilities X_j / X_0, and modal parameters from a recording.
+    """Record a stepped sine of a structure without dampers; estimate compliances, transmissibilities and modes.
 
-    Returns the entries of `sweep`; `transfer` (bodies, points), the transmissibilities; `omega` and `omega_error`
-    [rad/s], and `damping` (modes,); and mode `shapes` (bodies, modes) with largest element 1.
+    Returns the entries of `sweep`; `transfer`, the transmissibilities X_j / X_0, shape (bodies, points); `omega` and
+    `omega_error` in rad/s, and `damping`, the damping ratios, each of shape (modes,); and the mode `shapes`, with a
+    largest element of 1, shape (bodies, modes).
     """
     with open_or_record(scene, path) as recording:
         arrays = sweep(scene, path)
@@ -69,7 +71,7 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
         arrays["transfer"] = np.array([curve.value for curve in curves])
         modes = identify(frequency_responses(recording, BODIES)[0], count=3)
         shapes = modes.residue.imag
-        arrays["omega"], arrays["omega_error"] = (2 * np.pi * modes.frequency, 2 * np.pi * modes.frequency_error)
+        arrays["omega"], arrays["omega_error"] = 2 * np.pi * modes.frequency, 2 * np.pi * modes.frequency_error
         arrays["damping"] = modes.damping
         largest = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=0)[None], axis=0)
         arrays["shapes"] = shapes / largest
@@ -77,18 +79,22 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
 
 
 def damper_sweep(scene: Scene, path: Path) -> Arrays:
-    """Estimate compliances as `sweep`, and as ``impact_...`` the results of `impact_phases`."""
+    """Record a stepped sine of a structure with a damper in body 2; estimate compliances and impact phases.
+
+    Returns the entries of `sweep`, and the entries of `impact_phases` with the prefix ``impact_``.
+    """
     phases = impact_phases(scene, path)
     return sweep(scene, path) | {f"impact_{key}": values for key, values in phases.items()}
 
 
 def impact_phases(scene: Scene, path: Path) -> Arrays:
-    """Estimate impact phases of the damper in body 2 over frequency, from the channel on it and the spring force.
+    """Estimate the impact phases of the damper in body 2 at each frequency.
 
-    Returns arrays of shape (points,): `frequency` [Hz]; `phi`, phase lag of the force at the floor impact [rad];
-    `tau_1`, phase of the ceiling impact after the floor impact [rad]; `floor` and `ceiling`, impacts per period. A
-    phase is NaN unless there is about one impact per period, with small scatter. Take-off causes no velocity jump, so
-    tau_0 cannot be measured.
+    The impacts are detected in the acceleration of body 2. The reference of the phases is the spring force. Returns
+    arrays of shape (points,): `frequency` in Hz; `phi`, the phase lag of the force at the floor impact, rad; `tau_1`,
+    the phase from the floor impact to the ceiling impact, rad; `floor` and `ceiling`, the numbers of impacts per
+    period. A phase is NaN unless there is about one impact per period and the phases scatter little. The phase tau_0 of
+    the take-off cannot be measured, because a take-off causes no velocity jump.
     """
     frequencies, phis, taus, floors, ceilings = [], [], [], [], []
     with open_or_record(scene, path) as recording:
@@ -99,15 +105,15 @@ def impact_phases(scene: Scene, path: Path) -> Arrays:
             frequency = float(marker.fields["frequency"])
             first, stop = marker.first_sample, marker.last_sample + 1
             periods = (stop - first) / recording.rate * frequency
-            phase = _force_phase(recording, channels, frequency, first, stop)
+            force_phase = _force_phase(recording, channels, frequency, first, stop)
             floor, ceiling = _impact_phases(recording, "body2", frequency, first, stop)
-            phi = _mean_phase(floor, periods)
+            floor_phase = _mean_phase(floor, periods)
             frequencies.append(frequency)
             floors.append(len(floor) / periods)
             ceilings.append(len(ceiling) / periods)
-            # The force is sin(theta + pi/2 + phase) at the time phase theta, and sin(-phi) at the impact.
-            phis.append((-(phi + phase + np.pi / 2)) % (2 * np.pi))
-            taus.append((_mean_phase(ceiling, periods) - phi) % (2 * np.pi))
+            # At the phase theta = 2 pi f t, the force is sin(theta + force_phase + pi/2). At the impact: sin(-phi).
+            phis.append((-(floor_phase + force_phase + np.pi / 2)) % (2 * np.pi))
+            taus.append((_mean_phase(ceiling, periods) - floor_phase) % (2 * np.pi))
     return {
         "frequency": np.array(frequencies),
         "phi": np.array(phis),
@@ -120,7 +126,7 @@ def impact_phases(scene: Scene, path: Path) -> Arrays:
 def _impact_phases(
     recording: Recording, channel: str, frequency: float, first: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compute the phases [rad] of floor and ceiling impacts in a section of the recording."""
+    """Return the phases of the floor impacts and of the ceiling impacts in a section of a recording, rad."""
     try:
         detected = detect_impacts(recording, channel, first, stop)
     except RecordingError:
@@ -131,7 +137,7 @@ def _impact_phases(
 
 
 def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
-    """Compute the circular mean of phases; NaN unless there is about one per period with small scatter."""
+    """Compute the circular mean of phases; NaN unless there is about one phase per period and the scatter is small."""
     if not 0.85 * periods < len(phases) < 1.15 * periods:
         return float("nan")
     mean = np.exp(1j * phases).mean()
@@ -139,7 +145,7 @@ def _mean_phase(phases: NDArray[np.float64], periods: float) -> float:
 
 
 def _force_phase(recording: Recording, channels: list[str], frequency: float, first: int, stop: int) -> float:
-    """Estimate the phase of the spring force, with sample 0 as the time origin."""
+    """Estimate the phase of the spring force in rad; the phase of its cosine is zero at sample 0."""
     phase_factor = np.exp(-2j * np.pi * frequency * np.arange(first, stop) / recording.rate)
     amplitudes = np.array([(recording.read(name, first, stop) * phase_factor).mean() for name in channels])
     row = reference_of(recording, "force").row(recording, channels, np.array([frequency]))[:, 0]
@@ -147,10 +153,11 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 
 
 def ring_down(scene: Scene, path: Path) -> Arrays:
-    """Compute the free decay of body 3's acceleration after the first hit.
+    """Record a hammer test, and evaluate the free decay of the acceleration of body 3 after the first hit.
 
-    Returns `time` [s], `acceleration` and `envelope` [m/s²] (samples,); `time_of_6_db`, in which the energy falls by
-    6 dB [s]; `time_below_1_g`, from which the acceleration stays below 1 g [s].
+    Returns `time` in s, `acceleration` and `envelope` in m/s², each of shape (samples,); `time_of_6_db`, the time in
+    which the energy decreases by 6 dB, s; and `time_below_1_g`, the time after which the acceleration stays below
+    1 g, s.
     """
     with open_or_record(scene, path) as recording:
         measured = decay(recording, "body3")

@@ -1,4 +1,7 @@
-"""Claim C4 of the paper, about Fig 9: motion types; agreement of approximate method, exact motion and recording."""
+"""Claim C4 of Inoue, Yokomichi, Hiraki (2011), about Fig 9.
+
+The claim concerns the motion types, and the agreement of the approximate method, the exact orbits and the recording.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,12 @@ import numpy as np
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.figures import Columns, Parts
 
-# Largest relative difference of peaks that agree: the reading accuracy of a figure.
+# Two peaks agree if they differ by at most this fraction, which is the accuracy of reading a figure.
 MAX_PEAK_DIFFERENCE = 0.05
 
 
 def fig9_claim(parts: Parts) -> Claim:
-    """Assess C4 by approximation, exact orbits and recording."""
+    """Assess claim C4 by results of the approximate method, exact orbits and a recording."""
     approximate, exact, measured = parts["approx-fig9"], parts["orbit-fig9"], parts["rec-fig9"]
     admissible = approximate["valid"] & approximate["stable"]
     ranges = {
@@ -24,38 +27,40 @@ def fig9_claim(parts: Parts) -> Claim:
     measured_peak = np.abs(measured["compliance"][1]).max()
     pairs = zip(measured["frequency"], measured["compliance"][1], strict=True)
     curve_distance = np.nanmedian([_nearest_orbit(exact, frequency, value)[1] for frequency, value in pairs])
-    phi, tau = _phase_distance(exact, measured, "phi"), _phase_distance(exact, measured, "tau_1")
+    phi_error, tau_error = _phase_error(exact, measured, "phi"), _phase_error(exact, measured, "tau_1")
     only_type_2 = not ((exact["type"] == "III") & exact["stable"]).any()
     over_damping = parts["fig9-damping"]
     column = int(np.abs(over_damping["clearance"] - 0.98e-3).argmin())
     dampings_without_iii = over_damping["damping"][~over_damping["has_type_iii"][:, column]]
-    absent_for = (
-        f"damping of {100 * dampings_without_iii.min():g} % and more"
+    dependence_on_damping = (
+        f"does not occur at this clearance with damping ratios of {100 * dampings_without_iii.min():g} % or more"
         if dampings_without_iii.size
-        else "none of the damping ratios tried"
+        else "occurs at this clearance with every damping ratio tried"
     )
     evidence = (
         Evidence(
-            f"Type II: approximate method {ranges['II'][0]}, exact orbits {ranges['II'][1]}. Type III: approximate "
-            f"{ranges['III'][0]}, exact orbits {ranges['III'][1]}.",
+            f"Type II occurs at {ranges['II'][0]} (approximate method) and {ranges['II'][1]} (exact orbits). Type III "
+            f"occurs at {ranges['III'][0]} (approximate method) and {ranges['III'][1]} (exact orbits).",
             ("approx-fig9", "orbit-fig9"),
         ),
         Evidence(
-            f"Peak compliance of body 2: approximate {1e6 * approximate_peak:.1f}, exact {1e6 * exact_peak:.1f}, "
-            f"recording {1e6 * measured_peak:.1f} µm/N ({100 * (approximate_peak / exact_peak - 1):+.1f} % and "
-            f"{100 * (measured_peak / exact_peak - 1):+.1f} % of the exact).",
+            f"The peak compliance of body 2 is {1e6 * exact_peak:.1f} µm/N for the exact orbits, "
+            f"{1e6 * approximate_peak:.1f} µm/N for the approximate method "
+            f"({100 * (approximate_peak / exact_peak - 1):+.1f} %), and {1e6 * measured_peak:.1f} µm/N in the "
+            f"recording ({100 * (measured_peak / exact_peak - 1):+.1f} %).",
             ("approx-fig9", "orbit-fig9", "rec-fig9"),
         ),
         Evidence(
-            f"Recording and exact stable orbits differ by {100 * curve_distance:.2f} % (median over the sweep) in "
-            f"compliance, {np.degrees(phi):.1f}° in impact phase and {np.degrees(tau):.1f}° in ceiling-impact time "
-            "(medians).",
+            "Recording and stable exact orbits differ, in the median over the sweep, by "
+            f"{100 * curve_distance:.2f} % in compliance, {np.degrees(phi_error):.1f}° in the phase of the floor "
+            f"impact, and {np.degrees(tau_error):.1f}° in the phase of the ceiling impact.",
             ("orbit-fig9", "rec-fig9"),
         ),
         Evidence(compare_directions(measured, parts["rec-fig9-down"]), ("rec-fig9", "rec-fig9-down")),
-        Evidence("tau_0 is not measured, because leaving the floor causes no jump of the velocity.", ()),
+        Evidence("tau_0 cannot be measured, because the take-off from the floor causes no velocity jump.", ()),
         Evidence(
-            f"Without Type III about the resonance, by damping ratio: {_without_type_iii(over_damping)}.",
+            "Clearances at which Type III does not occur near the resonance, for each damping ratio: "
+            f"{_without_type_iii(over_damping)}.",
             ("fig9-damping",),
         ),
     )
@@ -64,23 +69,26 @@ def fig9_claim(parts: Parts) -> Claim:
         "recording": abs(measured_peak / exact_peak - 1),
     }
     disagreements = [
-        f"the {name}'s peak deviates by {100 * error:.0f} % from the exact one"
+        f"the peak of the {name} differs from the peak of the exact orbits by {100 * error:.0f} %"
         for name, error in errors.items()
         if error > MAX_PEAK_DIFFERENCE
     ]
     agreements = [name for name, error in errors.items() if error <= MAX_PEAK_DIFFERENCE]
     reasons = [
-        "only Type II appears inside the resonance"
+        "only Type II occurs inside the resonance"
         if only_type_2
-        else "Type III, with a short stay at the ceiling, takes the top of the resonance at 0.98 mm for our damping of "
-        f"0.5 %, but is absent there for {absent_for}",
-        *(f"the {name}'s peak agrees with exact motion within {100 * MAX_PEAK_DIFFERENCE:g} %" for name in agreements),
+        else "at 0.98 mm with our damping of 0.5 %, the motion at the peak of the resonance is Type III, with a short "
+        f"stay at the ceiling; Type III {dependence_on_damping}",
+        *(
+            f"the peak of the {name} agrees with the peak of the exact orbits within {100 * MAX_PEAK_DIFFERENCE:g} %"
+            for name in agreements
+        ),
         *disagreements,
     ]
     return Claim(
         "C4",
-        "One damper on body 2, 6 %, 0.98 mm, 3.3 N: only Type II inside the third resonance; approximate method, "
-        "simulation and experiment agree.",
+        "One damper on body 2 (mass ratio 6 %, clearance 0.98 mm) at 3.3 N: inside the third resonance, only Type II "
+        "occurs. Approximate method, simulation and experiment agree.",
         evidence,
         ("holds: " if only_type_2 and not disagreements else "holds in part: ") + "; ".join(reasons),
         ("fig9",),
@@ -88,22 +96,22 @@ def fig9_claim(parts: Parts) -> Claim:
 
 
 def compare_directions(up: Columns, down: Columns) -> str:
-    """Compare a downward sweep with an upward sweep, body 2."""
-    rising, falling = np.argsort(up["frequency"]), np.argsort(down["frequency"])
-    upward, downward = abs(up["compliance"][1][rising]), abs(down["compliance"][1][falling])
+    """Compare the compliances of body 2 in a downward and an upward sweep."""
+    order_up, order_down = np.argsort(up["frequency"]), np.argsort(down["frequency"])
+    upward, downward = abs(up["compliance"][1][order_up]), abs(down["compliance"][1][order_down])
     change = 100.0 * abs(downward / upward - 1.0)
-    ambiguous = up["frequency"][rising][change > 100.0 * MAX_PEAK_DIFFERENCE]
+    ambiguous = up["frequency"][order_up][change > 100.0 * MAX_PEAK_DIFFERENCE]
     listed = ", ".join(f"{f:.2f}" for f in ambiguous)
-    extent = f"more than {100 * MAX_PEAK_DIFFERENCE:g} % at {listed} Hz, where two motions are possible"
+    extent = f"by more than {100 * MAX_PEAK_DIFFERENCE:g} % at {listed} Hz, where two motions are possible"
     return (
-        "The compliance of body 2 swept downward differs from the compliance swept upward by "
-        f"{np.median(change):.2f} % in the median, "
-        f"{extent if ambiguous.size else f'at most {change.max():.1f} %: no branch depends on the direction'}."
+        "The compliances of body 2 in the downward and the upward sweep differ by "
+        f"{np.median(change):.2f} % in the median, and "
+        f"{extent if ambiguous.size else f'by at most {change.max():.1f} %, so no branch depends on the direction'}."
     )
 
 
 def _without_type_iii(over_damping: Columns) -> str:
-    """Report the clearances without Type III, by damping ratio."""
+    """Return, for each damping ratio, the clearances at which Type III does not occur, as text."""
     rows = []
     for damping, third in zip(over_damping["damping"], over_damping["has_type_iii"], strict=True):
         clearances = [f"{1e3 * c:g}" for c in over_damping["clearance"][~third]]
@@ -114,13 +122,16 @@ def _without_type_iii(over_damping: Columns) -> str:
 
 
 def _frequency_range(data: Columns, selected: np.ndarray, kind: str) -> str:
-    """Return the frequency range of a motion type."""
+    """Return the frequency range of a motion type, as text."""
     frequency = data["frequency"][selected & (data["type"] == kind)]
-    return f"{frequency.min():.2f} to {frequency.max():.2f} Hz" if frequency.size else "nowhere"
+    return f"{frequency.min():.2f} to {frequency.max():.2f} Hz" if frequency.size else "no frequency"
 
 
 def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[int, float]:
-    """Return the stable exact orbit nearest to a measured compliance of body 2, and the relative distance."""
+    """Return the index of the stable orbit nearest to a measured compliance of body 2, and the relative distance.
+
+    The index is -1 if there is no stable orbit near the frequency.
+    """
     candidates = exact["stable"] & (np.abs(exact["frequency"] - frequency) < 0.06)
     if not candidates.any():
         return -1, np.nan
@@ -130,8 +141,8 @@ def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[in
     return int(index[closest]), float(distance[closest])
 
 
-def _phase_distance(exact: Columns, measured: Columns, name: str) -> float:
-    """Return the median deviation of the measured impact phase `phi` or `tau_1` from exact orbits, rad."""
+def _phase_error(exact: Columns, measured: Columns, name: str) -> float:
+    """Return the median deviation of a measured impact phase from exact orbits, rad; `name`: ``phi`` or ``tau_1``."""
     distances = []
     rows = zip(measured["frequency"], measured["compliance"][1], measured[f"impact_{name}"], strict=True)
     for frequency, value, phase in rows:

@@ -1,4 +1,7 @@
-"""Computed parts of the reproduction: simulation, exact orbits, and the approximate method of the paper."""
+"""Computed results of the reproduction of Inoue, Yokomichi, Hiraki (2011).
+
+The results come from simulation to steady state, from exact orbits, and from the approximate method of the authors.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +26,11 @@ from rig.system.structural_model import receptance, structural_model
 
 
 def linear_properties(scene: Scene, frequencies: Array) -> Arrays:
-    """Compute natural frequencies [rad/s], mode shapes (bodies, modes), and exact compliances (bodies, frequencies).
+    """Compute modes and exact compliances of a linear structure.
 
-    Compliances [m/N]: `compliance` without dampers, `riding` with the dampers' masses fixed to their bodies.
+    Returns the natural frequencies `omega` in rad/s; the mode `shapes`, shape (bodies, modes); and two compliances in
+    m/N, shape (bodies, frequencies): `compliance` without dampers, and `riding` with the masses of the dampers fixed to
+    their bodies.
     """
     modes = structural_model(scene).modes
     bare = scene.replace(dampers=[])
@@ -39,7 +44,7 @@ def linear_properties(scene: Scene, frequencies: Array) -> Arrays:
 
 
 def simulate_response(scene: Scene, frequencies: Array) -> Arrays:
-    """Compute the steady response to a purely sinusoidal force at rising frequencies, as `rig.frequency_response`."""
+    """Simulate the steady-state response to a sinusoidal force at ascending frequencies by `rig.frequency_response`."""
     response = frequency_response(with_ideal_force(scene), frequencies, tolerance=1e-6, longest=4000)
     return {
         "frequency": response.frequency,
@@ -52,15 +57,16 @@ def simulate_response(scene: Scene, frequencies: Array) -> Arrays:
 
 
 def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> Arrays:
-    """Compute exact orbits (periodic motions) over frequency, stable and unstable, in one table with a branch number.
+    """Compute the stable and unstable exact orbits (periodic motions) over a frequency band, as one table.
 
-    `band`: Hz; `searches`: number of frequencies in it at which branches are searched.
+    The column `branch` numbers the branches. `band`: Hz; `searches`: number of frequencies at which branches are
+    searched.
     """
     orbits = follow_orbits(with_ideal_force(scene), "frequency", band, searches=searches)
     rows = []
     for branch_number, branch in enumerate(orbits.branches):
         omega = 2 * np.pi * branch.value
-        instants = np.array([_contact_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
+        phases = np.array([_contact_instants(orbit) for orbit in branch.orbits]) * omega[:, None]
         rows.append(
             {
                 "branch": np.full(branch.value.size, branch_number),
@@ -68,10 +74,10 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
                 "compliance": branch.compliance.T,
                 "stable": branch.stable,
                 "type": np.full(branch.value.size, branch.motion_type, dtype="U24"),
-                # Phase by which the force lags the floor impact: the force is sin(w t), and sin(-phi) at the impact.
-                "phi": (-instants[:, 0]) % (2 * np.pi),
-                # Phases of take-off, ceiling impact and ceiling take-off after the floor impact.
-                "tau": (instants[:, 1:] - instants[:, :1]) % (2 * np.pi),
+                # Phase lag of the force at the floor impact: the force is sin(w t), and at the impact sin(-phi).
+                "phi": (-phases[:, 0]) % (2 * np.pi),
+                # Phases from the floor impact to take-off, ceiling impact and take-off from the ceiling.
+                "tau": (phases[:, 1:] - phases[:, :1]) % (2 * np.pi),
             }
         )
     special_points = [
@@ -88,7 +94,10 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
 
 
 def _contact_instants(orbit: Orbit) -> list[float]:
-    """Return the instants [s] of floor impact, take-off, ceiling impact and ceiling take-off; NaN for those absent."""
+    """Return the instants of floor impact, take-off, ceiling impact and take-off from the ceiling, s.
+
+    An instant is NaN if its event does not occur.
+    """
     if orbit.motion_type not in ("I", "II", "III"):
         return [np.nan] * 4
     floor, ceiling, separations = (
@@ -102,7 +111,7 @@ def _contact_instants(orbit: Orbit) -> list[float]:
 def approximate_branches(
     scene: Scene, mode: int, band: tuple[float, float], weighting: Weighting, searches: int = 13
 ) -> Arrays:
-    """Compute the branches of the approximate method in one table, with the compliances of all bodies."""
+    """Compute the branches of the approximate method as one table, with the compliances of all bodies."""
     reduced = single_mode(with_ideal_force(scene), mode, weighting=weighting)
     response, dense_frequency = follow_mode(reduced, band, searches), np.linspace(*band, 801)
     rows = [
@@ -129,7 +138,7 @@ def approximate_branches(
 
 
 def waveforms(scene: Scene, frequency: float) -> Arrays:
-    """Compute displacements of bodies and gaps of dampers [m] over two periods of the drive."""
+    """Compute the displacements of the bodies and the gaps of the dampers over two periods of the drive, m."""
     orbit = periodic_orbit(scene, frequency)
     orbit_time, *motion = orbit.columns().values()
     time = np.concatenate([orbit_time + k * orbit.repetition / frequency for k in range(-1, 3)])
@@ -149,12 +158,12 @@ def waveforms(scene: Scene, frequency: float) -> Arrays:
 
 
 def peaks_by_weighting(scene: Scene, bands: dict[int, tuple[float, float]]) -> Arrays:
-    """Compute the peaks of each mode by exact orbits, and by the approximate method with both weightings of the mass.
+    """Compute the peak of each mode by exact orbits, and by the approximate method with both weightings of the mass.
 
-    `bands`: frequency band [Hz] around each mode (from 1). Returns the modes, and in shape (3, modes) the peak of the
-    body that moves most in the mode [m/N], its frequency [Hz], and the mass ratio. Row 0: exact orbits, without a mass
-    ratio. Row 1: weighting by Eq 13 as printed in the paper; NaN where its sum is not a valid mass. Row 2:
-    energy-consistent weighting.
+    `bands`: frequency band in Hz around each mode (from 1). Returns the modes, and three arrays of shape (3, modes):
+    the peak compliance of the body that moves most in the mode, m/N; the frequency of the peak, Hz; and the mass ratio.
+    Row 0: exact orbits, for which the mass ratio is NaN. Row 1: weighting by Eq 13 as printed; NaN if the sum of this
+    equation is not a valid mass. Row 2: energy-consistent weighting.
     """
     peak, peak_frequency, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)
@@ -183,9 +192,9 @@ def peaks_by_weighting(scene: Scene, bands: dict[int, tuple[float, float]]) -> A
 
 
 def approximate_peaks(scene: Scene, forces: Array, clearances: Array, band: tuple[float, float]) -> Arrays:
-    """Compute the peak of `REPORTED_BODY` around mode 3 over force (rows) and clearance, by the approximate method.
+    """Compute the peak of `REPORTED_BODY` near mode 3 by the approximate method, for each force and clearance.
 
-    The mass ratio has the energy-consistent weighting.
+    The rows of the result are forces, the columns clearances. The mass ratio has the energy-consistent weighting.
     """
     peak = np.full((len(forces), len(clearances)), np.nan)
     types = np.empty(peak.shape, dtype="U4")

@@ -31,19 +31,19 @@ def reversed_force(curves: Sequence[Response]) -> str:
     `curves`: responses to one force, measured together; only those at the driving point are evaluated. Without a
     reversed sign, the warning is empty.
     """
-    reversed_curves = [curve for curve in curves if curve.is_driving_point and absorbs_power(curve)]
+    reversed_curves = [curve for curve in curves if curve.is_driving_point and supplies_power(curve)]
     if not reversed_curves:
         return ""
     names = ", ".join(dict.fromkeys(curve.ratio for curve in reversed_curves))
     return (
-        f"{names}: the phase at the driving point indicates a reversed channel (+90° instead of -90° at resonances): "
-        "the structure would supply energy. In the table of `daq import`, give sign: -1 for the force, or for this "
-        "response if only it is wrong; or turn the sensor around."
+        f"{names}: the phase at the driving point indicates a reversed channel, because the structure would supply "
+        "energy (at resonances, the phase of the compliance is +90° instead of -90°). In the table of `daq import`, "
+        "give sign: -1 for the force, or for this response if only this response is wrong; or turn the sensor around."
     )
 
 
-def absorbs_power(curve: Response) -> bool:
-    """Return whether the reference absorbs power from the structure at the resonances of a driving-point response."""
+def supplies_power(curve: Response) -> bool:
+    """Return whether the structure seems to supply power to the force at the resonances of a driving-point response."""
     mobility = curve.to("velocity").sorted()
     magnitude = abs(mobility.value)
     is_precise = np.nan_to_num(mobility.bound()) < _MAX_UNCERTAINTY * magnitude

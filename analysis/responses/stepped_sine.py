@@ -416,8 +416,9 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
         return "every measured window lacks samples. Record again, or repair the file with `daq recover`."
     if rec.source:
         return (
-            f"no step was detected in the {duration} that were imported: no tone lasts for ten periods. Import "
-            "the file again with the kind of its test (test: kind: swept_sine, random)."
+            f"no step was detected in these {duration}. No tone lasts at least ten periods, so this may not be a "
+            "stepped sine. Set the actual test in the scene (test: {kind: swept_sine} or {kind: random}) and import "
+            "the file again."
         )
     return (
         f"no steady state was measured in these {duration}: no window is marked 'measure'. Let the test run to its "

@@ -1,4 +1,4 @@
-"""Colors of drawings and curves: a body, its channels and its dampers have the same color."""
+"""Colors of drawings and curves: a body and its channels have the same color."""
 
 from __future__ import annotations
 

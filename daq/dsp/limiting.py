@@ -1,10 +1,12 @@
-"""Overload of a sensor and of integrators: voltage limits, which act on the continuous signal, not on its samples.
+"""Overload of a sensor and of integrators: voltage limits that act on the continuous signal.
 
-A shock lasts microseconds in an accelerometer, much less than the sample interval of a slow converter. Limited voltages
-are therefore checked many times per period of the circuit's fastest pole, at any sample rate. An interval in which a
-limit may be reached is propagated in steps, with the exact transition of the linear circuit. Integrators are limited to
-their rails, the largest voltages of their amplifiers. The excess of the sensor's output over its limit is subtracted as
-a linear function of time in each step.
+A shock in an accelerometer lasts microseconds, much less than the sample interval of a slow converter. A limit of the
+samples alone would miss this shock. Therefore the limited voltages are checked many times per period of the fastest
+pole of the circuit, at any sample rate. If a voltage may reach a limit in an interval, the circuit is propagated
+through this interval in steps. Each step uses the exact transition of the linear circuit.
+
+The state of an integrator is limited to the *rails*, the largest voltages of its amplifier. The *excess* is the part of
+the output of the sensor above the limit. In each step, the excess is subtracted as a linear function of time.
 """
 
 from __future__ import annotations
@@ -32,58 +34,61 @@ from rig.numerics.fma import weighted_sums
 from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import aligned_zeros, copy, multiply, padded_length
 
-# Checks per period of the circuit's fastest pole. The peak of a sine between two checks is at most 2 % higher.
+# Voltages are checked this many times per period of the fastest pole of the circuit. Between two checks, a sine exceeds
+# the checked values by at most 2 %.
 CHECKS_PER_PERIOD = 16
-# Minimum number of checks in an interval.
+# Voltages are checked at least this many times in an interval.
 MIN_CHECKS = 8
-# Index into the following pairs. Coarse steps are sufficient for an integrator; a sensor requires fine steps.
+# Indices of the two step sizes. Coarse steps are sufficient for an integrator; a sensor requires fine steps.
 COARSE = 0
 FINE = 1
-# Number of steps per period of the circuit's fastest pole.
+# Number of coarse and of fine steps per period of the fastest pole of the circuit.
 STEPS_PER_PERIOD = (32, 128)
-# Minimum number of steps in an interval.
+# Minimum number of coarse and of fine steps in an interval.
 MIN_STEPS = (8, 32)
-# If a voltage is below this fraction of its limit at all checks or steps, it is below the limit between them too.
+# If a voltage is below this fraction of the limit at all checks, the voltage is below the limit between the checks.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
-# An impulse counts as an overload if it is at least the limit times this duration, s. Smaller ones are rounding errors.
+# An impulse is an overload if it is at least the limit times this duration, s. Smaller impulses are rounding errors.
 MIN_IMPULSE_S = 1e-9
 
 
 class Limits(NamedTuple):
-    """Matrices that detect where limits are reached, and propagate the circuit there.
+    """Matrices that detect intervals in which a limit may be reached, and propagate the circuit through them.
 
-    The *propagated vector* (`daq.dsp.discretization`) consists of `width` states and integrals of the output, and four
-    derivatives of the input; `size` is its length. A leading dimension of 2 means coarse and fine steps.
-    Disturbances (noise and offsets) of degree 0 are constant over an interval.
+    The *propagated vector* (`daq.dsp.discretization`) has the length `size`. It consists of `width` states and
+    integrals of the output, and of four derivatives of the input. A first dimension of 2 means coarse and fine steps. A
+    disturbance (noise or an offset) of degree 0 is constant over an interval.
     """
 
-    # Contributions of input, disturbances and states, in the order of `DiscreteCircuit.state_weights`, to each limited
-    # voltage at each check in an interval; (checks, 4 + disturbances + states).
+    # Each limited voltage at each check in an interval is a weighted sum of input, disturbances and states, in the
+    # order of `DiscreteCircuit.state_weights`. These are the weights; (checks, 4 + disturbances + states).
     check_weights: Array
-    check_limits: Array  # magnitude of these voltages below which no limit is reached, V; (checks,)
-    # Weights of the magnitudes of the same contributions. If their weighted sum is below 1, no check reaches a limit.
+    check_limits: Array  # if the magnitudes of these voltages are below these values, no limit is reached, V; (checks,)
+    # If the sum of these weights times the magnitudes of input, disturbances and states is below 1, no check reaches a
+    # limit; (4 + disturbances + states,).
     bound_weights: Array
     step_counts: NDArray[np.int64]  # number of steps in an interval; (2,)
-    step_transitions: (
-        Array  # transition of the propagated vector over a step; (2, size, size), as `coarse_exponentials`
-    )
-    # Change of the propagated vector over a step due to 1 V of each constant disturbance; zero for the others; (2,
-    # disturbances, width).
+    # Transition of the propagated vector over a step, stored like `coarse_exponentials`; (2, size, size).
+    step_transitions: Array
+    # Change of the propagated vector over a step if a constant disturbance is 1 V; zero for disturbances that are not
+    # constant; (2, disturbances, width).
     constant_disturbance_response: Array
-    # Change of states and moments over an interval due to 1 V of each other disturbance; (disturbances, width).
+    # Change of states and moments over an interval if a disturbance that is not constant is 1 V; zero for constant
+    # disturbances; (disturbances, width).
     polynomial_disturbance_response: Array
-    output_limit: float  # largest magnitude of the sensor's output, V
-    output_weights: Array  # sensor's output, as a linear function of the propagated vector; (size,)
-    # Change of the propagated vector over a step due to an excess that falls linearly from 1 V to 0 (index 0), or rises
-    # from 0 to 1 V (index 1); (2, 2, width).
+    output_limit: float  # largest magnitude of the output of the sensor, V
+    output_weights: Array  # weights of the propagated vector in the output of the sensor; (size,)
+    # Change of the propagated vector over a step if the excess falls linearly from 1 V to 0 (index 0), or rises
+    # linearly from 0 to 1 V (index 1); (2, 2, width).
     excess_contributions: Array
-    # Factor by which the excess at the end of a step changes because it shifts the sensor's zero during the step; (2,).
+    # The excess shifts the zero of the sensor during a step. This factor corrects the excess at the end of the step for
+    # the shift; (2,).
     shift_feedback: Array
     limited_impulse_response: Array  # jump of the propagated vector due to a unit impulse over the limit; (width,)
-    # Smallest impulse over the limit, as in `CubicInput`. It is infinite if the sensor has no direct feedthrough,
-    # because its output then contains no impulse.
+    # Smallest impulse that exceeds the limit, in the unit of `CubicInput`. Without a direct feedthrough, the output of
+    # the sensor contains no impulse, and this value is infinite.
     min_impulse: float
-    shift_state: int  # index of the state of the zero shift after an overload; -1: none
+    shift_state: int  # index of the state of the zero shift after an overload; -1 without a zero shift
     rails: Array  # largest magnitude of each state, V; (states,)
     # Change of the propagated vector over a step due to a constant input that adds 1 V to a state; (2, states, width).
     rail_contributions: Array
@@ -101,9 +106,9 @@ def tabulate_limits(
 ) -> Limits | None:
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
-    `sensor_sections`: number of the first sections, which form the sensor; `output_limit`: limit of the sensor's
-    output, V; `rails`: limits of each state, V, (states,); `gain`: V per unit of the input; `rate`: sample rate, Hz;
-    `entries`: positions of the disturbances.
+    `sensor_sections`: the first `sensor_sections` sections are the sensor; `output_limit`: largest magnitude of the
+    output of the sensor, V; `rails`: largest magnitude of each state, V, (states,); `gain`: V per unit of the input;
+    `rate`: sample rate, Hz; `entries`: sections at which the disturbances enter.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None
@@ -116,14 +121,14 @@ def tabulate_limits(
         output_limit = np.inf
     output_weights = aligned_zeros(padded_length(size))
     output_weights[: sensor.c.size], output_weights[width] = sensor.c, sensor.d[0] * gain
-    # Frequency of the fastest pole, periods per sample interval.
+    # Frequency of the fastest pole, in periods per sample interval.
     fastest = float(np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0)) / (2 * np.pi * rate)
     checks = max(MIN_CHECKS, int(np.ceil(CHECKS_PER_PERIOD * fastest)))
     step_counts = np.array(
         [max(least, int(np.ceil(count * fastest))) for count, least in zip(STEPS_PER_PERIOD, MIN_STEPS, strict=True)]
     )
 
-    # The excess over the limit is subtracted behind the sensor, and drives the shift of its zero.
+    # The excess is subtracted after the last section of the sensor. The excess also drives the zero shift.
     excess_input = np.zeros(width)
     excess_input[:states] = -circuit.b[sensor_sections] / rate
     if integrals:
@@ -141,7 +146,7 @@ def tabulate_limits(
     polynomial_response = discrete.transition[states + 4 :].copy()
     polynomial_response[is_constant] = 0.0
     feedthrough = output_weights[width]
-    # Rows that yield the limited voltages from the vector with disturbances, and the limits: sensor's output, states.
+    # Limited voltages (output of the sensor, and states) as rows of weights of the extended vector, and their limits.
     limited = [(np.concatenate([output_weights[:size], np.zeros(len(extended) - size)]), output_limit)]
     limited += [(np.eye(len(extended))[state], rails[state]) for state in range(states)]
     limited = [(row, limit) for row, limit in limited if np.isfinite(limit)]
@@ -168,7 +173,7 @@ def tabulate_limits(
 
 
 def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Array:
-    """Return `Limits.excess_contributions` for steps of one size; `steps`: number of steps in an interval."""
+    """Return `Limits.excess_contributions` for one step size; `steps`: number of steps in an interval."""
     size, width = len(generator), excess_input.size
     ramp = np.zeros((size + 2, size + 2))
     ramp[:size, :size] = generator
@@ -179,7 +184,7 @@ def _ramp_contributions(generator: Array, excess_input: Array, steps: int) -> Ar
 
 
 def _rail_contributions(generator: Array, states: int, steps: int) -> Array:
-    """Return, for each state, the contribution of a constant input that adds 1 to it over a step; (states, width).
+    """Return `Limits.rail_contributions` for one step size; (states, width).
 
     `states`: number of states; `steps`: number of steps in an interval.
     """
@@ -195,8 +200,8 @@ def _check_rows(
 ) -> tuple[Array, Array]:
     """Return `Limits.check_weights` and `Limits.check_limits`.
 
-    `limited`: row that yields a limited voltage from the vector with disturbances, and its limit; `extended`, `start`:
-    from `extend_by_disturbances`; `checks`: number of checks in an interval.
+    `limited`: for each limited voltage, the weights of the extended vector, and the limit; `extended`, `start`: from
+    `extend_by_disturbances`; `checks`: number of checks in an interval.
     """
     transition = expm(extended / checks)
     weights = np.zeros((len(limited) * checks, start.shape[1]))
@@ -233,7 +238,7 @@ def count_within_limits(limits: Limits, sources: Array, magnitudes: Array, sums:
 
 @unfused_kernel
 def _exceeds(values: Array, limit: float) -> bool:
-    """Return whether any magnitude exceeds a limit; the loop has no branch, so that the compiler vectorizes it."""
+    """Return whether any magnitude exceeds a limit; without a branch in the loop, the compiler vectorizes the loop."""
     count = 0
     for k in range(values.size):
         count += abs(values[k]) > limit
@@ -252,11 +257,11 @@ def propagate_with_limits(
     overload: Array,
     workspace: SegmentWorkspace,
 ) -> tuple[int, float]:
-    """Propagate the circuit step by step over an interval; return the next segment and the final excess, V.
+    """Propagate the circuit over an interval in steps; return the index of the next segment and the final excess, V.
 
-    `segment`: number of the first segment that is not yet used; `interval`: number of the interval in the block.
-    Afterwards, `workspace.vector` contains the moments, and `overload` the severity of the interval (see
-    `daq.dsp.propagation.propagate`).
+    `segment`: index of the first segment that is not yet used; `interval`: index of the interval in the block.
+    Afterwards, `workspace.vector` contains the moments. `overload` then contains the severity of the overload in the
+    interval (see `daq.dsp.propagation.propagate`).
     """
     next_segment, excess, is_near_limit, is_limited = _propagate_in_steps(
         COARSE, cubics, segment, interval, discrete, limits, state, disturbances, workspace
@@ -293,13 +298,13 @@ def _propagate_in_steps(
 ) -> tuple[int, float, bool, bool]:
     """Propagate the circuit over an interval in coarse or fine steps.
 
-    Return the next segment, the final excess over the limit, whether the sensor's output came near its limit, and
+    Return the index of the next segment, the final excess, whether the output of the sensor came near the limit, and
     whether any limit was reached.
     """
     vector, current = workspace.vector, workspace.segment
     steps = limits.step_counts[step_size]
     _start_interval(limits, step_size, state, disturbances[:, interval], vector, workspace.constant_response)
-    # Completed steps; position in the interval, from 0 to 1.
+    # Number of completed steps, and position in the interval (from 0 to 1).
     step, position = 0, 0.0
     excess, is_near_limit, is_limited, has_more = 0.0, False, False, True
     while has_more:
@@ -344,7 +349,7 @@ def _propagate_in_steps(
 def _start_interval(
     limits: Limits, step_size: int, state: Array, disturbances: Array, vector: Array, constant_response: Array
 ) -> None:
-    """Copy the states to the propagated vector, and compute its change over a step due to constant disturbances."""
+    """Copy the states to the propagated vector, and compute the effect of constant disturbances over a step."""
     vector[:] = 0.0
     for j in range(state.size):
         vector[j] = state[j]
@@ -356,7 +361,7 @@ def _start_interval(
 
 @unfused_kernel
 def _copy_segment(cubics: CubicInput, segment: int, interval: int, out: Array) -> bool:
-    """Copy a segment of an interval, or the whole interval if it has no breaks; return whether more segments follow."""
+    """Copy a segment of an interval, or an interval without discontinuities; return whether more segments follow."""
     if segment < cubics.segment_interval.size and cubics.segment_interval[segment] == interval:
         copy_into(cubics.segments[segment], out)
         return bool(segment + 1 < cubics.segment_interval.size and cubics.segment_interval[segment + 1] == interval)
@@ -368,7 +373,7 @@ def _copy_segment(cubics: CubicInput, segment: int, interval: int, out: Array) -
 
 @unfused_kernel
 def _sensor_output(limits: Limits, vector: Array) -> float:
-    """Return the sensor's output without its limit, V."""
+    """Return the output that the sensor would have without the limit, V."""
     output = 0.0
     for r in range(limits.output_weights.size):
         output += limits.output_weights[r] * vector[r]
@@ -377,14 +382,14 @@ def _sensor_output(limits: Limits, vector: Array) -> float:
 
 @unfused_kernel
 def _excess(limits: Limits, vector: Array) -> float:
-    """Return the excess of the sensor's output over its limit, V."""
+    """Return the excess, V."""
     output = _sensor_output(limits, vector)
     return output - min(max(output, -limits.output_limit), limits.output_limit)
 
 
 @unfused_kernel
 def _clip_states(limits: Limits, step_size: int, vector: Array) -> bool:
-    """Clip the states at their rails by a constant input over the step; return whether any was clipped."""
+    """Clip the states at the rails by a constant input over the step; return whether any state was clipped."""
     any_clipped = False
     for j in range(limits.rails.size):
         clipped = min(max(vector[j], -limits.rails[j]), limits.rails[j])

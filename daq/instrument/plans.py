@@ -73,7 +73,8 @@ def check_timing(task: TaskSettings) -> None:
         if len(rates) > 1:
             raise invalid_value(
                 f"the task's modules coerce {timing['samp_clk_rate']:g} S/s to different rates, "
-                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate that all have."
+                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate "
+                "that all modules support."
             )
         _ = task.samples_per_channel  # Raises an error for fewer than 2.
         if task.direction == "ai" and task.input_buffer_size < 1:

@@ -104,7 +104,7 @@ def next_steps(rec: Recording) -> list[str]:
     try:
         outline, kind = rec.outline, rec.test_kind
     except ShotrigError:
-        # A recording of another program may not contain its scene.
+        # A recording of another program might lack a scene.
         return [f"daq replay {path}"]
     kinds = {mark.kind for mark in rec.markers}
     channels = rec.channels.values()

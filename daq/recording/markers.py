@@ -184,7 +184,9 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
 
 
 def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield the parts of missing ranges [first, stop) that no gap reports; `missing` and `gaps` are in rising order.
+    """Yield the parts of missing ranges [first, stop) that the gaps reported before these parts do not cover.
+
+    `missing` and `gaps` are in ascending order. A gap that starts inside a range is not subtracted from this range.
 
     >>> list(unmarked_ranges([(10, 20), (30, 40)], [Gap(12, 15, ("a1",), "lost"), Gap(30, 39, ("a1",), "lost")]))
     [(10, 20)]
@@ -200,7 +202,7 @@ def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> 
 
 
 def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
-    """Encode a change of contact as JSON.
+    """Encode a contact event as JSON.
 
     `time`: s after sample 0; `damper`: number, from 1; `kind`: from `CONTACT_CHANGES`; `speed`: closing speed, m/s.
     """
@@ -208,7 +210,7 @@ def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
 
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
-    """Return time, damper, kind and speed of a change of contact, as in `event_to_json`.
+    """Return time, damper, kind and speed of a contact event, as in `event_to_json`.
 
     Raises `RecordingError` if the message is malformed.
     """
@@ -216,7 +218,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     try:
         check(content, _EVENT_CHECKS)
     except RecordingError as error:
-        raise RecordingError(f"{EVENTS}: a message is not a change of contact ({error}). {_REMEDY}") from error
+        raise RecordingError(f"{EVENTS}: a message is not a valid contact event ({error}). {_REMEDY}") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
@@ -228,7 +230,7 @@ def _json(content: Mapping[str, Any]) -> bytes:
 def _to_python(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"a marker has a field {value!r}; expected numbers, texts, lists or objects.")
+    raise TypeError(f"a marker has a field {value!r}; expected numbers, strings, lists or objects.")
 
 
 def _object(data: memoryview, topic: str) -> dict[str, Any]:

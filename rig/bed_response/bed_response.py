@@ -1,4 +1,4 @@
-"""Steady motion of beds of grains over frequency, compared with single-mass models of the beds, for `rig grains`.
+"""Steady-state motion of beds of grains over frequency, compared with single-mass models, for `rig grains`.
 
 A *bed* is the particles of one damper; LAMMPS moves its grains by the discrete element method. Worker processes compute
 the motion at each frequency, and a table stores it.
@@ -30,9 +30,9 @@ from rig.study import Study, digest
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Periods of the drive in a block, over which a motion is averaged.
+#: The results are averaged over blocks of this number of periods of the drive.
 PERIODS = 20
-#: Maximum number of blocks until the motion is steady.
+#: The simulation ends after this number of blocks, even if the motion is not in steady state.
 MAX_BLOCKS = 20
 
 
@@ -46,7 +46,7 @@ class _Case(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class BedResponse(Result):
-    """Steady motion over frequency, with beds of grains and with each bed modeled as one mass.
+    """Steady-state motion over frequency, with beds of grains and with each bed modeled as one mass.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class BedResponse(Result):
         k, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
         n_steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(deviation)} frequencies; steady motion at {n_steady[0]} with grains, at {n_steady[1]} as one mass. "
+            f"{len(deviation)} frequencies; steady state at {n_steady[0]} with grains, at {n_steady[1]} as one mass. "
             f"Largest deviation of the compliance as one mass from that with grains: {100 * deviation[k, body]:+.3g} % "
             f"(body {body + 1}, {self.frequency[k]:.6g} Hz)"
         )
@@ -169,7 +169,8 @@ def format_table(response: BedResponse) -> str:
         [
             *lines,
             "m/N: of the body with the largest motion; other columns: of the first bed, per period of the drive",
-            "landing: mean phase of the floor impulse after the rising zero of the force; flight: share of the time",
+            "landing: mean phase of the floor force after the positive-going zero of the driving force",
+            "flight: share of the time",
             "",
             response.summary(),
         ]

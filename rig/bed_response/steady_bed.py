@@ -1,6 +1,7 @@
-"""Steady motion of a structure and its beds under a tone; a bed consists of grains, or is modeled as one mass.
+"""Steady-state motion of a structure and its beds under a tone.
 
-A *bed* is the particles of one damper. Grains are simulated in blocks of periods until two successive blocks agree.
+A *bed* is the material of one damper. A bed is simulated as grains, or modeled as one mass. Grains are simulated in
+blocks of periods until two successive blocks agree.
 """
 
 from __future__ import annotations
@@ -20,36 +21,38 @@ from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
-#: Sample intervals in a period of the drive, for grains and for one mass.
+#: The motion of grains is sampled this many times in a period of the drive.
 _SAMPLES_PER_PERIOD = 50
+#: The motion with beds modeled as one mass is sampled this many times in a period of the drive.
 _ONE_MASS_SAMPLES_PER_PERIOD = 400
-#: Largest relative difference of the compliances of two blocks of periods in steady motion.
+#: The motion is in steady state if the compliances of two successive blocks differ by less than this fraction.
 MAX_STEADY_CHANGE = 0.01
-#: Periods in which the transient decays, for beds modeled as one mass.
+#: A simulation with beds modeled as one mass begins with this number of periods, in which the transient decays.
 _SETTLING_PERIODS = 200
-#: Following periods that are averaged.
+#: The results of this simulation are averages over this number of periods at the end.
 _AVERAGED_PERIODS = 100
-#: Smallest share of a period in flight, or of the weight at a wall, that determines the motion type.
+#: The motion type neglects flights shorter than this fraction of the time, and wall forces below this fraction of the
+#: weight of the bed.
 _MIN_SIGNIFICANT_RATIO = 0.01
 
 
 @dataclass(frozen=True)
 class SteadyBed:
-    """Steady motion at one frequency; impulses and energy per period of the drive.
+    """Steady-state motion at one frequency.
 
-    `landing`: mean phase of the floor's impulse, weighted by the impulse, in degrees after the rising zero of the
-    force; shape (beds,).
+    `landing`: mean phase of the floor force, weighted by the force, shape (beds,); in degrees after the positive-going
+    zero of the driving force.
     """
 
-    # first harmonic of each displacement divided by that of the force, m/N, shape (bodies,)
+    # First harmonic of each displacement, divided by the first harmonic of the force, m/N, shape (bodies,).
     compliance: ComplexArray
-    floor_impulse: Array  # of the wall on the bed, N s, shape (beds,)
-    ceiling_impulse: Array  # of the wall on the bed, N s, shape (beds,)
-    energy: Array  # dissipated by the bed, J, shape (beds,)
+    floor_impulse: Array  # impulse of the floor on each bed in a period of the drive, N s, shape (beds,)
+    ceiling_impulse: Array  # impulse of the ceiling on each bed in a period, N s, shape (beds,)
+    energy: Array  # energy that each bed dissipates in a period, J, shape (beds,)
     landing: Array
-    flight: Array  # share of the time without contact with a wall, shape (beds,)
+    flight: Array  # fraction of the time in which the bed touches no wall, shape (beds,)
     motion_type: NDArray[np.str_]  # shape (beds,)
-    spread: float  # relative difference of the last two blocks' compliances
+    spread: float  # relative difference between the compliances of the last two blocks
     periods: int  # total number of simulated periods
 
     @property
@@ -66,8 +69,9 @@ def as_one_mass(scene: Scene) -> Scene:
 def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, min_blocks: int = 2) -> SteadyBed:
     """Simulate beds of grains under a tone until two blocks of periods agree.
 
-    `scene`: its test specifies the level; a controlled force acts directly on the body; `frequency`: Hz; `block`:
-    periods in a block; `max_blocks`, `min_blocks`: largest and smallest number of blocks; the last two are averaged.
+    `scene`: the test of the scene specifies the level; a controlled force acts directly on the body; `frequency`: Hz;
+    `block`: number of periods in a block; `max_blocks`, `min_blocks`: largest and smallest number of blocks. The result
+    is the average of the last two blocks.
     """
     scene = with_ideal_force(scene)
     coupled = CoupledPropagator(scene, 1.0 / (_SAMPLES_PER_PERIOD * frequency))
@@ -84,7 +88,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, m
         trajectory, beds = coupled.propagate_steps(drive)
         states, conjugate_factor = trajectory.state[:, : system.states], phase_factor[1:].conj()
         harmonics = 2.0 * (states.T @ conjugate_factor) / steps
-        # Forces and states are those at the ends of the steps; the sums over a period are the integrals.
+        # Forces and states are sampled at the ends of the steps. Over a period, sum times step is the integral.
         force = beds.force[:, :, 1:]
         on_body = -force.sum(axis=1)
         velocity = states[:, system.coordinates + coupled.bodies].T
@@ -107,7 +111,7 @@ def steady_grains(scene: Scene, frequency: float, block: int, max_blocks: int, m
 
 
 def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
-    """Compute the steady motion with each bed of the scene modeled as one mass."""
+    """Compute the steady-state motion with each bed of the scene modeled as one mass."""
     grains = assemble(scene).grains
     scene = with_ideal_force(as_one_mass(scene))
     response = frequency_response(scene, [frequency])
@@ -129,7 +133,7 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
     for k, row in enumerate(bed_rows):
         body, mass = system.damper_coordinate[row], system.damper_mass[row]
         reduced_mass, restitution = 1.0 / (1.0 / mass + inverse_mass[body]), system.restitution[row]
-        # Impulse of the bed on its wall in a sample interval, if the bed is at rest on it.
+        # Impulse of a bed at rest on a wall, in each sample interval.
         sample_impulse = (
             mass * (run.acceleration[body, averaged] + system.gravity) / (_ONE_MASS_SAMPLES_PER_PERIOD * frequency)
         )
@@ -162,7 +166,7 @@ def steady_mass(scene: Scene, frequency: float) -> SteadyBed:
 
 
 def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: Array) -> Array:
-    """Return the steady state with each bed modeled as one mass; starting from it shortens the transient."""
+    """Return the state in steady state with each bed modeled as one mass; this initial state shortens the transient."""
     compliance = frequency_response(as_one_mass(scene), [frequency])
     bodies, n = scene.structure.bodies, system.coordinates
     harmonic = -1j * compliance.force[0] * compliance.compliance[:, 0]
@@ -173,23 +177,23 @@ def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: 
 
 
 def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
-    """Return the first harmonic of the force on the driven body: of its coil spring, or the drive itself."""
+    """Return the first harmonic of the driving force: the force of the coil spring, or the drive itself."""
     row = spring_force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 
 
 def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:
-    """Return the mean phase of a force after the rising zero of the drive Re(A e^{i w t}), degrees.
+    """Return the mean phase of each wall force after the positive-going zero of the drive Re(A e^{i w t}), degrees.
 
-    `phasor`: sum of the force times e^{i w t}; `amplitudes`: A of each input; one of them is not zero.
+    `phasor`: sum of wall force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
     """
-    # The force Re(A e^{i w t}) has its rising zero at the phase -arg(i A).
+    # The positive-going zero of Re(A e^{i w t}) is at the phase -arg(i A).
     zero_factor = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
     return np.asarray(np.degrees(np.angle(phasor * zero_factor)) % 360.0)
 
 
 def _motion_types(force: Array, weight: Array) -> NDArray[np.str_]:
-    """Classify the motion of beds by the forces of their walls (beds, walls, steps), in the terms for one mass."""
+    """Classify the motion of each bed by its wall forces, shape (beds, walls, steps), as the motion of one mass."""
     ceiling = -force[:, CEILING].mean(axis=1) > _MIN_SIGNIFICANT_RATIO * weight
     resting = np.mean(force[:, FLOOR] > _MIN_SIGNIFICANT_RATIO * weight[:, None], axis=1) > 1.0 - _MIN_SIGNIFICANT_RATIO
     return np.where(ceiling, "II/III", np.where(resting, "riding", "I"))
@@ -202,7 +206,7 @@ def _relative_change(previous: ComplexArray | None, current: ComplexArray) -> fl
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
-    """Average two blocks; landing phase, motion type, spread and number of periods are taken from the second block."""
+    """Average two blocks; landing phase, motion type, spread and number of periods are those of the second block."""
     mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
         mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))

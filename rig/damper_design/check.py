@@ -46,7 +46,7 @@ class Expected:
 
 def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
     """Return the scene with the dampers of a trial, and a test around the largest peaks with and without them."""
-    peaks = [*(peak.frequency for peak in trial.peaks), objective.undamped_peak.frequency]
+    peaks = [*(peak.frequency for peak in trial.peaks), objective.bare_peak.frequency]
     test = {
         "kind": "stepped_sine",
         "frequencies": _frequencies_around(peaks, objective.band).tolist(),

@@ -207,7 +207,7 @@ class Objective:
     density: int = COARSE_DENSITY  # number of frequencies per natural frequency in the band
 
     @cached_property
-    def undamped_peak(self) -> Peak:
+    def bare_peak(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
         return max(linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes)
 

@@ -18,7 +18,7 @@ from rig.damper_design.flight import Flight, compute_flight, describe_shortfall,
 from rig.damper_design.other_modes import ModePeaks, mode_peaks, select_outside_band
 from rig.damper_design.ranking import is_equally_good, pareto_front
 from rig.damper_design.request import parse_request
-from rig.damper_design.search import estimate_piece_count, search
+from rig.damper_design.search import estimate_job_count, search
 from rig.damper_design.tolerance import Tolerance, clearance_tolerance
 from rig.damper_design.worst_peak import Peak
 from rig.figure_style import COLORS
@@ -221,8 +221,8 @@ def design(
     )
     forces = chart_levels(objective.levels)
     with Workers(cluster) as workers:
-        piece_count = estimate_piece_count(objective, space) + CHART_CLEARANCES.size * forces.size
-        evaluator = Evaluator(workers, table, progress, piece_count)
+        job_count = estimate_job_count(objective, space) + CHART_CLEARANCES.size * forces.size
+        evaluator = Evaluator(workers, table, progress, job_count)
         best, trials = search(objective, space, evaluator)
         preferred = select_outside_band(objective, trials, best, evaluator)
         if preferred != best:
@@ -250,7 +250,7 @@ def design(
         added_channels=added,
         expected=expected,
         best=best,
-        bare=objective.undamped_peak,
+        bare=objective.bare_peak,
         tolerance=tolerance,
         modes=modes,
         flight=compute_flight(objective, best, is_ceiling_unreached=np.isinf(tolerance.high)),

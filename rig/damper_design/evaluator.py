@@ -1,4 +1,8 @@
-"""Evaluation of candidate designs: workers compute the worst peaks, a table stores them for later searches."""
+"""Evaluation of candidate designs: workers compute the worst peaks, and a table stores the peaks for later searches.
+
+A *choice* is a candidate design: bodies, masses and clearances of the dampers. A *trial* is a choice and its computed
+worst peaks. A *job* is the computation of one worst peak: of one choice, for one structure at one level.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +18,20 @@ from rig.progress import CountProgress
 from rig.study import StoredValues, Study
 from rig.workers import Workers
 
-#: Function that returns the trial of a candidate design, or None if it is not computed yet.
+#: Function that returns the trial of a choice, or None if the trial is not complete.
 KnownTrials = Callable[[Choice], Trial | None]
-#: An objective for one structure at one level (`Objective.subproblems`), and a candidate design.
-Piece = tuple[Objective, Choice]
+#: A search: a function that returns the choices that the search needs. A search first uses the known trials.
+Search = Callable[[KnownTrials], Iterable[Choice]]
+#: An objective for one structure at one level (`Objective.subproblems`), and a choice.
+Job = tuple[Objective, Choice]
 
 
 class Evaluator:
-    """Provider of the worst peaks of candidate designs, from a table or from workers.
+    """Computes trials, or reads them from a table.
 
-    Workers compute the peaks that are missing in `table`, a CSV file with a row for each design, structure and level.
-    Each result is added to it at once. `total`: approximate number of pieces, for `progress`. Raises `RunError` if the
-    table cannot be written.
+    `table`: CSV file with a row for each job. Workers compute the jobs that are missing in the table. Each result is
+    added to the table at once. `total`: approximate number of jobs, for `progress`. Raises `RunError` if the table
+    cannot be written.
     """
 
     def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:
@@ -34,7 +40,7 @@ class Evaluator:
         self._stored = StoredValues(STUDY, table)
 
     def trial(self, objective: Objective, choice: Choice) -> Trial | None:
-        """Return the worst peaks of a design, or None if one of them is not computed yet."""
+        """Return the trial of a choice, or None if one of its peaks is not computed yet."""
         peaks = [self._stored.values.get((subproblem.digest, choice)) for subproblem in objective.subproblems]
         known, levels = [peak for peak in peaks if peak is not None], len(objective.levels)
         if len(known) < len(peaks):
@@ -43,25 +49,23 @@ class Evaluator:
         return Trial(choice, tuple(max(known[level::levels]) for level in range(levels)))
 
     def compute(self, objective: Objective, choices: Sequence[Choice]) -> list[Trial]:
-        """Compute the worst peaks of each design."""
+        """Compute the trial of each choice."""
         trials = self.run_searches(objective, [lambda _: choices])
         return [trials[choice] for choice in choices]
 
-    def run_searches(
-        self, objective: Objective, searches: Sequence[Callable[[KnownTrials], Iterable[Choice]]]
-    ) -> dict[Choice, Trial]:
-        """Compute the designs that several searches need, until all searches are finished.
+    def run_searches(self, objective: Objective, searches: Sequence[Search]) -> dict[Choice, Trial]:
+        """Compute the trials that several searches need, until all searches are finished.
 
-        `searches`: functions of the known results. Each returns the designs that it has used, and those for which it
-        waits. It is called again after each result for which it waits, so that no worker is idle while a search needs a
-        design. Returns the trials, sorted by design.
+        A search returns every choice that the search has used, and every choice whose trial is not complete. When such
+        a trial becomes complete, the search is called again. Workers therefore compute the next trials of one search
+        while another search waits. Returns the trials, sorted by choice.
         """
         requested: set[Choice] = set()
-        pieces: list[Piece] = []
-        # Designs for which each search waits.
+        jobs: list[Job] = []
+        # For each search, the choices whose trials are not complete.
         awaited: list[set[Choice]] = [set() for _ in searches]
 
-        def request_designs(numbers: Iterable[int]) -> None:
+        def request_choices(numbers: Iterable[int]) -> None:
             for number in numbers:
                 choices = list(searches[number](partial(self.trial, objective)))
                 awaited[number] = {choice for choice in choices if self.trial(objective, choice) is None}
@@ -69,19 +73,19 @@ class Evaluator:
                     if choice not in requested:
                         requested.add(choice)
                         needed = [(subproblem, choice) for subproblem in objective.subproblems]
-                        missing = [piece for piece in needed if piece not in self._stored]
+                        missing = [job for job in needed if job not in self._stored]
                         self._finished += len(needed) - len(missing)
-                        pieces.extend(missing)
+                        jobs.extend(missing)
 
-        request_designs(range(len(searches)))
-        for number, peak in self._workers.compute(_compute, pieces):
-            self._stored.add(pieces[number], peak)
+        request_choices(range(len(searches)))
+        for number, peak in self._workers.compute(_compute, jobs):
+            self._stored.add(jobs[number], peak)
             self._finished += 1
             if self._progress is not None:
                 self._progress(self._finished, max(self._total, self._finished + 1))
-            choice = pieces[number][1]
+            choice = jobs[number][1]
             if self.trial(objective, choice) is not None:
-                request_designs([k for k, designs in enumerate(awaited) if choice in designs])
+                request_choices([k for k, choices in enumerate(awaited) if choice in choices])
         trials = [self.trial(objective, choice) for choice in sorted(requested)]
         return {trial.choice: trial for trial in trials if trial is not None}
 
@@ -90,8 +94,8 @@ class Evaluator:
         self._stored.sort()
 
 
-def _compute(piece: Piece) -> Peak:
-    objective, choice = piece
+def _compute(job: Job) -> Peak:
+    objective, choice = job
     return objective.worst(choice)
 
 
@@ -111,15 +115,15 @@ def _parse_row(row: list[str]) -> tuple[tuple[str, Choice], Peak]:
     return (row[0], choice), peak
 
 
-STUDY: Study[Piece, Peak] = Study(
+STUDY: Study[Job, Peak] = Study(
     "designs",
-    # Digest of the objective, choice, total mass, and the `Peak` (size: compliance; simulated: irregular share).
+    # Digest of the objective, choice, total mass, and fields of `Peak` (size: compliance; simulated: irregular share).
     (
         "question", "bodies", "masses_kg", "clearances_m", "mass_kg",
         "size", "frequency", "level", "body", "acceleration", "simulated",
     ),
     _compute,
-    lambda piece: (piece[0].digest, piece[1]),
+    lambda job: (job[0].digest, job[1]),
     _to_row,
     _parse_row,
 )  # fmt: skip

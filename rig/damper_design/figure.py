@@ -79,7 +79,10 @@ def _verdict(design: Design) -> list[str]:
         )
     if min(design.best.choice.clearances) < MIN_MACHINABLE_CLEARANCE:
         smallest = f"{1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm"
-        lines.append(f"clearances below {smallest} are hard to build; larger ones are less effective")
+        lines.append(
+            f"Clearances below {smallest} are hard to build. Designs with larger clearances are feasible, but less "
+            "effective."
+        )
     return lines
 
 
@@ -210,13 +213,13 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     # The axis is the acceleration without dampers: with dampers it jumps where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
-    undamped_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
+    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
     for row_number, color, marker in zip(plotted_rows, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
         row = design.chart[row_number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
         axes.plot(
-            undamped_acceleration, [design.bare.compliance / peak.compliance for peak in row], f"{marker}-", ms=4,
+            bare_acceleration, [design.bare.compliance / peak.compliance for peak in row], f"{marker}-", ms=4,
             color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
     axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="largest peak without / with dampers")

@@ -77,26 +77,26 @@ def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
     return np.unique(np.concatenate([select_frequencies(scene, low, high, _BAND_POINTS), natural, peaks]))
 
 
-def ineffective_levels(trial: Trial, undamped: Peak, flight: Flight) -> list[float]:
+def ineffective_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
     """Return the levels at which the dampers do not fly, or do not reduce the peak by more than the search resolves."""
     return sorted(
         peak.level
         for peak in trial.peaks
-        if peak.reduction_from(undamped) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
+        if peak.reduction_from(bare) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
     )
 
 
 def describe_shortfall(
-    trial: Trial, undamped: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
+    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
 ) -> list[str]:
     """Report ineffective levels, the reason, and effective levels; empty if the dampers are effective at all levels.
 
     `charted`: peak of these dampers at each level of the chart, N; `trials`: all designs computed.
     """
-    ineffective = ineffective_levels(trial, undamped, flight)
+    ineffective = ineffective_levels(trial, bare, flight)
     if not ineffective:
         return []
-    reductions_db = {peak.level: peak.reduction_from(undamped) for peak in trial.peaks}
+    reductions_db = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
     lines = []
     for level in ineffective:
         acceleration = flight.acceleration_g(level)
@@ -107,9 +107,7 @@ def describe_shortfall(
             f"they change the peak by {-reductions_db[level]:+.1f} dB"
         )
     largest_reductions_db = {
-        level: max(
-            (p.reduction_from(undamped) for other in trials for p in other.peaks if p.level == level), default=0.0
-        )
+        level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
         for level in sorted(reductions_db)
         if level > max(ineffective)
     }
@@ -119,7 +117,7 @@ def describe_shortfall(
         for level in charted
         if level > max(ineffective)
         and flight.acceleration_g(level) > 1.0
-        and charted[level].reduction_from(undamped) >= EFFECTIVE_DB
+        and charted[level].reduction_from(bare) >= EFFECTIVE_DB
     ]
     if effective_levels:
         forces = ",".join(f"{format_number(level)}N" for level in effective_levels)

@@ -26,7 +26,7 @@ class ModePeaks:
     """Largest peaks near a natural frequency."""
 
     frequency: float  # natural frequency of the structure without dampers, Hz
-    in_band: bool  # whether it lies in the band of the objective
+    in_band: bool  # whether this frequency lies in the band of the objective
     undamped: Peak  # without dampers
     damped: tuple[Peak, ...]  # with dampers, at each level
 
@@ -63,7 +63,7 @@ def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tupl
         in_band = low < frequency < high
         # If the band contains a single mode, its peaks are the peaks of the trial.
         if in_band and is_single_mode:
-            peaks.append(ModePeaks(frequency, True, objective.undamped_peak, trial.peaks))
+            peaks.append(ModePeaks(frequency, True, objective.bare_peak, trial.peaks))
         else:
             (damped,) = evaluator.compute(mode_objective, [trial.choice])
             mode_low, mode_high = mode_objective.band
@@ -73,7 +73,7 @@ def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tupl
                 whole if is_same and mode_low <= whole.frequency <= mode_high else own
                 for whole, own in zip(trial.peaks, damped.peaks, strict=True)
             )
-            peaks.append(ModePeaks(frequency, in_band, mode_objective.undamped_peak, damped_peaks))
+            peaks.append(ModePeaks(frequency, in_band, mode_objective.bare_peak, damped_peaks))
     return tuple(peaks)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.damper_design.worst_peak import Peak
 
 
-#: Peak response of an undamped sensor to a step, relative to the step.
+#: Peak response of a sensor without damping to a step, relative to the step.
 _STEP_OVERSHOOT = 2.0
 
 
@@ -33,15 +33,15 @@ class Overload:
     changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the limit
 
 
-def predict_overloads(scene: Scene, expected: Sequence[Expected], undamped: Peak) -> list[Overload]:
+def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
     """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
-    `scene`: the scene of the check; `expected`: expected results of the check at each level; `undamped`: largest peak
+    `scene`: the scene of the check; `expected`: expected results of the check at each level; `bare`: largest peak
     without dampers; it is recorded at the smallest of these levels.
     """
     system = assemble(scene)
     lowest = min(result.peak.level for result in expected)
-    peaks_and_levels = [(result.peak, result.peak.level) for result in expected] + [(undamped, lowest)]
+    peaks_and_levels = [(result.peak, result.peak.level) for result in expected] + [(bare, lowest)]
     overloaded: list[Overload] = []
     max_voltage, max_channel = 0.0, ""
     for number, channel in enumerate(scene.channels or (), 1):

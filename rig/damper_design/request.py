@@ -76,7 +76,8 @@ def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -
         return scene
     if levels is None:
         raise SceneError(
-            "levels: not given, and the scene's test states a drive level, not a force. Give forces, as in --levels 3N."
+            "levels: not given, and the scene's test specifies a drive level, not a force. Give forces, as in "
+            "--levels 3N."
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
@@ -113,7 +114,8 @@ def parse_request(
     uncertainties = tuple(number(uncertainty, RATIO, "uncertain") for uncertainty in uncertain)
     if len(uncertainties) != 2 or not all(0.0 <= uncertainty < 0.9 for uncertainty in uncertainties):
         raise SceneError(
-            f"uncertain: got {uncertainties}; expected two relative uncertainties, each from 0 to below 90 %"
+            f"uncertain: got {uncertainties}; expected the relative uncertainties of damping and stiffness, each from "
+            "0 to below 90 %"
         )
     structure_mass, max_mass = total_mass(scene), mass_limit(budget, scene)
     if not 0.0 < max_mass < structure_mass:
@@ -126,17 +128,17 @@ def parse_request(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
         )
     impact_law = impact_law_of(scene.dampers)
-    undamped = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
-    default_levels = [level_of(undamped) * factor for factor in DEFAULT_LEVEL_RATIOS]
+    bare = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
+    default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]
     forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
-    band_limits = ascending_pair(band or select_frequencies(undamped, points=2), FREQUENCY, "band")
+    band_limits = ascending_pair(band or select_frequencies(bare, points=2), FREQUENCY, "band")
     locations = SearchSpace.locations_of(damper_bodies, dampers)
-    objective = Objective(variants(undamped, *uncertainties), forces, band_limits, evaluated_bodies, impact_law)
+    objective = Objective(variants(bare, *uncertainties), forces, band_limits, evaluated_bodies, impact_law)
     if clearance is not None:
         return objective, SearchSpace(
             locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), allows_no_ceiling=False
         )
-    compliance = objective.undamped_peak.compliance
+    compliance = objective.bare_peak.compliance
     return objective, SearchSpace(
         locations,
         max_mass,

@@ -1,7 +1,8 @@
 """Search for the best dampers: a grid over locations, masses and clearances, then local refinement.
 
-The local searches start from the best designs of the grid. A search requests designs. Workers compute them
-concurrently, and the search continues when their peaks are known.
+The local searches start from the best choices of the grid (`choice` and `trial`: see `rig.damper_design.evaluator`). A
+search requests choices. Workers compute the choices concurrently, and the search continues when the trials are
+complete.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from rig.damper_design.worst_peak import Peak
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
 #: Number of clearances of the grid, from the smallest to the largest.
 GRID_CLEARANCES = 10
-#: Typical share of the grid that is computed at all levels; the rest is excluded by a lower bound at one level.
+#: Share of the grid that a typical search computes at all levels, for the estimate of its progress. A lower bound at
+#: one level excludes the rest.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Number of designs of each mass that are computed concurrently.
+#: Number of choices of each mass that are computed concurrently.
 LOOKAHEAD = 3
 #: Maximum number of trials around the best clearance of a location and mass.
 MAX_REFINEMENT_TRIALS = 8
@@ -33,7 +35,7 @@ MAX_REFINEMENT_TRIALS = 8
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Maximum number of locations refined by the simplex search at the largest mass.
 MAX_SIMPLEX_LOCATIONS = 2
-#: Largest ratio of two dampers' masses. Large, so that a single damper can dominate if that is the optimum.
+#: Largest ratio of the masses of two dampers: large, so that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
@@ -41,30 +43,30 @@ MAX_REFINED_PEAK_RATIO = 1.4
 MAX_LIGHT_PEAK_RATIO = 1.25
 #: Maximum number of locations refined for each smaller mass.
 MAX_REFINED_LOCATIONS = 2
-#: Relative rounding difference of two sums of the same masses.
+#: Two sums of masses are equal if they differ by less than this fraction, which exceeds rounding errors.
 MASS_ROUNDING = 1e-9
 #: Initial ratio of the clearances of two dampers in one body.
 CLEARANCE_RATIO = 1.1
-#: Number of best designs in the final comparison on the fine frequency grid.
+#: Number of best trials that the final comparison computes again on the fine frequency grid.
 FINAL_DESIGNS = 3
 
 
-def estimate_piece_count(objective: Objective, space: SearchSpace) -> int:
-    """Estimate the number of pieces (a design at one level, for one structure) that a search computes."""
+def estimate_job_count(objective: Objective, space: SearchSpace) -> int:
+    """Estimate the number of jobs that a search computes."""
     grid_size = len(space.locations) * len(GRID_MASS_RATIOS) * (GRID_CLEARANCES + 1)
-    pieces_per_design = len(objective.subproblems)
+    jobs_per_choice = len(objective.subproblems)
     refinements = (len(space.locations) + 2 * len(GRID_MASS_RATIOS)) * MAX_REFINEMENT_TRIALS
-    return grid_size + int(TYPICAL_COMPLETED_SHARE * grid_size * pieces_per_design) + refinements * pieces_per_design
+    return grid_size + int(TYPICAL_COMPLETED_SHARE * grid_size * jobs_per_choice) + refinements * jobs_per_choice
 
 
 def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tuple[Trial, list[Trial]]:
     """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `rank_trials`.
 
-    Returns the best design, with its peaks on the fine frequency grid, and all computed designs.
+    Returns the best trial, with its peaks on the fine frequency grid, and all trials.
     """
 
     def optimize_from(starts: Iterable[Choice], optimize: Callable[..., object]) -> dict[Choice, Trial]:
-        return evaluator.run_searches(objective, [partial(_requested_designs, optimize, start) for start in starts])
+        return evaluator.run_searches(objective, [partial(_requested_choices, optimize, start) for start in starts])
 
     grid = [
         [choice for location in space.locations for choice in _grid_row(space, location, share)]
@@ -96,7 +98,7 @@ def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tu
 
 
 def _finalists(trials: Iterable[Trial], space: SearchSpace) -> list[Choice]:
-    """Return the best designs, the best without its lightest damper, and the best of each smaller mass."""
+    """Return the best choices, the best choice without its lightest damper, and the best of each smaller mass."""
     trials = list(trials)
     finalists = [trial.choice for trial in rank_trials(trials)[:FINAL_DESIGNS]]
     if len(finalists[0].bodies) > 1:
@@ -113,7 +115,7 @@ def _ranked_at_mass(trials: Mapping[Choice, Trial], mass: float) -> list[Trial]:
 
 
 def _with_several_dampers(choices: Iterable[Choice]) -> list[Choice]:
-    """Select designs with more than one damper."""
+    """Select the choices with more than one damper."""
     return [choice for choice in choices if len(choice.bodies) > 1]
 
 
@@ -123,7 +125,7 @@ def _clearance_step(space: SearchSpace) -> float:
 
 
 def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> list[Choice]:
-    """Return the designs of a location with all clearances of the grid, and the design without ceilings."""
+    """Return the choices of a location with all clearances of the grid, and the choice without ceilings."""
     count, (low, high) = len(location), space.clearance
     # Identical dampers in one body would move identically until rounding errors separate them.
     ratios = [CLEARANCE_RATIO ** location[:k].count(body) for k, body in enumerate(location)]
@@ -139,7 +141,7 @@ def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> li
 
 
 def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
-    """Return the best design with ceilings of each location, if its peak is at most `max_ratio` times the best peak.
+    """Return the best choice with ceilings of each location, if its peak is at most `max_ratio` times the best peak.
 
     `row`: ranked trials of one mass.
     """
@@ -151,7 +153,7 @@ def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
 
 
 def _compute_grid(objective: Objective, grid: Sequence[list[Choice]], evaluator: Evaluator) -> dict[Choice, Trial]:
-    """Compute the designs that may be the best of their row; the peak at the middle level is a lower bound."""
+    """Compute the choices that may be the best of their row; the peak at the middle level is a lower bound."""
     at_middle_level = objective.subproblems[len(objective.levels) // 2]
     choices = [choice for row in grid for choice in row]
     lower_bounds = {trial.choice: trial.peak for trial in evaluator.compute(at_middle_level, choices)}
@@ -162,8 +164,8 @@ def _compute_grid(objective: Objective, grid: Sequence[list[Choice]], evaluator:
 def _branch_and_bound(
     row: Sequence[Choice], lower_bounds: Mapping[Choice, Peak], known_trials: KnownTrials
 ) -> Iterator[Choice]:
-    """Yield the designs of a row, sorted by lower bound, until none of the rest can be the best (branch and bound)."""
-    # Results are used `LOOKAHEAD` designs later, so that the set of computed designs does not depend on worker speed.
+    """Yield the choices of a row, sorted by lower bound, until no later choice can be the best (branch and bound)."""
+    # A trial is used `LOOKAHEAD` choices later, so that the set of computed choices does not depend on worker speed.
     smallest_peak = np.inf
     for number, choice in enumerate(row):
         if number >= LOOKAHEAD:
@@ -177,12 +179,12 @@ def _branch_and_bound(
 
 
 class _NotComputed(Exception):
-    """A search needs a design that has not been computed yet."""
+    """A search needs a trial that is not complete."""
 
 
-def _requested_designs(search: Callable[..., object], start: Choice, known_trials: KnownTrials) -> list[Choice]:
-    """Return the designs that a search requests, up to the first design without a result."""
-    # The search restarts each time and uses the stored results up to the first unknown design.
+def _requested_choices(search: Callable[..., object], start: Choice, known_trials: KnownTrials) -> list[Choice]:
+    """Return the choices that a search requests, up to the first choice without a trial."""
+    # The search restarts each time, and uses the known trials up to the first missing trial.
     requested = []
 
     def cost(choice: Choice) -> float:
@@ -202,7 +204,7 @@ def _optimize_common_factor(
 ) -> None:
     """Optimize a common factor of all clearances within one step of the grid, by Brent's method.
 
-    `cost`: objective of a design; `step`: logarithmic; `bounds`: smallest and largest clearance, m.
+    `cost`: objective of a choice; `step`: logarithmic; `bounds`: smallest and largest clearance, m.
     """
     middle = np.log(start.clearances[0])
 

@@ -1,4 +1,4 @@
-"""The worst peak of a structure with dampers: maximum over frequency, level and body."""
+"""The worst peak of a structure with dampers at one force level: the maximum over frequency and body."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Peak:
     acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
-    def reduction_from(self, undamped: Peak) -> float:
+    def reduction_from(self, bare: Peak) -> float:
         """Return the reduction relative to the peak without dampers, dB."""
-        return 20.0 * float(np.log10(undamped.compliance / self.compliance))
+        return 20.0 * float(np.log10(bare.compliance / self.compliance))
 
 
 def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -> OrbitResponse:
-    """Compute the steady motion at each frequency, starting from the motion at the previous one."""
+    """Compute the steady-state motion at each frequency, starting from the motion at the previous frequency."""
     return sweep(problem, OperatingPoint(float(frequencies[0]), level), "frequency", frequencies)
 
 

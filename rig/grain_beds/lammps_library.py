@@ -38,8 +38,8 @@ def new_lammps(communicator: Any = None) -> Any:
     if communicator is None and instance.extract_setting("world_size") > 1:
         communicators()
         raise RunError(
-            "mpiexec started several processes that do not share the grains. Start a command with "
-            "mpiexec (mpiexec -n 4 rig simulate SCENE), or call rig.ranks.join() at the beginning of "
+            "mpiexec started independent processes, and each process would simulate all grains. Either start a command "
+            "of shotrig with mpiexec (mpiexec -n 4 rig simulate SCENE), or call rig.ranks.join() at the beginning of "
             "the script."
         )
     return instance

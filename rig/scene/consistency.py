@@ -61,13 +61,15 @@ def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Pro
         message = f"{test.kind} requires a shaker. Add a shaker to the scene."
         yield Problem(("kind",), message, absent="shaker")
     elif n_shakers > 1 and test.shaker is None:
-        yield Problem((), f"shaker missing; expected shaker: with the number of the driven shaker, 1 to {n_shakers}")
+        message = "several shakers are defined, but the driven shaker is not given; add shaker: N, with N from 1 to"
+        yield Problem((), f"{message} {n_shakers}")
     elif number > n_shakers:
         yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
     elif any(other > n_shakers for other in other_numbers):
-        yield Problem(("also",), f"names a shaker that does not exist; expected numbers up to {n_shakers}")
+        yield Problem(("also",), f"one of these shakers does not exist; expected numbers from 1 to {n_shakers}")
     elif len({test.shaker, *other_numbers}) <= len(other_numbers):
-        yield Problem(("also",), "names a shaker twice; expected the shakers other than test: shaker, each once")
+        message = "a shaker occurs twice; expected every shaker once, and not the shaker of the key shaker: of the test"
+        yield Problem(("also",), message)
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
         yield Problem(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
 
@@ -77,7 +79,7 @@ def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Problem]:
         yield from _check_body(valid, channel.body, ("at",))
     elif channel.at == "hammer":
         if "test" in valid and not isinstance(valid["test"], Impulse):
-            message = "there is no hammer; expected a body or the table, or a test of kind impulse"
+            message = "this test has no hammer; expected a body or the table, or a test of kind impulse"
             yield Problem(("at",), message, absent="" if valid["test"] else "test")
     elif "shaker" in valid:
         yield from _check_location_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
@@ -88,7 +90,7 @@ def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) 
     for k, channel in enumerate(channels or ()):
         if channel.name in first_index:
             first_number = first_index[channel.name] + 1
-            message = f'"{channel.name}" is the name of channels[{first_number}]; expected each once'
+            message = f'"{channel.name}" is also the name of channels[{first_number}]; expected a unique name'
             yield Problem((k, "name"), message)
         first_index.setdefault(channel.name, k)
 
@@ -110,13 +112,13 @@ def _check_location_at_shaker(
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
     absent = "" if shakers else "shaker"
     if kind == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
-        message = "there is no table; expected a body, or a shaker of kind table or electrodynamic"
+        message = "the scene has no shaker table; expected a body, or a shaker of kind table or electrodynamic"
         yield Problem(key_path, message, absent)
     elif kind == "drive" and shaker is None:
         yield Problem(key_path, "there is no drive. Add a shaker to the scene.", absent)
     elif kind == "shaker" and shaker is None:
-        message = "there is no shaker; expected a body, or a shaker of kind force in the scene"
-        yield Problem(key_path, message, absent)
+        remedy = "mount the channel on a body (at: body 1), or add a shaker of kind force"
+        yield Problem(key_path, f"the scene has no force shaker; {remedy}", absent)
     elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
         table = at_shaker("table", channel.number or 1, n_shakers)
         yield Problem(
@@ -125,7 +127,8 @@ def _check_location_at_shaker(
             f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
         )
     elif kind == "shaker" and isinstance(test, Impulse):
-        yield Problem(key_path, "the shaker rests while the hammer hits; expected at: hammer")
+        message = "in a hammer test the shaker is idle, so its force is not measured; mount this channel at the hammer"
+        yield Problem(key_path, f"{message} (at: hammer)")
 
 
 def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Problem]:

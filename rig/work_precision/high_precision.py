@@ -229,7 +229,8 @@ class DecimalMotion:
                 break
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
             raise RunError(
-                f"event {kind} of damper {j + 1} at {guess:.9f} s is not reproduced. Report this with the scene."
+                f"event {kind} of damper {j + 1} at {guess:.9f} s could not be reproduced. Please report this as a bug "
+                "and attach the scene."
             )
 
     def advance(self, end_time: Decimal) -> None:

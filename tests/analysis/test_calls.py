@@ -17,7 +17,7 @@ from analysis.cli import app
 from rig.errors import RecordingError
 from tests.analysis.responses import synthetic
 
-UNDAMPED = Path("recordings/demo-sweep-no-damper.mcap")
+BARE = Path("recordings/demo-sweep-no-damper.mcap")
 DAMPED = Path("recordings/demo-sweep-three-dampers.mcap")
 
 
@@ -30,7 +30,7 @@ def axes():
 
 def test_frf_table_contains_all_recordings(axes):
     with daq.open(DAMPED) as rec:
-        result = analysis.frf([UNDAMPED, rec], ["body3"])
+        result = analysis.frf([BARE, rec], ["body3"])
     assert [each.keys() for each in result] == [("body3",), ("body3",)]
     columns = result.columns()
     assert {len(column) for column in columns.values()} == {sum(each.frequency.size for each in result)}
@@ -40,7 +40,7 @@ def test_frf_table_contains_all_recordings(axes):
 
 
 def test_modes_of_two_recordings_are_compared_by_mac():
-    result = analysis.modes([UNDAMPED, DAMPED], modes=3)
+    result = analysis.modes([BARE, DAMPED], modes=3)
     natural_frequencies = [13.04, 34.78, 49.66]  # of the scene, Hz
     assert result[0].frequency == pytest.approx(natural_frequencies, rel=1e-3)
     assert np.diag(analysis.mac(result[0].shapes, result[1].shapes)).min() > 0.99
@@ -64,14 +64,14 @@ def test_dampers_returns_rows_of_the_command(tmp_path, axes):
 
 
 def test_compare_returns_the_changes_of_the_peaks(axes):
-    result = analysis.compare([UNDAMPED, DAMPED])
+    result = analysis.compare([BARE, DAMPED])
     assert result.columns()["change_dB"].size == len(result.changes) > 0
     result.plot(axes)
     assert f"of {len(result.changes)} resonance peaks changed" in result.summary()
 
 
 def test_export_and_report_return_their_files(tmp_path):
-    target = analysis.export(UNDAMPED, tmp_path / "a.npz", ["body1"], stop=1.0)
+    target = analysis.export(BARE, tmp_path / "a.npz", ["body1"], stop=1.0)
     assert target.exists()
     hit = synthetic.impulses(tmp_path / "hit.mcap", interval=1.0)
     page = analysis.report(hit, tmp_path / "page.html")

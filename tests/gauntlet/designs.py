@@ -181,12 +181,12 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
     choices = list(brute_force(design, locations))
     best = best_peak(design, choices, workers)
     brute_force_seconds = time.perf_counter() - start - seconds
-    peak, undamped_peak = design.best.peak, design.bare
+    peak, bare_peak = design.best.peak, design.bare
     with tempfile.TemporaryDirectory() as folder:
         damped = record_compliance(design.scene, peak, Path(folder))
-        test = {"kind": "stepped_sine", "frequencies": [undamped_peak.frequency], "force": undamped_peak.level}
-        undamped = record_compliance(scene.replace(test=test), undamped_peak, Path(folder))
-    difference_db = 20 * np.log10(undamped / damped) - design.reduction(peak)
+        test = {"kind": "stepped_sine", "frequencies": [bare_peak.frequency], "force": bare_peak.level}
+        bare = record_compliance(scene.replace(test=test), bare_peak, Path(folder))
+    difference_db = 20 * np.log10(bare / damped) - design.reduction(peak)
     low, high = requirements["band"]
     excess = max(peak.compliance / best - 1, 0.0)
     print(

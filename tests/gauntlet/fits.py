@@ -152,8 +152,8 @@ def run_trial(seed: int, number: int) -> Trial:
         warnings.simplefilter("ignore", daq.RunWarning)
         try:
             paths = []
-            for name, variant in {"undamped": scene.replace(dampers=()), "damped": scene}.items():
-                if name == "undamped" or scene.dampers:
+            for name, variant in {"bare": scene.replace(dampers=()), "damped": scene}.items():
+                if name == "bare" or scene.dampers:
                     paths.append(Path(folder) / f"{name}.mcap")
                     daq.record(variant, paths[-1])
             start = time.process_time()

@@ -1,4 +1,4 @@
-"""Free decays: frequency, damping by amplitude, energy and envelope, compared with known decays."""
+"""Free decays: frequency, damping as a function of amplitude, energy and envelope, compared with known decays."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_linear_decay_frequencies_lie_within_bounds():
                 true_frequency = natural[np.argmin(abs(natural - peak))]
                 normalized_errors.append((mode.frequency - true_frequency) / mode.frequency_error)
                 peak_error_ratios.append(abs(peak / true_frequency - 1.0) / abs(mode.frequency / true_frequency - 1.0))
-    # Of 80 modes, at least 60 have a determined frequency; 95 % lie within two standard uncertainties.
+    # Of 80 modes, more than 60 have a determined frequency; 95 % lie within two standard uncertainties.
     assert len(normalized_errors) > 60
     assert np.mean(np.abs(normalized_errors) < 2.0) > 0.95 and np.max(np.abs(normalized_errors)) < 4.0
     # The error of the frequency of the spectral peak is more than ten times this error.
@@ -104,7 +104,7 @@ def test_damping_proportional_to_amplitude_is_estimated():
     np.testing.assert_allclose(mode.damping, c * mode.amplitude, rtol=0.06)
 
 
-# Damping ratio by amplitude of acceleration in m/s^2.
+# Damping ratio as a function of the amplitude of the acceleration in m/s^2.
 DAMPING_LAWS = {
     "step at 1 g": lambda amplitude: np.where(amplitude > 9.81, 0.03, 0.005),
     "friction": lambda amplitude: 0.003 + 0.02 / np.maximum(amplitude, 0.5),

@@ -1,7 +1,7 @@
-"""Check of decays: damping ratio against amplitude of a free decay with a damper, compared with the exact motion.
+"""Check of decays: damping ratio as a function of amplitude in a free decay with a damper, compared with exact values.
 
-Below 1 g the exact damping ratio is known in closed form. Above, it is the mean slope of the logarithm of the simulated
-amplitude within 3 dB of each level, which is the definition of the estimate.
+Below 1 g the exact damping ratio has a closed form. Above 1 g the exact ratio at a level is the mean decay rate of the
+simulated amplitude within 3 dB of the level, divided by the mean angular frequency. The estimate has this definition.
 """
 
 from __future__ import annotations

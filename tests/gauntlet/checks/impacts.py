@@ -1,9 +1,9 @@
 """Check of impacts: F1 score of the impacts detected in the channels, compared with the true impacts.
 
-True impacts count only above the detection threshold that the result states. They do not count if, according to the
-result, they cannot be separated from a larger impact or are hidden by its ringing. A detected impact may match any true
-impact within two samples (the main lobe of the converter's filter). With finite-duration contact the start of the
-contact is the impact, and its wall, time and velocity jump must agree within the stated errors.
+True impacts count only above the detection threshold of the result. They do not count if, according to the result, they
+cannot be separated from a larger impact or are masked by its ringing. A detected impact may match any true impact
+within two samples (the main lobe of the converter's filter). With finite-duration contact, the impact is the start of
+the contact; wall, time and velocity jump must agree within the errors that the result gives.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ MIN_F1_SCORE = 0.8
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:
-    """Compare the impacts of every damper; the points are detected plus true impacts, as in the F1 score."""
+    """Compare the impacts of every damper; a detected and a true impact count as two points, as in the F1 score."""
     if kind not in (TONE, TONE_FINITE_CONTACT):
         return []
-    recording, n_matched, points, notes = case.recording, 0, 0, []
+    recording, matched_points, points, notes = case.recording, 0, 0, []
     [window] = [marker for marker in recording.markers if marker.kind == "measure"]
     low, high = window.first_sample / recording.rate + _MARGIN_S, window.stop / recording.rate - _MARGIN_S
     for number, damper in enumerate(case.scene.dampers, 1):
@@ -49,10 +49,11 @@ def check(case: Case, kind: str) -> list[CheckResult]:
             is_detected = score(detected.time[right], time, _max_distance(detected, recording.rate))[2]
             n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
         n_detected, n_missed = int(np.sum(is_detected & is_compared)), int(np.sum(~is_detected & is_compared))
-        n_matched, points = n_matched + 2 * n_detected, points + 2 * n_detected + n_missed + n_false
+        matched_points += 2 * n_detected
+        points += 2 * n_detected + n_missed + n_false
         notes.append(f"a{damper.body}: {n_detected} detected, {n_missed} missed, {n_false} false")
-    outcome = "right" if n_matched >= MIN_F1_SCORE * points else "wrong"
-    return [CheckResult("impacts", kind, outcome, n_matched, points, note="; ".join(notes))]
+    outcome = "right" if matched_points >= MIN_F1_SCORE * points else "wrong"
+    return [CheckResult("impacts", kind, outcome, matched_points, points, note="; ".join(notes))]
 
 
 def score(detected: Array, true: Array, tolerance: float) -> tuple[float, NDArray[np.bool_], NDArray[np.bool_]]:

@@ -157,17 +157,17 @@ def test_take_off_includes_the_mass_of_all_dampers() -> None:
 
 def test_levels_below_take_off_are_reported() -> None:
     # The dampers take off at 0.8 N. At 0.5 N they do not reduce the peak without dampers, at 4 N they halve it.
-    undamped = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
+    bare = Peak(1e-4, 62.0, 0.5, 2, 1.0, 0.0)
     peaks = tuple(Peak(compliance, 61.0, level, 2, 1.0, 0.0) for compliance, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
     charted = {level: Peak(compliance, 61.0, level, 2, 1.0, 0.0) for level, compliance in ((1.0, 9.5e-5), (1.41, 8e-5))}
-    lines = describe_shortfall(trial, undamped, Flight(0.8, 1, np.nan), charted, [trial])
+    lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].endswith("Give --levels 4N.")
     weak_trial = Trial(trial.choice, peaks[:1])
-    lines = describe_shortfall(weak_trial, undamped, Flight(0.8, 1, np.nan), charted, [weak_trial])
+    lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])
     assert "from 1.41 N. Give such levels" in lines[1]
-    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), undamped, Flight(0.8, 1, np.nan), charted, [])
+    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 
 def test_level_below_take_off_is_ineffective() -> None:

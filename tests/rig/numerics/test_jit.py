@@ -1,6 +1,6 @@
-"""Cached machine code is compiled again when any of its sources changes, also if only numba's public options are used.
+"""Kernels are compiled again if any of their sources changes, and are otherwise read from the cache.
 
-The tests compile a package `kernels` of small modules, whose sources are below.
+The tests compile the small modules below, which form a package `kernels`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rig.numerics.jit import inlined_kernel
 def inner(x: float) -> float:
     return {factor} * x
 """
-# A kernel that calls another one twice.
+# A kernel that calls another kernel twice.
 TWICE = """
 from rig.numerics.jit import kernel
 
@@ -43,7 +43,7 @@ def inner(x: float, factor: int) -> float:
 def outer(x: float) -> float:
     return inner(x, 2) + inner(x, 3)
 """
-# Print which kernels are compiled.
+# Script that prints two results, then the names of the kernels that were compiled.
 PRINT_COMPILED = """
 from kernels.twice import inner, outer
 from numba.core.event import install_recorder
@@ -59,7 +59,8 @@ class Pair(NamedTuple):
     {0}: float
     {1}: float
 """
-# Print all bits of a zero of a guard and of a product in vector registers.
+# Script that prints all bits of the zero of a guard, and of a matrix product in vector registers. With `plain`, the
+# script hides `rig.numerics.callees`, so that only the public options of numba are used.
 BITS = """
 import sys
 if {plain}:
@@ -78,7 +79,7 @@ multiply(matrix, 0, np.sqrt(np.arange(5.0)), np.ones(8), out)
 print(float(tau).hex(), *(float(x).hex() for x in out))
 """
 CALL = "from kernels.outer import Pair, outer; print(outer(Pair(1.0, 100.0)))"
-# Call the functions `outer` of several packages `kernels`, in the folders of the arguments.
+# Script that calls the function `outer` of several packages `kernels`; its arguments are their parent folders.
 CALL_ALL = """
 import sys
 for folder in sys.argv[1:]:
@@ -96,7 +97,7 @@ def kernels(tmp_path: Path) -> Path:
 
 
 def write_kernels(folder: Path) -> Path:
-    """Write a package whose function `outer` returns 2 x + CONSTANT + y; `CALL` gives 2 * 1 + 10 + 100."""
+    """Write a package whose function `outer` returns 2 x + CONSTANT + y; `CALL` prints 2 * 1 + 10 + 100."""
     package = folder / "kernels"
     package.mkdir(parents=True)
     for name, text in {
@@ -111,24 +112,24 @@ def write_kernels(folder: Path) -> Path:
 
 
 def run(package: Path, code: str = CALL, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run code in a new process with a cache in the package."""
+    """Run code in a new process whose cache is in the package."""
     paths = [str(package.parent), str(Path(__file__).parents[3])]
     variables = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "NUMBA_CACHE_DIR": str(package / "cache")}
-    # No bytecode: Python would use it again, because it compares only time and size of a source.
+    # Python compares only the time and size of a source, so it would use outdated bytecode.
     variables |= {"PYTHONDONTWRITEBYTECODE": "1"} | environment
     command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, env=variables, check=True, capture_output=True, text=True)
 
 
 def machine_code(package: Path) -> dict[str, int]:
-    """Return the time of writing [ns] of each file of machine code."""
+    """Return the modification time of each file of machine code, ns."""
     files = (package / "cache" / "machine-code").glob("kernels-*/outer.outer-*")
     return {file.name: file.stat().st_mtime_ns for file in files}
 
 
 @pytest.mark.thorough
 def test_changed_source_compiles_again(tmp_path: Path) -> None:
-    # A package for each change: of a callee, of a constant, and of the order of fields.
+    # Each package has another change: the callee, the constant, or the order of the fields.
     changes = {
         "inner": (INNER.format(factor=3), "113.0"),
         "constant": ("CONSTANT = 20.0", "122.0"),
@@ -140,7 +141,7 @@ def test_changed_source_compiles_again(tmp_path: Path) -> None:
     assert first.stdout.split() == ["112.0"] * 3
     for name, (text, _) in changes.items():
         source = packages[name] / f"{name}.py"
-        # Neither the time nor the size of the file differs.
+        # The changed file keeps its size and modification time.
         before = source.stat()
         source.write_text(text)
         os.utime(source, ns=(before.st_atime_ns, before.st_mtime_ns))
@@ -166,7 +167,7 @@ def test_other_checkout_uses_the_same_code(kernels: Path, tmp_path: Path) -> Non
     second = run(copied_package, NUMBA_CACHE_DIR=str(kernels / "cache"))
     assert float(first.stdout) == float(second.stdout) == 112.0
     assert written and machine_code(kernels) == written
-    # Only the compilation of kernels of the program is logged.
+    # The log mentions only kernels of the program, and these kernels belong to a test.
     assert "compiling" not in first.stderr
 
 
@@ -188,7 +189,7 @@ def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
 
 @pytest.mark.thorough
 def test_public_options_give_the_same_bits(kernels: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # The cache also contains the machine code of the program: each kind has a digest of its own.
+    # Both variants share the cache with the program, because the digest of the machine code includes the options.
     plain = run(kernels, BITS.format(plain=True), NUMBA_CACHE_DIR=os.environ.get("NUMBA_CACHE_DIR", ""))
     exec(BITS.format(plain=False), {})
     assert plain.stdout == capsys.readouterr().out != ""

@@ -162,10 +162,10 @@ MISTAKES = [
     (STRUCTURE + "test: {kind: sine, frequency: 1, force: 1}",
      ":2: test.kind: sine requires a shaker. Add a shaker to the scene."),
     (STRUCTURE + FORCE + "channels: [{name: a, at: table}]",
-     ":3: channels[1].at: there is no table; expected a body, or a shaker of kind table"),
-    (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: there is no hammer"),
+     ":3: channels[1].at: the scene has no shaker table; expected a body, or a shaker of kind table"),
+    (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: this test has no hammer"),
     (STRUCTURE + "channels: [{name: a, at: shaker}]",
-     ":2: channels[1].at: there is no shaker; expected a body, or a shaker of kind force in the scene"),
+     ":2: channels[1].at: the scene has no force shaker; mount the channel on a body"),
     (STRUCTURE + ELECTRODYNAMIC + "channels: [{name: a, at: shaker}]",
      ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force is measured by "
      "channels at its two ends; expected at: table and at: body 1"),

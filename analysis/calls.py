@@ -105,7 +105,7 @@ def frf(
         Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in
         `scipy.signal.get_window`.
     unit : str, optional
-        Unit of the values, such as ``"g/N"``, for files that do not state it.
+        Unit of the values, such as ``"g/N"``, for files that do not give it.
     progress : callable, optional
         Called with (completed, total).
 

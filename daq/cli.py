@@ -124,7 +124,7 @@ def import_recording(
 
     Without --scene, the contents of the files are listed.
 
-    The scene's test states the excitation. Hammer hits and the steps of a stepped sine are detected in the samples.
+    The scene's test specifies the excitation. Hammer hits and the steps of a stepped sine are detected in the samples.
     """
     from daq.importing.report import import_and_report, listing
 

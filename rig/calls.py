@@ -35,7 +35,7 @@ def response(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     first, last : float or str, optional
-        Lowest and highest frequency, in Hz or as texts such as ``"49 Hz"``; default: as in the test.
+        Lowest and highest frequency, in Hz or as strings such as ``"49 Hz"``; default: as in the test.
     points : int, optional
         Number of frequencies; default: as in the test, or 101.
     direction : {'up', 'down', 'both'}, optional
@@ -67,7 +67,7 @@ def grains(
     cluster: str | None = None,
     progress: CountProgress | None = None,
 ) -> BedResponse:
-    """Compare the steady motion of beds of grains with that of their single-mass models at each frequency.
+    """Compare the steady-state motion of beds of grains with that of their single-mass models at each frequency.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def map(
     over : {'force', 'drive', 'clearance'}, optional
         Quantity of the vertical axis; default: the level of the test.
     least, most : float or str, optional
-        Limits of the vertical axis, in SI or as texts such as ``"0.5 N"``.
+        Limits of the vertical axis, in SI or as strings such as ``"0.5 N"``.
     rows, points : int
         Number of levels or clearances, and of frequencies.
     cluster : str, optional

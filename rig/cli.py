@@ -241,7 +241,7 @@ def grains(
 ) -> None:
     """Compare beds of grains with the same beds as one mass.
 
-    Each bed is simulated to its steady motion at each frequency.
+    Each bed is simulated to its steady state at each frequency.
     """
     import rig
     from rig.bed_response.bed_response import format_table

@@ -74,7 +74,7 @@ class _EscapingStream(io.TextIOBase):
 
 
 def replace_streams(cleanup: ExitStack) -> None:
-    """Replace the standard streams of Python; a closed stream is replaced by a null device."""
+    """Replace the standard streams of Python; a closed stream is replaced with a null device."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)

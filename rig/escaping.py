@@ -35,7 +35,7 @@ def is_single_line(text: str) -> bool:
 
 
 def escape_html(text: object) -> str:
-    """Escape text for HTML, also for quoted attributes.
+    """Escape text for HTML, including quoted attributes.
 
     >>> escape_html("<b> & 'x'")
     '&lt;b&gt; &amp; &#x27;x&#x27;'

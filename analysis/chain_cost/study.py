@@ -50,7 +50,7 @@ MAX_TIMEOUT_S = 60.0
 PERIODS = 50
 #: Number of repetitions of each recording; the shortest time is reported.
 REPEATS = 2
-#: Largest relative change of the reference, a steady motion, from period to period.
+#: Largest relative change of the reference, a steady-state motion, from period to period.
 REFERENCE_TOLERANCE = 1e-10
 #: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
 SAME_MOTION_TOLERANCE = 1e-4
@@ -95,9 +95,9 @@ def chain_study(
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
     A structure without moving dampers is linear: the reference is its exact compliance. With dampers the compliance
-    depends on the level. The reference is then the engine's steady motion under the drive amplitude that the controller
-    reached, as recorded; it is computed until it repeats within 1e-10. `rig cost` compares the engine
-    with arithmetic of 40 digits. Both references are independent of the measurement chain.
+    depends on the level. The reference is then the engine's steady-state motion under the drive amplitude that the
+    controller reached, as recorded; it is computed until it repeats within 1e-10. `rig cost` compares the engine with
+    arithmetic of 40 digits. Both references are independent of the measurement chain.
 
     `scene`: has a shaker and a test with a level. `frequencies`: Hz; None: `steady_frequencies` selects them from the
     range of the test. Raises `SceneError` if nothing drives the scene, or its channels do not measure the force. Raises

@@ -138,7 +138,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
 
     An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
-    squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady motion. Over
+    squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady state. Over
     whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
     -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens.
 

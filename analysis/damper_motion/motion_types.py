@@ -75,7 +75,7 @@ class DamperMotion:
 
     @property
     def name(self) -> str:
-        """Type of motion, in the terms of the paper if they apply."""
+        """Type of motion, in the terms of Inoue, Yokomichi, Hiraki (2011) if they apply."""
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.stays_on_floor else "unseen"
         if not self.pattern_periods:
@@ -240,8 +240,8 @@ def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) 
     count = rows[0].size
     for number in numbers:
         if scene.dampers[number - 1].contact is not None:
-            transfer = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate)))
-            rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * transfer, count))
+            gain = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate)))
+            rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * gain, count))
     # The correction mirrors the samples at the ends of a segment, so the results there are inaccurate.
     edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)
     return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

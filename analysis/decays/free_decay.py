@@ -312,7 +312,7 @@ def _energy_after_end(acceleration: Array) -> float:
 
 
 def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
-    """Return sample numbers: start of reading, start and end of the decay, end of reading; ends are exclusive."""
+    """Return sample indices: start of reading, start and end of the decay, end of reading; ends are exclusive."""
     hit_limits = hits(rec)
     if not 1 <= hit <= len(hit_limits):
         raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Largest relative frequency difference of modes of different recordings that share a panel.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
-# Maximum number of frequencies in the title of a panel; more are replaced by their range.
+# Maximum number of frequencies in the title of a panel; more are replaced with their range.
 _MAX_LISTED_FREQUENCIES = 3
 
 

@@ -29,7 +29,7 @@ COVERAGE_FACTOR = 1.96
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # Model errors of fits from random initial values, which are used if the modes lead to no solution.
 _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of the random initial values of unknowns around the values of the scene.
+# Standard deviation of the random initial values of unknowns around the parameters of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8
@@ -42,7 +42,7 @@ _DAMPER_MODEL_ERRORS = (0.2, 0.05)
 # A negligible model error that selects the Cauchy loss. With it, a point where rig and model have different orbits has
 # little effect.
 _ROBUST_MODEL_ERROR = 1e-6
-# Factors of the initial masses and clearances of all dampers, tried if the values of the scene lead to no solution.
+# Factors of the initial masses and clearances of all dampers, tried if the parameters of the scene lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.

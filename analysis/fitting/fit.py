@@ -41,10 +41,10 @@ _MAX_NOISE_VARIANCE = 4.0
 _MAX_RESIDUAL_RATIO = 0.02
 # Largest plausible deviation of a sensor's sensitivity, in tolerances of its data sheet.
 _MAX_SENSOR_DEVIATION = 2.0
-# Largest share that a fit may omit of the points with a steady motion in the model.
+# Largest share that a fit may omit of the points with a steady-state motion in the model.
 _MAX_OMITTED_SHARE = 0.25
-# Largest share of points without a steady motion in the model. Dampers without a ceiling move irregularly over wide
-# ranges of frequency, in the model as on the rig.
+# Largest share of points without a steady-state motion in the model. Dampers without a ceiling move irregularly over
+# wide ranges of frequency, in the model as on the rig.
 _MAX_IRREGULAR_SHARE = 0.5
 
 
@@ -85,7 +85,8 @@ class Comparison:
     """Measured curves of one sweep or test, compared with the prediction of the fitted scene."""
 
     curves: Curves  # measured
-    predicted: ComplexArray  # as the sensors read it; NaN where the model has no steady motion, shape (responses, n)
+    # Response that the sensors would read; NaN where the model has no steady-state motion, shape (responses, n).
+    predicted: ComplexArray
     is_fitted: NDArray[np.bool_]  # fitted points, shape (n,)
     normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
     # rms residual / rms of the curve, both weighted by their errors; the largest over the responses
@@ -183,7 +184,7 @@ def fit(
     ----------
     recordings : sequence of daq.Recording, str or Path
         Recordings of one structure: stepped, swept, random, multisine or impulse tests; with moving dampers only
-        stepped-sine tests. The scene of each recording states which dampers were in place.
+        stepped-sine tests. The scene of each recording specifies which dampers were in place.
     scene : Scene, str, Path or mapping
         The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.
     free : sequence of str, optional

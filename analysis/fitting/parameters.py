@@ -113,7 +113,7 @@ def free_parameters(scene: Scene, free: Sequence[str] | None = None) -> list[Par
         chosen = list(parse_changes(dict.fromkeys(keys)))
         for k, change in enumerate(chosen):
             if change.steps[:2] == ("structure", "masses") and change.steps[2:] and change.steps[2] in names:
-                # The name of a body is replaced by its position.
+                # The name of a body is replaced with its position.
                 key_path = ("structure", "masses", names.index(str(change.steps[2])))
                 chosen[k] = change = replace(change, steps=key_path)
             if not any(change.covers(candidate.key_path) for candidate in candidates):

@@ -203,7 +203,7 @@ class Problem:
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
         """Return displacement / reference as the sensors read it, shape (responses, n).
 
-        It is NaN where no steady motion exists. `search`: as in `SweepOrbits.response`.
+        It is NaN where no steady-state motion exists. `search`: as in `SweepOrbits.response`.
         """
         channel_gains, reference_gain = self.gains(x, group.curves)
         displacement_ratio = self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]

@@ -170,7 +170,7 @@ class SweepOrbits:
 class _OrbitSolver:
     """Solver of a scene's orbits for given levels of the reference.
 
-    A table with prescribed motion is replaced by a spring to ground and a force of stiffness times displacement.
+    A table with prescribed motion is replaced with a spring to ground and a force of stiffness times displacement.
     """
 
     def __init__(self, test_scene: Scene) -> None:
@@ -194,7 +194,9 @@ class _OrbitSolver:
             self.table = self.problem.system.points.index("table")
 
     def search(self, frequency: float, level: float, from_riding: bool) -> OrbitResponse | None:
-        """Search the orbit that is reached from steady motion with riding dampers or, unless `from_riding`, from rest.
+        """Search the orbit to which the motion settles.
+
+        The motion starts from the steady state with riding dampers if `from_riding` is set, otherwise from rest.
 
         Returns None if no stable orbit is reached. Raises `UncoveredMotionError` if the motion settles to a kind for
         which orbits are not computed.

@@ -334,7 +334,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # The errors that a file states may be incomplete; the scatter between its lines is their lower bound.
+            # The errors that a file gives may be incomplete; the scatter between its lines is their lower bound.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
     # Systematic errors that differ from line to line act like noise. Smooth errors do not resemble a mode.

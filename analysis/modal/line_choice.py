@@ -31,7 +31,7 @@ _SCATTER_LINES = 31
 def reduce_lines(curves: Sequence[Response]) -> list[Response]:
     """Remove lines that a fit does not need: most of those far from peaks and within wide peaks.
 
-    `curves`: curves at equal, rising frequencies.
+    `curves`: curves at equal frequencies, in ascending order.
     """
     count = curves[0].frequency.size
     if count <= MAX_LINES or any(curve.frequency.size != count for curve in curves):

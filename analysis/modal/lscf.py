@@ -1,7 +1,7 @@
 """Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization chart.
 
-The poles of common-denominator models of rising order are compared. A pole that recurs at the next order is *stable*;
-a pole s with Re s < 0 is *decaying*.
+The poles of common-denominator models of increasing order are compared. A pole that recurs at the next order is
+*stable*; a pole s with Re s < 0 is *decaying*.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ChartPole:
 def poles_by_order(
     frequency: Array, value: ComplexArray, weight: Array, orders: range
 ) -> Iterator[tuple[int, ComplexArray]]:
-    """Estimate poles by common-denominator models of rising order, fitted to all responses.
+    """Estimate poles by common-denominator models of increasing order, fitted to all responses.
 
     The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
     highest coefficient of A set to 1. With this constraint the poles due to noise grow (Re s > 0), so that the chart is

@@ -58,7 +58,7 @@ class Curves:
 class ModalModel:
     """Best modal model of some curves for a number of poles."""
 
-    poles: ComplexArray  # rad/s, by rising frequency; shape (modes,)
+    poles: ComplexArray  # rad/s, in ascending order of frequency; shape (modes,)
     residue: ComplexArray  # m/(N s), shape (responses, modes)
     lower: Array  # lower / s² represents modes below the band; shape (responses,)
     upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)

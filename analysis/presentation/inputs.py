@@ -33,7 +33,7 @@ def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit
     """Read FRFs from a file.
 
     `reference`: node and direction of the force in the file, or "force" for the only one; `channels`: responses to
-    return; `unit`: unit of the values, if the file states none.
+    return; `unit`: unit of the values, if the file gives none.
     """
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
@@ -47,7 +47,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
     """Raise an error if a recording lacks the data that a command analyzes.
 
     `path`: file of the recording, for the message; `command`: 'frf', 'modes', 'decay' or 'dampers'. Raises
-    `RecordingError`, whose message states the content of the recording and a suitable command.
+    `RecordingError`, whose message gives the content of the recording and a suitable command.
     """
     test, file = rec.test, shlex.quote(str(path))
     if command == "decay" and not test.decays and test.kind is not TestKind.NONE:

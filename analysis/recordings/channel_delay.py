@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     """Return the first and the last sample of a channel that events between two instants of the sample clock affect.
 
-    `first`, `last`: instants as sample numbers, such as those of a marker. The samples are later by the delay of the
+    `first`, `last`: instants as sample indices, such as those of a marker. The samples are later by the delay of the
     channel, unless it was removed. The filter spreads an event to either side by half its length.
 
     >>> from daq.signal_chain.channel import ChannelInfo

@@ -64,7 +64,7 @@ class Slice:
         return [self.recording.channels[name] for name in self.channels]
 
     def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
-        """Yield the first sample number and the samples of each piece, shape (channels, samples), in physical units."""
+        """Yield the first sample index and the samples of each piece, shape (channels, samples), in physical units."""
         for first in range(self.start, self.stop, PIECE_SAMPLES):
             stop = min(first + PIECE_SAMPLES, self.stop)
             yield first, np.array([self.recording.read(name, first, stop) for name in names])

@@ -144,7 +144,7 @@ def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
 def _column(values: ArrayLike, positive_only: bool = False, digits: int = _DIGITS) -> Any:
     """Convert numbers to JSON, with null for undefined values; long columns become 32-bit binary.
 
-    `positive_only`: replace values of zero and below by null, because a logarithmic axis cannot show them; `digits`:
+    `positive_only`: replace values of zero and below with null, because a logarithmic axis cannot show them; `digits`:
     significant digits.
     """
     column = np.asarray(values, dtype=float)

@@ -1,4 +1,7 @@
-"""Claim C7 of the paper: a bed of grains moves as one mass without rebound; assessed by grain simulations."""
+"""Claim C7 of Inoue, Yokomichi, Hiraki (2011), assessed by simulations of grains.
+
+The claim: a bed of grains moves as one mass without rebound.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Charts that the paper does not have: region of claim C2, design charts, error of the approximate method."""
+"""Charts in addition to those of Inoue, Yokomichi, Hiraki (2011).
+
+They show the region in which claim C2 holds, the best designs, and the error of the approximate method.
+"""
 
 from __future__ import annotations
 

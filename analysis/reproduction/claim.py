@@ -1,4 +1,4 @@
-"""A claim of the paper, with the evidence from the reproduction and the verdict."""
+"""A claim of Inoue, Yokomichi, Hiraki (2011), with the evidence from the reproduction and the verdict."""
 
 from __future__ import annotations
 

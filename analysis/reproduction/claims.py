@@ -1,4 +1,4 @@
-"""Claims C1 to C6 of the paper, each with results of the reproduction and a verdict."""
+"""Claims C1 to C6 of Inoue, Yokomichi, Hiraki (2011), each with results of the reproduction and a verdict."""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ THIRD_MODE_BAND_HZ = (45.0, 54.0)
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 # Clearances of the scans, m.
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
-# Force [N] and clearance [m] of Figs 5 and 6: our choice, as the paper does not state them.
+# Force [N] and clearance [m] of Figs 5 and 6: our choice, because Inoue, Yokomichi, Hiraki (2011) do not give these
+# values.
 FIGURE_5_SETTING = (3.3, 0.5e-3)
 # Frequency band around each mode, Hz.
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
@@ -30,7 +31,7 @@ FIGURE_9_CLEARANCES = 1e-3 * np.array([0.9, 0.98, 1.05, 1.1, 1.15, 1.2, 1.3])
 MASS_RATIOS = (0.03, 0.06, 0.10)
 # Mass ratios of the search for the best damper.
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
-# Damping ratios of each mode for Fig 8; the paper states none.
+# Damping ratios of each mode for Fig 8; the paper gives none.
 SCANNED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
 # Forces for Fig 8 (there 2.6 N), N, and mass ratios (there 10 %).
 SCANNED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])

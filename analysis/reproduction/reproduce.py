@@ -1,4 +1,4 @@
-"""Reproduction of the paper (`analysis paper`): its figures, a verdict on each claim, and further results."""
+"""Reproduction of Inoue, Yokomichi, Hiraki (2011): figures, a verdict on each claim, and further results."""
 
 from __future__ import annotations
 

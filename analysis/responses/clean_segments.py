@@ -38,7 +38,7 @@ class Flaw:
     first: int
     stop: int
     channel: str
-    reason: str  # `OVERLOADED`, `LOST`, `SETTLING` or another predicate of the channel
+    reason: str  # `OVERLOADED`, `LOST`, `SETTLING`, or another phrase that follows the name of the channel
 
     @property
     def description(self) -> str:

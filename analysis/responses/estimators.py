@@ -211,7 +211,8 @@ def block_spectra(
 ) -> BlockSpectra:
     """Average the spectra of blocks after removal of each block's mean, from `low` to `high`, Hz.
 
-    `starts`: first samples of the blocks, in rising order, every `step` samples; `window`, shape (samples of a block,).
+    `starts`: first samples of the blocks, in ascending order, every `step` samples; `window`, shape (samples of a
+    block,).
     """
     names, block_samples = list(channels), window.size
     all_flaws = flaws(rec, names, starts[0], starts[-1] + block_samples)

@@ -32,7 +32,7 @@ _COLUMN_NAME = re.compile(
 )
 # Frequencies whose spacing varies relatively by less are lines of a DFT; the digits of a table cause such variation.
 _MAX_SPACING_SPREAD = 0.05
-# Assumed noise bandwidth in lines, that of a Hann window, because files do not state the window.
+# Assumed noise bandwidth in lines, that of a Hann window, because files do not give the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
 _MIN_MAGNITUDE = 1e-30

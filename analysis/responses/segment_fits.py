@@ -168,7 +168,7 @@ class SegmentFits:
     def _spectra(
         self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
     ) -> LocalSpectra:
-        """Compute the spectra of all segments, with zeros in front of each up to the length of the longest."""
+        """Compute the spectra of all segments, each segment padded with zeros to the length of the longest."""
         # The transform is periodic: zeros separate the vibration at the end of a segment from the response to its hit.
         leading_zeros = 0 if self.hits is None else self.hits.interval
         # The length does not depend on motion before the hits, so that all responses have the same lines.

@@ -281,7 +281,7 @@ def _samples_between(block: Array, ends: Sequence[float], period: float) -> Arra
 
 
 def _sample_at(marker: Marker, frequency: float, rate: float) -> float:
-    """Return the sample number, from the beginning of the sweep, at which the sweep reaches a frequency."""
+    """Return the sample index, from the beginning of the sweep, at which the sweep reaches a frequency."""
     low, high, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
     if marker.fields.get("spacing") == "linear":
         return (frequency - low) / (high - low) * duration * rate

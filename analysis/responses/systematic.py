@@ -34,7 +34,7 @@ REFERENCE = "uncertain reference"
 JITTER = "jitter of the sampling instants"
 #: Errors that vary irregularly from one spectral line to the next.
 IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
-# Assumed ratio of transverse to axial motion, if the data sheet states only a transverse sensitivity.
+# Assumed ratio of transverse to axial motion, if the data sheet specifies only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
 # Minimum number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
@@ -262,7 +262,7 @@ def clock_deviation(rec: Recording) -> float:
 
 
 def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Array:
-    """Compute the largest change of a curve if its frequencies, in rising order, are shifted by up to `shift`, Hz.
+    """Compute the largest change of a curve if its frequencies, in ascending order, are shifted by up to `shift`, Hz.
 
     A *chord* is the slope between two lines. Between sparse lines a peak is steeper than its chords. A pole and a
     constant, ``a / (f - p) + b``, are therefore fitted to each line and its two neighbors. The slope of this function

@@ -1,4 +1,4 @@
-"""The bench behind the page: it builds tests from a few settings, runs them, and marks them in the recording."""
+"""The bench that the page operates: builds tests from a few settings, runs tests, and marks tests in the recording."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _DRIVE_S = 0.5
 
 
 class History:
-    """The last `length` samples of several signals; `stop` is the number of the next sample."""
+    """The last `length` samples of several signals; `stop` is the index of the next sample."""
 
     def __init__(self, rows: int, length: int) -> None:
         self._values = np.zeros((rows, length))

@@ -1,6 +1,6 @@
 """State-space model of a measurement chain: analog first- and second-order sections in series.
 
-A section does not load the previous section. A disturbance may enter in front of any section: noise, an offset, or the
+A section does not load the previous section. A disturbance may enter before any section: noise, an offset, or the
 difference between a clipped and a linear output.
 """
 
@@ -88,7 +88,7 @@ class Circuit:
     """
 
     a: Array  # state matrix; (states, states)
-    # Row i: from an input in front of section i to the states. The last row, an input behind the last section, is zero;
+    # Row i: from an input in front of section i to the states. The last row, an input after the last section, is zero;
     # (sections + 1, states).
     b: Array
     c: Array  # from the states to the output; (states,)

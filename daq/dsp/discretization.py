@@ -41,7 +41,7 @@ LEGENDRE_DERIVATIVES = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 
 class Entry(NamedTuple):
     """Point at which a disturbance (noise or offset) enters a circuit, and its variation over an interval."""
 
-    section: int  # index of the section in front of which it enters
+    section: int  # index of the section before which the disturbance enters
     degree: int  # the disturbance is its voltage times the Legendre polynomial of this degree, 0 to 2
     filtered: bool  # whether its direct feedthrough enters the moments
 
@@ -122,7 +122,7 @@ def extend_by_disturbances(
 
 
 def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> DiscreteCircuit:
-    """Return the matrices of a circuit behind a gain in V per unit of the input.
+    """Return the matrices of a circuit after a gain in V per unit of the input.
 
     `integrals`: number of moments of the output; with 1, only its mean. Raises `SceneError` if a pole is too fast.
     """
@@ -167,7 +167,7 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
 
 
 def input_first(rows: Array, states: int) -> Array:
-    """Return `rows` with the columns of the `states` states behind the columns of input and disturbances."""
+    """Return `rows` with the columns of the `states` states after the columns of input and disturbances."""
     return np.roll(rows, -states, axis=1)
 
 

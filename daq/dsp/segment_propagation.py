@@ -38,7 +38,7 @@ def propagate_segments(
 ) -> int:
     """Propagate the circuit from `state` over all segments of an interval, the first of which is number `segment`.
 
-    The result is in the workspace's vector. Returns the number of the next interval's first segment.
+    The result is in the workspace's vector. Returns the index of the first segment of the next interval.
     """
     vector, work = workspace.vector, workspace.work
     interval = cubics.segment_interval[segment]

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
-from daq.excitation.steady_tone import GLIDE_S, WINDOW_S, SteadyTone
+from daq.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.arrays import Array
 from rig.errors import SceneError
 
@@ -102,7 +102,7 @@ class ManualTone:
         tone = SteadyTone(station, self.controls.settings[0], controlled=not station.force_is_drive)
         while not self.controls.quit:
             requested = self.controls.settings
-            # Closing the generator marks the steady interval, also if the run ends early.
+            # Closing the generator marks the steady-state interval, even if the run ends early.
             with closing(self._hold_setting(tone, *requested)) as drives:
                 phase, drive = tone.phase, next(drives)
                 while True:
@@ -114,11 +114,11 @@ class ManualTone:
         yield tone.end()
 
     def _hold_setting(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
-        """Glide to a frequency in Hz and a force level in N, and hold them until the generator is closed."""
+        """Change to a frequency in Hz and a force level in N, and hold both until the generator is closed."""
         self._is_steady, station = False, tone.station
         window = whole_periods(frequency, station.rate, WINDOW_S)
         if level == 0.0:
-            yield station.drive(tone.glide(max(station.samples(GLIDE_S), window), frequency, 0.0))
+            yield station.drive(tone.transition(max(station.samples(TRANSITION_S), window), frequency, 0.0))
             while True:
                 yield station.zero_drive(window)
         previous_drive, drive = tone.amplitude, tone.start(level)

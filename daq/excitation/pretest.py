@@ -110,7 +110,7 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     def derivative(row: int, order: int) -> ComplexArray:
         """Return the windowed spectrum of the time derivative of a displacement.
 
-        Partial integration moves the derivatives to the window, which is exact also for transients. The derivative is
+        Partial integration moves the derivatives to the window, which is exact even for transients. The derivative is
         divided by `middle_s` to the power `order`.
         """
         parts = (comb(order, j) * (-1) ** j * s ** (order - j) * spectra[j][row] for j in range(order + 1))

@@ -39,7 +39,7 @@ class Station:
     # Delay of the converter's filter, samples, which is removed from the readings: the readings of a window begin this
     # number of samples before its drive.
     latency: int = 0
-    now: int = 0  # number of the first sample of the next window
+    now: int = 0  # index of the first sample of the next window
 
     def samples(self, seconds: float) -> int:
         """Return the nearest number of samples in a time, at least 1."""

@@ -1,7 +1,7 @@
 """Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude.
 
-A glide is a smooth transition to another frequency and amplitude. The level is the required amplitude of the force; if
-the force is not controlled, the level is the amplitude of the drive.
+A *transition* is a smooth change to another frequency and amplitude. The *level* is the required amplitude of the
+force. If the force is not controlled, the level is the amplitude of the drive.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
 from rig.scene.excitation import FORCE_TOLERANCE
 
-# Duration of a glide to a new frequency, s. It does not excite modes more than a few hertz away.
-GLIDE_S = 0.4
-# Longest duration of a glide to a new amplitude, s.
-_MAX_GLIDE_S = 3.0
+# Duration of a transition to a new frequency, s: so slow that it does not excite modes more than a few hertz away.
+TRANSITION_S = 0.4
+# Longest duration of a transition to a new amplitude, s.
+_MAX_TRANSITION_S = 3.0
 # Shortest window of an amplitude estimate, s.
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
@@ -40,8 +40,8 @@ class Tone:
     """Source of amplitude * sin(phase), with frequency in Hz and the phase in rad at the next sample.
 
     >>> tone = Tone(1000.0, 10.0)
-    >>> glide, constant = tone.glide(200, 10.0, 2.0), tone.hold(100)
-    >>> float(round(abs(np.diff(np.concatenate([glide, constant]))).max(), 3))  # never steeper than 2 w / rate
+    >>> change, constant = tone.transition(200, 10.0, 2.0), tone.hold(100)
+    >>> float(round(abs(np.diff(np.concatenate([change, constant]))).max(), 3))  # as the final tone: 2 (2 pi 10 / 1000)
     0.126
     """
 
@@ -55,8 +55,8 @@ class Tone:
         """Generate samples of constant frequency and amplitude; shape (samples,)."""
         return self.amplitude * np.sin(self._advance(_elapsed_phases(self.frequency / self.rate, samples)))
 
-    def glide(self, samples: int, frequency: float, amplitude: float) -> Array:
-        """Glide to a frequency and an amplitude along half a cosine; shape (samples,)."""
+    def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
+        """Generate a transition along half a cosine to a frequency and an amplitude; shape (samples,)."""
         u = np.arange(samples + 1) / samples
         # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
         integrated_rise = samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
@@ -112,8 +112,8 @@ class SteadyTone(Tone):
         return level * self.station.cautious_drive
 
     def end(self) -> Array:
-        """Return the drive of a glide to zero amplitude."""
-        return self.station.drive(self.glide(self.station.samples(GLIDE_S), self.frequency, 0.0))
+        """Return the drive of a transition to zero amplitude."""
+        return self.station.drive(self.transition(self.station.samples(TRANSITION_S), self.frequency, 0.0))
 
     def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
         """Return the complex amplitudes (quantities,) in a window that begins at a phase of the tone in rad."""
@@ -135,9 +135,9 @@ class SteadyTone(Tone):
     def settle(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float
     ) -> Generator[Array, Array, bool]:
-        """Glide to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
+        """Change to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
 
-        `drive`: amplitude of the drive at the end of the glide; `tolerance`: permitted remaining relative change of any
+        `drive`: amplitude of the drive after the transition; `tolerance`: permitted remaining relative change of any
         amplitude.
         """
         station, control, detector = self.station, self.control, Settling(tolerance)
@@ -145,18 +145,18 @@ class SteadyTone(Tone):
         window = whole_periods(frequency, self.rate, WINDOW_S)
         if control is not None:
             control.restart()
-        yield station.drive(self.glide(max(station.samples(GLIDE_S), window), frequency, drive))
+        yield station.drive(self.transition(max(station.samples(TRANSITION_S), window), frequency, drive))
         while station.now + window <= end:
             detector.add((yield from self.observe(window)))
             new_drive = None if control is None else _new_drive(control, detector, self.amplitude)
             if new_drive is not None:
-                glide_samples = window
+                transition_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                    # The transient of a mode beats with the drive. A glide of two beat periods hardly excites it.
+                    # The transient of a mode beats with the drive. A transition of two beat periods hardly excites it.
                     two_beats = round(window * 4 * np.pi / float(detector.phase_change()[0]))
-                    glide_samples = max(window, min(station.samples(_MAX_GLIDE_S), two_beats))
+                    transition_samples = max(window, min(station.samples(_MAX_TRANSITION_S), two_beats))
                 detector.restart()
-                yield station.drive(self.glide(glide_samples, frequency, new_drive))
+                yield station.drive(self.transition(transition_samples, frequency, new_drive))
             elif detector.settled:
                 return control is None or control.is_at_level(
                     float(abs(detector.predicted_final()[0])), float(detector.standard_error()[0])

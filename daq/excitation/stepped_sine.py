@@ -1,4 +1,4 @@
-"""Stepped sine test: at each frequency, wait for the steady state and measure; then glide to the next frequency.
+"""Stepped sine test: at each frequency, wait for the steady state and measure; then change to the next frequency.
 
 A measurement contains whole periods.
 """

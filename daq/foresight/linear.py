@@ -35,7 +35,7 @@ def test_band(test: Test | None) -> tuple[float, float] | None:
 
 
 def test_frequencies(test: Test | None, points: int) -> Array:
-    """Return the tones of a test, or `points` frequencies over its band, in rising order, Hz; empty without a band."""
+    """Return the tones of a test, or `points` frequencies over its band, ascending, Hz; empty without a band."""
     if isinstance(test, Sine):
         return np.array([test.frequency])
     if isinstance(test, SteppedSine):

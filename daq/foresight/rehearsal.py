@@ -34,7 +34,7 @@ _STORED_END_S = 4.0
 
 
 class Extremes:
-    """Largest magnitude of each row of a quantity so far, and the number of its sample."""
+    """Largest magnitude of each row of a quantity so far, and the index of its sample."""
 
     def __init__(self, rows: int) -> None:
         self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
@@ -53,8 +53,8 @@ class Extremes:
 class Step:
     """The wait for the steady state of a tone, or its measurement."""
 
-    first: int  # number of the first sample
-    stop: int  # number of the sample after the last
+    first: int  # index of the first sample
+    stop: int  # index of the sample after the last
     frequency: float  # Hz
     settled: bool  # whether the steady state was reached
 

@@ -119,7 +119,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             "Save the samples as numbers: an array for each channel, or one with a row or column for each."
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
-    # Units as `analysis export` writes them: two rows of texts, ``channels`` and ``units``.
+    # Units as `analysis export` writes them: two rows of strings, ``channels`` and ``units``.
     texts = (arrays.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
     units = dict(zip(*(map(str, text) for text in texts), strict=False))
     return [

@@ -198,8 +198,8 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
 def describe_channel(scene: Scene, channel: Channel, rate: float, delay: float) -> ChannelInfo:
     """Describe a real channel by its data sheets; `rate` in Hz, `delay` in s.
 
-    A simulated converter averages over the sample interval unless the scene states otherwise; a real converter does so
-    only if the scene states it. The delay of the filter is the same for all channels and therefore ignored.
+    A simulated converter averages over the sample interval unless the scene specifies otherwise; a real converter does
+    so only if the scene specifies it. The delay of the filter is the same for all channels and therefore ignored.
     """
     settings = input_settings(scene.converter, channel).replace(excitation=None, remove_delay=True)
     chain_stages = channel_stages(channel, settings, scene.seed)

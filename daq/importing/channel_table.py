@@ -35,7 +35,7 @@ class Column:
     sign: int = 1  # -1 reverses a sensor that was mounted upside down
     offset: float = 0.0  # reading at rest, in the file's unit
     delay: float | None = None  # delay of the signal, s; None: as the file's start times state
-    rate: float | None = None  # sample rate, Hz, if the file states none or a wrong one
+    rate: float | None = None  # sample rate, Hz, if the file gives none or a wrong one
 
 
 _KEYS = [field.name for field in fields(Column)]

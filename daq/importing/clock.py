@@ -163,7 +163,7 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]
 
 
 def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
-    """Return the sample numbers of rows, which skip the missing rows.
+    """Return the sample indices of rows, which skip the missing rows.
 
     >>> sample_numbers(np.arange(5), [(3, 2)])
     array([0, 1, 2, 5, 6])
@@ -194,7 +194,7 @@ def rate_with_gaps(
 def require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
-    """Raise `RecordingError` if a time (s) differs from the time of its sample number by more than half an interval."""
+    """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval."""
     deviation = abs(times - start - numbers / rate)
     uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
     if uneven.size:

@@ -78,7 +78,7 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in a decoder.
         raise RecordingError(
-            f"{path} is not an MCAP file, or it is cut off or damaged ({type(error).__name__}: {error!s:.200}). "
+            f"{path} is not an MCAP file, or it is truncated or damaged ({type(error).__name__}: {error!s:.200}). "
             "Export it again."
         ) from error
     if not reader.fields:

@@ -107,7 +107,7 @@ class _ToneInterval:
     stop_block: int  # block after the last one
 
     def middle(self, block: int) -> int:
-        """Return the number of the sample in the middle of a block."""
+        """Return the index of the sample in the middle of a block."""
         return int((self.track.number[block] + HOPS_PER_BLOCK / 2) * self.track.hop)
 
     @property

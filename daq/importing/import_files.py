@@ -37,7 +37,7 @@ from rig.scene.scene import Scene
 _BLOCK_SAMPLES = 1 << 16
 # Relative difference below which two sample rates are equal, because files round them.
 _RATE_TOLERANCE = 2e-5
-# Frequency band of a test if its scene states none, as ratios to the sample rate.
+# Frequency band of a test if its scene specifies none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
 # Largest plausible readings of a vibration test, SI.
@@ -65,9 +65,9 @@ def import_files(
 ) -> Path:
     r"""Make a recording of time histories that other programs have measured.
 
-    Signals become the channels of the scene, by name or as a table states, in SI. Missing samples are marked `lost`,
-    clipped samples `overload`. The scene's test states the excitation: hits are detected in the force channel, steps of
-    a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end.
+    Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
+    clipped samples `overload`. The scene's test specifies the excitation: hits are detected in the force channel, steps
+    of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end.
 
     Parameters
     ----------

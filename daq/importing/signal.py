@@ -22,9 +22,9 @@ class Signal:
     file: str
     number: int  # Position of the signal in the file, from 1
     name: str
-    unit: str  # Empty if the file states none
+    unit: str  # Empty if the file gives none
     samples: int
-    rate: float | None  # Samples per second, Hz; None if the file states none
+    rate: float | None  # Samples per second, Hz; None if the file gives none
     # (start, stop) -> samples [start, stop) in the unit of the file. Each call continues at the last stop, or restarts
     # at 0.
     read: Callable[[int, int], Array]
@@ -59,7 +59,7 @@ class Signal:
         first_numbers_after_gaps = rows_after_gaps + lost_before[1:]
 
         def row_of_sample(number: int) -> int:
-            """Return the first row whose sample number is at least `number`."""
+            """Return the first row whose sample index is at least `number`."""
             gaps_before = int(np.searchsorted(first_numbers_after_gaps, number, side="right"))
             row = number - int(lost_before[gaps_before])
             return min(row, int(rows_after_gaps[gaps_before])) if gaps_before < rows_after_gaps.size else row

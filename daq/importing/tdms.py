@@ -71,7 +71,7 @@ def log_as_warning(path: Path) -> Iterator[None]:
             stack.callback(logger.removeFilter, collect)
         yield
     if messages:
-        warn(f"{path} is cut off or damaged ({messages[0]}). The readable part is imported.")
+        warn(f"{path} is truncated or damaged ({messages[0]}). The readable part is imported.")
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:

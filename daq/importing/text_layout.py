@@ -65,7 +65,7 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
     try:
         text = head.decode(encoding)
     except UnicodeDecodeError as error:
-        # The last character may be cut off.
+        # The last character may be truncated.
         encoding = encoding if error.start > len(head) - 4 else "cp1252"
         text = head.decode(encoding, errors="replace")
     return text.splitlines()[:_MAX_HEADING_LINES] or [""], encoding
@@ -202,7 +202,7 @@ class LabviewHeading(NamedTuple):
 
 
 def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
-    """Read the heading of a LabVIEW measurement file; raise `RecordingError` if it is cut off or contradicts itself."""
+    """Read the heading of a LabVIEW file; raise `RecordingError` if the file is truncated or contradicts itself."""
     ends = [number for number, line in enumerate(lines) if line.startswith(_LABVIEW_END)]
     if len(ends) < 2 or len(lines) <= ends[1] + 1:
         raise RecordingError(
@@ -214,7 +214,7 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     segment = _cells_by_key(lines[ends[0] + 1 : ends[1]], separator)
     names = [cell.strip() for cell in lines[ends[1] + 1].rstrip("\r\n").split(separator)]
     columns = file_keys.get("X_Columns", ["One"])[0]
-    # Old versions do not state the decimal separator.
+    # Old versions do not give the decimal separator.
     numbers = [*file_keys.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
     decimal_comma = separator != "," and "," in "".join(numbers)
     cells_per_channel = 2 if columns == "Multi" else 1

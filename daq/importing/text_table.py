@@ -144,7 +144,7 @@ class _Table:
             previous_line, last_line = last_line[1], numbered_line
             self.rows += 1
         if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
-            warn(f"{path}: its last line is cut off and is omitted ({reason})")
+            warn(f"{path}: its last line is truncated and is omitted ({reason})")
             self.rows -= 1
             self._examined_lines = self._examined_lines[: self.rows]
             last_line = (0, previous_line)
@@ -157,7 +157,7 @@ class _Table:
         self._cached_block: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
     def _truncation_reason(self, line_number: int, line: str) -> str:
-        """Return why the last line must be cut off; an empty text if it may be complete."""
+        """Return why the last line must be truncated; an empty string if it may be complete."""
         try:
             self._parse_line(line_number, line)
         except RecordingError as error:

@@ -34,7 +34,7 @@ class Track:
     phase: Array  # Phase at the middle of each block, rad
     amplitude: Array  # Amplitude in each block, in the unit of the reference
     ratio: ComplexArray  # Complex ratio of every channel to the reference, shape (channels, blocks)
-    levels: NDArray[np.float32]  # Standard deviation of the reference in each block, also without a tone
+    levels: NDArray[np.float32]  # Standard deviation of the reference in each block, even without a tone
 
 
 class ToneTracker:

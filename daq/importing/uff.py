@@ -19,7 +19,7 @@ from rig.scene.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
-# Unit for each data type. It is used if a label states no unit, and data set 164 states that the file is in SI.
+# Unit for each data type. It is used if a label gives no unit, and data set 164 specifies that the file is in SI.
 SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 # Data type of an abscissa that is time.
 _ABSCISSA_TIME = 17
@@ -61,7 +61,8 @@ def functions(path: Path) -> list[dict[str, Any]]:
         stream.seek(max(0, size - 4096))
         if not stream.read().rstrip().endswith(b"-1"):
             raise RecordingError(
-                f"{path} is not a Universal File, or it is cut off: it does not end with the mark -1. Export it again."
+                f"{path} is not a Universal File, or the file is truncated: the final mark -1 is missing. Export it "
+                "again."
             )
     try:
         file = pyuff.UFF(str(path))
@@ -85,7 +86,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
                 raise ValueError(f"its header states {stated_count} values, it contains {value_count}")
         except Exception as error:
             raise RecordingError(
-                f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is cut off or damaged "
+                f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is truncated or damaged "
                 f"({error!s:.100}). Export it again."
             ) from error
         sets.append(content)

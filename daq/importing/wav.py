@@ -1,6 +1,7 @@
-"""Read the tracks of a WAV file: integers of 8 to 32 bits or floats, also in files of more than 4 GB (RF64).
+"""Read the tracks of a WAV file: integers of 8 to 32 bits or floats, even in files of more than 4 GB (RF64).
 
-A WAV file consists of chunks. `fmt ` states the sample format, `data` contains the samples, `ds64` the sizes in RF64.
+A WAV file consists of chunks: `fmt ` specifies the sample format, `data` contains the samples, and `ds64` contains the
+sizes in RF64.
 """
 
 from __future__ import annotations
@@ -88,9 +89,9 @@ def _find_samples(path: Path) -> tuple[bytes, int, int]:
                     raise RecordingError(f"{path} is damaged: no format precedes its samples. Export it again.")
                 if size != _SIZE_ELSEWHERE and position + size > file_size:
                     raise RecordingError(
-                        f"{path} is cut off: its header states {size} bytes of samples, it contains "
+                        f"{path} is truncated: its header states {size} bytes of samples, it contains "
                         f"{file_size - position}. Export it again."
                     )
                 return format_chunk, position, min(size, file_size - position)
             file.seek(position + size + size % 2)
-    raise RecordingError(f"{path} contains no samples: it is cut off or damaged. Export it again.")
+    raise RecordingError(f"{path} contains no samples: it is truncated or damaged. Export it again.")

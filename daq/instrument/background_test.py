@@ -1,4 +1,7 @@
-"""Runs the test of a scene on the bench while no client drives the outputs."""
+"""Runs the test of a scene on the bench while no client drives the outputs.
+
+A tick is a time step of the bench.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ class BackgroundTest:
     Parameters
     ----------
     station
-        The bench as the test sees it; `station.now` is the number of the first sample of the current block.
+        The bench as the test sees it; `station.now` is the index of the first sample of the current block.
     ticks_per_sample
         Ticks of the bench per sample; the drive is interpolated linearly between samples.
     to_units
@@ -33,8 +36,8 @@ class BackgroundTest:
     make_excitation
         Creates the generator that yields the drive of each block and receives its readings.
     on_end
-        Called once when the test ends, with the reason, which is empty at a regular end. If None, the test is repeated,
-        and an error is only a warning.
+        Called once when the test ends, with the reason, which is empty if the test ran to completion. If None, the test
+        is repeated, and an error is only a warning.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class BackgroundTest:
             self._drive = np.concatenate([np.zeros((len(self._drive), lead_ticks)), self._drive], axis=1)
 
     def _start_test(self, failure: str) -> None:
-        """Start the test; `failure`: predicate of the warning if it cannot start, such as "cannot run"."""
+        """Start the test; `failure`: verb phrase of the warning if the test cannot start, such as "cannot run"."""
         try:
             self._test = self._make_excitation(self._station)
             self._start_block(next(self._test))
@@ -71,7 +74,7 @@ class BackgroundTest:
         self._block_drive, self._drive, self._position = drive, self._interpolator.interpolate(drive), 0
 
     def _finish(self, failure: str, reason: str) -> None:
-        """End the drive, and report the reason; `failure` is the warning's predicate, such as "has ended"."""
+        """End the drive, and report the reason; `failure`: verb phrase of the warning, such as "has ended"."""
         self.is_idle = True
         if self._on_end is not None:
             self._on_end(reason)

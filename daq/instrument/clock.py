@@ -116,7 +116,7 @@ class Timeline(Protocol):
 class Clock:
     """Base class of all clocks; time on this clock does not pass."""
 
-    # Whether time passes by itself, also without waiting calls.
+    # Whether time passes even if no call waits.
     is_free_running = False
 
     def start(self, bench: Timeline) -> None:

@@ -47,10 +47,10 @@ def connect_scene(scene: rig.Scene | str | Path | None = None, clock: str | Cloc
 def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     """Create the devices of a scene, given the terminals of its bench.
 
-    The converter of the scene states the type of the input modules; each shaker states the type of its output module.
-    There are as many modules as the channels require. C Series modules are in a chassis, others are separate devices.
-    If no type is stated, an ideal module has all inputs, or all outputs. The last device has an empty name, see
-    `DeviceList`.
+    The converter of the scene specifies the type of the input modules; each shaker specifies the type of its output
+    module. There are as many modules as the channels require. C Series modules are in a chassis, others are separate
+    devices. If no type is stated, an ideal module has all inputs, or all outputs. The last device has an empty name,
+    see `DeviceList`.
     """
     modules = _input_modules(scene, terminals)
     outputs = [complete_from_preset(shaker.output) for shaker in scene.shakers]

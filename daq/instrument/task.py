@@ -31,7 +31,7 @@ from rig.arrays import Array
 class Task:
     """A task on the chassis: settings, an input or an output, events, and its state.
 
-    An empty `name` is replaced by a generated name. `scales` are the custom scales that its channels may use.
+    An empty `name` is replaced with a generated name. `scales` are the custom scales that its channels may use.
     """
 
     def __init__(self, chassis: Chassis, name: str, scales: Mapping[str, Scale]) -> None:

@@ -1,6 +1,6 @@
 """The input of a task: its acquisition, its log, and the reads that wait for samples.
 
-The acquisition stores samples in a buffer, the log in a file. The read position is the number of the sample that the
+The acquisition stores samples in a buffer, the log in a file. The read position is the index of the sample that the
 next read returns first. A tick is a time step of the bench.
 """
 
@@ -32,7 +32,7 @@ class ReadResult:
     """Result of a read."""
 
     samples: NDArray[Any]  # shape (channels, n)
-    first: int = 0  # number of the first sample in the acquisition
+    first: int = 0  # index of the first sample in the acquisition
     error: DaqError | None = None  # cause if there are fewer samples than requested
 
 

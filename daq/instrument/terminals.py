@@ -1,6 +1,7 @@
 """Connects the bench of a scene to the instrument: output voltages, input conditioning, and the scene's test.
 
-Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor.
+Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor. A tick is a time step of the
+bench.
 """
 
 from __future__ import annotations

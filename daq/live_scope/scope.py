@@ -191,7 +191,7 @@ def scope(
         try:
             record_live(loaded_scene, recording_path, stream, controls, print_line, wait_until_due, overwrite)
         except KeyboardInterrupt as interrupt:
-            # Ctrl-C is a regular end, because the recording has been closed.
+            # Ctrl-C is not an error here, because the recording has been closed.
             if not interrupt.args:
                 raise
         if pace.skipped_s:

@@ -52,7 +52,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     `largest` limits the unpacked bytes; by default `LARGEST_CHUNK` and the compression ratio do. Raises `Damage`.
     """
     if len(content) < CHUNK_HEAD.size + 8:
-        raise Damage("it is cut short")
+        raise Damage("it is truncated")
     _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(content)
     begin = CHUNK_HEAD.size + name_length
     if name_length > 16 or len(content) < begin + 8:
@@ -140,7 +140,7 @@ def records_in(records: memoryview, stored_bytes: int) -> Iterator[tuple[int, me
         if records_left < 0:
             raise Damage(f"it has more than {_MAX_EXCESS_RECORDS + stored_bytes} records in {stored_bytes} bytes")
         if end - position < RECORD_HEAD.size:
-            raise Damage("a record in it is cut short")
+            raise Damage("a record in it is truncated")
         opcode, length = RECORD_HEAD.unpack_from(records, position)
         begin, position = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
         if position > end:
@@ -156,8 +156,8 @@ def messages_in(records: memoryview, stored_bytes: int) -> list[StoredMessage]:
 
 
 def parse_message(content: memoryview) -> StoredMessage:
-    """Parse a message record; raise `Damage` if it is cut short."""
+    """Parse a message record; raise `Damage` if the record is truncated."""
     if len(content) < MESSAGE_HEAD.size:
-        raise Damage("a message in it is cut short")
+        raise Damage("a message in it is truncated")
     channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
     return StoredMessage(channel, sequence, log_time, publish_time, content[MESSAGE_HEAD.size :])

@@ -1,4 +1,4 @@
-"""Reads the intact parts of an MCAP file that is cut off or damaged, record by record, without its summary.
+"""Reads the intact parts of an MCAP file that is truncated or damaged, record by record, without its summary.
 
 Only records with a checksum are used: chunks, attachments, and the metadata records of shotrig's recordings. If the
 length of a record is damaged, the file is searched for the next consistent record.

@@ -71,7 +71,7 @@ class Container:
             raise RecordingError(f"{self.path}: not an MCAP file (no MCAP signature). Give the path of a recording.")
         data = self.read(max(self.size - tail, 0), tail)
         if len(data) < tail or not data.endswith(MAGIC) or data[0] != Opcode.FOOTER:
-            raise self.error("was not closed properly (it has no end; the recording may have been cut off)")
+            raise self.error("was not closed properly (it has no end; the recording may have been interrupted)")
         _, length, start, _, checksum = FOOTER_RECORD.unpack_from(data)
         if length != FOOTER_RECORD.size - RECORD_HEAD.size:
             raise Damage("its footer is malformed")
@@ -105,7 +105,7 @@ class Container:
             raise Damage(f"a record of {length} bytes at byte {offset} lies beyond the end of the file")
         data = memoryview(self.read(offset, length))
         if len(data) != length or length < RECORD_HEAD.size:
-            raise Damage(f"the record at byte {offset} is cut short")
+            raise Damage(f"the record at byte {offset} is truncated")
         if RECORD_HEAD.unpack_from(data) != (opcode, length - RECORD_HEAD.size):
             raise Damage(f"the record at byte {offset} does not agree with the summary")
         return data[RECORD_HEAD.size :]

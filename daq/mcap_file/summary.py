@@ -27,7 +27,7 @@ MAX_RECORDS = 1 << 16
 
 # Beginning of a chunk index: times, position and length of the chunk, bytes of the map that follows.
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
-# Size of the fields of a chunk index behind the map, without the name of the compression.
+# Size of the fields of a chunk index after the map, without the name of the compression.
 _CHUNK_INDEX_TAIL_BYTES = 28
 _COLUMNS = ("starts", "ends", "offsets", "lengths", "unpacked")
 
@@ -114,7 +114,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
     position, end = 0, len(data)
     while position < end:
         if end - position < RECORD_HEAD.size:
-            raise Damage("the summary is cut short")
+            raise Damage("the summary is truncated")
         opcode, length = RECORD_HEAD.unpack_from(data, position)
         position += RECORD_HEAD.size
         if position + length > end:
@@ -186,7 +186,7 @@ def _chunk_table(
 def _chunk_indexes(data: memoryview, length: int, positions: list[int]) -> NDArray[Any]:
     """Return the chunk indexes of one length at the given positions as a structured array."""
     if length < _CHUNK_INDEX_HEAD.size + _CHUNK_INDEX_TAIL_BYTES:
-        raise Damage("a chunk index is cut short")
+        raise Damage("a chunk index is truncated")
     map_bytes = _CHUNK_INDEX_HEAD.unpack_from(data, positions[0])[4]
     name_bytes = length - _CHUNK_INDEX_HEAD.size - map_bytes - _CHUNK_INDEX_TAIL_BYTES
     if map_bytes % 10 or name_bytes < 0:

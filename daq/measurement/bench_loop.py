@@ -77,13 +77,13 @@ class BenchLoop(ABC):
 
     @property
     def last_sample(self) -> int:
-        """Number of the last sample of the converter."""
+        """Index of the last sample of the converter."""
         return max(0, self.station.now - self.bench.latency - 1)
 
     def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
-        """Run a test; return whether it ended regularly within `max_duration`, s.
+        """Run a test; return whether the test ran to completion within `max_duration`, s.
 
-        `drive` is the drive of its first window. The error of `ending_error` is raised after a ramp of the drive to 0.
+        `drive`: drive of the first window. An error of `ending_error` is raised after a ramp of the drive to zero.
         """
         check_samples = self.station.samples(self._limits.interval)
         while self.station.now < max_duration * self.bench.rate:

@@ -36,7 +36,7 @@ _MAX_SETTLING_S = 60.0
 class Exceedance:
     """A reading beyond the abort limit of its channel."""
 
-    sample: int  # number of the sample
+    sample: int  # index of the sample
     channel: ChannelInfo
     value: float  # in the channel's unit
     limit: float  # in the channel's unit
@@ -65,7 +65,7 @@ class FlaggedIntervals:
         self._open_intervals: dict[int, tuple[int, int]] = {}  # first sample and end, by row
 
     def add(self, first: int, flags: NDArray[np.bool_]) -> None:
-        """Add the flags of the next samples, shape (channels, samples); `first` is the number of the first sample."""
+        """Add the flags of the next samples, shape (channels, samples); `first` is the index of the first sample."""
         if not self._open_intervals and not flags.any():
             return
         min_gap = max(1, round(_MIN_GAP_S * self._channels[0].rate))

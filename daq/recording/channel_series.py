@@ -1,4 +1,4 @@
-"""Read the samples of one topic of a recording by sample number.
+"""Read the samples of one topic of a recording by sample index.
 
 A topic contains the samples of a channel, or of a true motion, as blocks in compressed chunks. Only the chunks that are
 needed are decoded.
@@ -25,7 +25,7 @@ from rig.errors import RecordingError
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# If more samples than this number are requested, the file is checked for them first: a wrong sample number must not
+# If more samples than this number are requested, the file is checked for them first: a wrong sample index must not
 # exhaust the memory.
 _LARGE_RANGE = 1 << 22
 # Largest ratio of the number of requested samples to the number of samples in the file.
@@ -147,7 +147,7 @@ class Series:
                     ) from error
 
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
-        """Raise `RecordingError` if the times of a block contradict its sample numbers."""
+        """Raise `RecordingError` if the times of a block contradict its sample indices."""
         if block.stop > MAX_SAMPLES:
             raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}.")
         if block.rate != clock.rate or not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):

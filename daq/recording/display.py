@@ -92,7 +92,7 @@ class DisplayDecimator:
     """Low-passes signals and outputs the samples whose numbers are multiples of `step`.
 
     The filter has linear phase, and its delay is removed: an output is available half a filter length later. Before the
-    first and after the last sample, the signal is continued as a constant. `stop` is the number of the next sample,
+    first and after the last sample, the signal is continued as a constant. `stop` is the index of the next sample,
     None before the first sample and after `finish`.
     """
 
@@ -112,7 +112,7 @@ class DisplayDecimator:
     def run(self, first: int, samples: Array) -> tuple[NDArray[np.int64], Array]:
         """Filter the next samples, shape (signals, samples), the first with the number `first`.
 
-        Returns sample numbers and values of the outputs, shape (signals, outputs). Call `finish` before a gap.
+        Returns sample indices and values of the outputs, shape (signals, outputs). Call `finish` before a gap.
         """
         if self.stop is None:
             self._samples = np.repeat(samples[:, :1], self._half_length, axis=1)
@@ -133,7 +133,7 @@ class DisplayDecimator:
         return output
 
     def _output_until(self, last: int) -> tuple[NDArray[np.int64], Array]:
-        """Return sample numbers and values of the outputs from the next one to sample `last` * `step`, included."""
+        """Return sample indices and values of the outputs from the next one to sample `last` * `step`, included."""
         output_samples = np.arange(self._next_output, last + 1, dtype=np.int64) * self.step
         if output_samples.size == 0:
             return output_samples, np.empty((self._samples.shape[0], 0))
@@ -227,7 +227,7 @@ class Display:
     def levels(self, blocks: Iterable[tuple[int, Array]]) -> Messages:
         """Return rms and peak at the ends of blocks.
 
-        `blocks` contains pairs: number of the first sample, and successive blocks of shape (channels, blocks, samples).
+        `blocks` contains pairs: index of the first sample, and successive blocks of shape (channels, blocks, samples).
         """
         ends: list[int] = []
         levels = []

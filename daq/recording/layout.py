@@ -1,4 +1,4 @@
-"""The layout of a recording: names of topics, lengths of blocks, and the exact times of sample numbers.
+"""The layout of a recording: names of topics, lengths of blocks, and the exact times of sample indices.
 
 `LAYOUT.md` next to this module describes it for readers who do not use this package.
 """
@@ -27,7 +27,7 @@ TRUTH = "/truth/"
 DISPLAY = "/display/"
 # Events of the test, such as measured intervals and hits, with their samples.
 MARKERS = "/markers"
-# True changes of contact of the dampers.
+# True contact events of the dampers.
 EVENTS = "/truth/events"
 # Description of the drawn rig, and positions of its parts, for viewers.
 ROBOT = "/robot_description"
@@ -113,7 +113,7 @@ class Timebase:
         return 2 * 10**9 * denominator, numerator, 2 * numerator
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """Return the sample numbers nearest to times in ns since the recording's epoch, clipped to int64."""
+        """Return the sample indices nearest to times in ns since the recording's epoch, clipped to int64."""
         # The subtraction may wrap around in 64 bits; it is right for differences below 292 years.
         elapsed_ns = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
         return np.clip(np.rint(elapsed_ns * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Markers (events of a test with their samples) and changes of contact, as JSON on topics of a recording.
+"""Markers (events of a test with their samples) and contact events, as JSON on topics of a recording.
 
 Gaps (missing samples) are determined from the markers.
 """
@@ -47,7 +47,7 @@ _FIELD_CHECKS = {
     ),
 }
 
-# Kinds of contact changes: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite
+# Kinds of contact events: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite
 # duration begin with touch and end with release.
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
 _EVENT_CHECKS = {
@@ -71,7 +71,7 @@ _MARKER_JSON_SCHEMA: dict[str, Any] = {
         "first_sample": {"type": "integer", "minimum": 0},
         "last_sample": {
             "type": ["integer", "null"],
-            "description": "last sample of the range, itself included; null: an instant",
+            "description": "last sample of the range, inclusive; null: an instant",
         },
     },
     "additionalProperties": {"description": "further fields of the kind of marker, in SI units"},
@@ -80,7 +80,7 @@ _MARKER_JSON_SCHEMA: dict[str, Any] = {
 _EVENT_JSON_SCHEMA: dict[str, Any] = {
     "$schema": "https://json-schema.org/draft/2020-12/schema",
     "title": "shotrig.Event",
-    "description": "A change of contact of a damper, at its exact time.",
+    "description": "A contact event of a damper, at its exact time.",
     "type": "object",
     "required": ["time", "damper", "kind", "speed"],
     "properties": {
@@ -101,13 +101,13 @@ class Marker:
     """An event of a test."""
 
     kind: str  # `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
-    first_sample: int  # number of the first sample
-    last_sample: int | None = None  # number of the last sample, included; None for an instant
+    first_sample: int  # index of the first sample
+    last_sample: int | None = None  # index of the last sample, included; None for an instant
     fields: Mapping[str, Any] = field(default_factory=dict)  # further fields of this kind of marker, in SI units
 
     @property
     def end(self) -> int:
-        """Number of the last sample."""
+        """Index of the last sample."""
         return self.first_sample if self.last_sample is None else self.last_sample
 
     @property

@@ -51,7 +51,7 @@ class Recorder:
     """Writes samples, markers (events of the test) and true (simulated) motion to a new recording.
 
     Samples are collected into blocks, and into groups of about half a second that are committed to the disk together.
-    A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample numbers, so that the
+    A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample indices, so that the
     file does not depend on how samples are split among calls of `write`. An exception within the context closes the
     file and is recorded in it.
 
@@ -123,7 +123,7 @@ class Recorder:
 
     @property
     def position(self) -> int:
-        """Number of the next sample to be written."""
+        """Index of the next sample to be written."""
         return self._raw_groups.position
 
     @property
@@ -190,7 +190,7 @@ class Recorder:
         self._write_groups(self._raw_groups.position // self._group_samples)
 
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
-        """Mark an event at a sample, or over a range of samples, both ends included.
+        """Mark an event at a sample, or over a range of samples, both ends inclusive.
 
         `kind` is such as `settle`, `measure` or `hit`; `fields` are further data in SI units. For a reproducible file,
         mark the event at the same `position` each time.

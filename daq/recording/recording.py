@@ -49,7 +49,7 @@ def open(path: str | Path) -> Recording:
     Raises
     ------
     RecordingError
-        If the file cannot be read, is not a recording, or is damaged; the message states the remedy.
+        If the file cannot be read, is not a recording, or is damaged; the message gives the remedy.
     """
     return Recording(path)
 
@@ -187,7 +187,7 @@ class Recording(Result):
         channel : str
             Name of the channel.
         start, stop : int
-            Numbers of the first sample, and of the sample after the last; by default all samples.
+            Indices of the first sample, and of the sample after the last; by default all samples.
 
         Returns
         -------
@@ -219,7 +219,7 @@ class Recording(Result):
         Yields
         ------
         first : int
-            Number of the first sample of the block.
+            Index of the first sample of the block.
         samples : ndarray, (channels, size)
             In the channels' units; NaN where samples were lost.
         """
@@ -241,7 +241,7 @@ class Recording(Result):
             Quantity of the points; the last two are of the dampers. Contact is 0 in flight, 1 on the floor, 2 at the
             ceiling.
         start, stop : int
-            Numbers of the first sample, and of the sample after the last; by default all samples.
+            Indices of the first sample, and of the sample after the last; by default all samples.
 
         Returns
         -------
@@ -280,7 +280,7 @@ class Recording(Result):
 
     @property
     def _has_our_layout(self) -> bool:
-        """Whether the file states the layout of this package, in which every record has a checksum."""
+        """Whether the file gives the layout of this package, in which every record has a checksum."""
         return any("layout" in series.metadata for series in self._series.values())
 
     # -- markers and events ------------------------------------------------------------------------------
@@ -308,7 +308,7 @@ class Recording(Result):
 
     @cached_property
     def events(self) -> NDArray[Any]:
-        """True changes of contact of the dampers, one a row.
+        """True contact events of the dampers, one a row.
 
         Fields: `time` [s], `damper` (number, from 1), `kind` (such as `floor` or `separation`), and `speed`, the
         closing speed before an impact [m/s].

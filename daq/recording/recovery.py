@@ -35,7 +35,7 @@ from rig.input_files import as_path
 if TYPE_CHECKING:
     from mcap.records import Channel, Metadata, Schema
 
-# Numbers of the first sample, and of the sample after the last.
+# Indices of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]
 
 _DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
@@ -265,7 +265,7 @@ class _Salvager:
     # -- losses ------------------------------------------------------------------------------------------
 
     def _determine_losses(self, clock: Timebase) -> Salvage:
-        """Compare the copied samples and messages with those that the file states; return the differences."""
+        """Compare the copied samples and messages with those that the file gives; return the differences."""
         channels, outcome = self._channels, self._metadata.get("outcome", {})
         end = max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges)
         # Number of samples stated at the end of the file; None if the end is missing.

@@ -130,7 +130,7 @@ class RobotDescription:
         self._message_template += head + bytes(_HEIGHT_BYTES) + _NO_ROTATION
 
     def urdf(self) -> str:
-        """Return the description as URDF; the robot's name states the exaggeration."""
+        """Return the description as URDF; the name of the robot specifies the exaggeration."""
         name = f"rig, motion drawn x {self.exaggeration:g}"
         return f'<?xml version="1.0"?><robot name="{name}">{"".join(self._links + self._joints)}</robot>'
 

@@ -41,7 +41,7 @@ class SampleBlock(NamedTuple):
     """Successive samples of one channel, as stored in the file."""
 
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
-    first_sample: int  # number of the first sample
+    first_sample: int  # index of the first sample
     rate: float  # samples per second, Hz
     samples: NDArray[Any]  # the stored numbers, (samples,); if `encode` wrote the message, a view
 
@@ -106,7 +106,7 @@ def decode(data: memoryview, schema: str) -> SampleBlock:
 
 
 def times_agree(clock: Timebase, first_sample: int, stop: int, t0_ns: int, log_time: int) -> bool:
-    """Return whether start and log time (end) of a block agree with its sample numbers within half a sample."""
+    """Return whether start and log time (end) of a block agree with its sample indices within half a sample."""
     start_error = (t0_ns - clock.start_ns) * clock.rate * 1e-9 - first_sample
     end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - stop
     return abs(start_error) < 0.5 and abs(end_error) < 0.5

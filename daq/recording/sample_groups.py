@@ -1,6 +1,6 @@
-"""Collect samples that arrive in arrays of any length into groups on a fixed grid of sample numbers.
+"""Collect samples that arrive in arrays of any length into groups on a fixed grid of sample indices.
 
-A cell of the grid contains the sample numbers from one multiple of the group length to the next. The bytes of a
+A cell of the grid contains the sample indices from one multiple of the group length to the next. The bytes of a
 recording depend on the grid only, not on the lengths of the arrays.
 """
 
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 class Group:
     """The samples of one cell of the grid."""
 
-    first: int  # sample number of the first column of `samples`
+    first: int  # sample index of the first column of `samples`
     samples: NDArray[Any]  # valid only within `spans`; shape (rows, group length)
-    spans: list[tuple[int, int]]  # ranges of sample numbers [start, stop) that were acquired, in order
+    spans: list[tuple[int, int]]  # ranges of sample indices [start, stop) that were acquired, in order
 
     def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield each range of acquired samples: number of its first sample, and its samples."""
+        """Yield each range of acquired samples: index of its first sample, and its samples."""
         for start, stop in self.spans:
             yield start, self.samples[:, start - self.first : stop - self.first]
 
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
         """Yield the acquired samples in blocks that end at multiples of `length`, or where the samples end.
 
-        An item is the number of the first sample, and successive blocks of equal size, shape (rows, blocks, samples).
+        An item is the index of the first sample, and successive blocks of equal size, shape (rows, blocks, samples).
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]

@@ -45,7 +45,7 @@ def dampers_of(scene: Scene) -> tuple[str, ...]:
 
 
 class Truth:
-    """Collects the motion of each point, the gap and contact of each damper, and the events (changes of contact).
+    """Collects the motion of each point, the gap and contact of each damper, and the contact events.
 
     `part_names` are the points and dampers, the rows of `positions`. `streams` are two series of groups: real numbers
     (motion of the points, then gaps), and contacts. `chunks` lists the topics of each chunk of the file, each as (index
@@ -87,7 +87,7 @@ class Truth:
 
     @property
     def position(self) -> int:
-        """Number of the next sample."""
+        """Index of the next sample."""
         return self.streams[0].position
 
     def add(self, motion: Motion) -> None:
@@ -112,7 +112,7 @@ class Truth:
         return motion, contacts
 
     def events_before(self, stop: float) -> list[Message]:
-        """Return and remove the messages of the events before sample number `stop`.
+        """Return and remove the messages of the events before sample index `stop`.
 
         Events within a sample of `stop` remain, so that rounded times do not change the order of writing.
         """

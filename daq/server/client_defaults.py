@@ -5,7 +5,7 @@ options, and `System.local` returns `System.remote`. This also applies to child 
 or spawned.
 
 With the fast clock, simulated time (*bench time*) advances only during calls to the server. `time.sleep` and `input`
-are therefore replaced by such calls; Python has no other public way to do this.
+are therefore replaced with such calls; Python has no other public way to do this.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def prepare() -> None:
         builtins.input = _wait_for_enter
     if os.environ.get(LIMITED):
         print_traceback = sys.excepthook
-        # Ctrl-C at the time limit is a regular end, so it prints no traceback.
+        # Ctrl-C at the time limit is not an error, so no traceback is printed.
         sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else print_traceback(kind, *rest)
 
 

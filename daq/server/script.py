@@ -52,7 +52,7 @@ def run_script(
     -------
     int
         Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 0 if the time limit
-        ended it; 128 + n if signal n ended it, also if the signal was forwarded from this process.
+        ended it; 128 + n if signal n ended it, even if this process forwarded the signal.
 
     Raises
     ------

@@ -12,11 +12,11 @@ from daq.signal_chain.stage import Stage, data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
 from rig.scene.presets import complete_from_preset, needs_supply
 
-# Quality factor of a mounted resonance if the scene does not state it.
+# Quality factor of a mounted resonance if the scene does not specify it.
 DEFAULT_Q = 30.0
-# Ratio of the lateral to the vertical acceleration if the scene does not state it.
+# Ratio of the lateral to the vertical acceleration if the scene does not specify it.
 DEFAULT_LATERAL_RATIO = 0.1
-# Corner frequency of an AC coupling if the scene does not state it.
+# Corner frequency of an AC coupling if the scene does not specify it.
 DEFAULT_AC_CORNER_HZ = 0.5
 
 

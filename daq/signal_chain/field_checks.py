@@ -11,7 +11,7 @@ from rig.escaping import is_single_line
 
 # Maximum length of a name, characters.
 MAX_NAME_LENGTH = 200
-# Times are computed from sample numbers as floats, which are exact up to this value.
+# Times are computed from sample indices as floats, which are exact up to this value.
 MAX_SAMPLES = 2**53
 
 

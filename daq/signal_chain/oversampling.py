@@ -44,7 +44,7 @@ def choose_oversampling(scene: Scene) -> int:
     """
     system, rate = assemble(scene), scene.converter.true_rate
     has_filter = complete_from_preset(scene.converter).filter is not None
-    # The limits of sensor and amplifier act on the signal in front of the filter.
+    # The limits of sensor and amplifier act on the signal before the filter.
     channels = scene.channels or ()
     saturations = [
         complete_from_preset(channel.accelerometer).saturation

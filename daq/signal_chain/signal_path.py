@@ -27,7 +27,7 @@ from daq.signal_chain.stage import Stage, is_averaged
 from rig.arrays import Array
 from rig.scene.measurement_chain import Converter
 
-# Number of Legendre polynomials per interval that represent noise in front of a filter; see `daq.dsp.noise.FastNoise`.
+# Number of Legendre polynomials per interval that represent noise before a filter; see `daq.dsp.noise.FastNoise`.
 NOISE_TERMS = 3
 # The zero shift after an overload is negligible below this fraction of the sensor's limit: data sheets have three
 # digits.
@@ -58,7 +58,7 @@ class SignalPath:
         # The sampler delays by whole intervals, `Delay` by the remaining part of an interval.
         delay_intervals = int(delay * rate)
         has_filter, self._oversampling = converter.filter is not None, oversampling
-        self._first_interval = 0  # number of the first interval of the next block
+        self._first_interval = 0  # index of the first interval of the next block
         self._sampler: Sampler
         if has_filter:
             low_pass = DecimationFilter.standard(converter.sample_rate)

@@ -170,7 +170,7 @@ def _duration(recording: Recording) -> str:
 
 
 def _position(recording: Recording, at: str) -> str:
-    """Return the position of a channel; a body has its name if the scene states it."""
+    """Return the position of a channel; a body has its name if the scene specifies it."""
     try:
         return recording.outline.label(at)
     except ShotrigError:

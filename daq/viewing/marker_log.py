@@ -24,7 +24,7 @@ OVERLOAD_COLOR = 0xC4453BFF
 
 
 class LogLine(NamedTuple):
-    """A line of the log: the number of its sample, its level (INFO or WARN) and its text."""
+    """A line of the log: the index of its sample, its level (INFO or WARN) and its text."""
 
     sample: int
     level: str

@@ -33,7 +33,7 @@ class RecordedMotion:
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
     def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigMotion]]:
-        """Yield sample numbers and the motion at them, for every `step`-th sample of [start, stop).
+        """Yield sample indices and the motion at them, for every `step`-th sample of [start, stop).
 
         Samples that the recording lost are left out.
         """

@@ -63,7 +63,7 @@ class CurveSender:
             stream.log(f"dampers/contact/damper_{number}", contact_style, static=True)
 
     def time_column(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
-        """Return the times of sample numbers, counted from the start of the recording."""
+        """Return the times of sample indices, counted from the start of the recording."""
         # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
         nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
         return rr.TimeColumn(TIMELINE, duration=nanoseconds)
@@ -91,7 +91,7 @@ class CurveSender:
             self._last_contact[number] = int(states[number, -1])
 
     def send_motion(self, view: RigView, samples: NDArray[np.int64], motion: RigMotion) -> None:
-        """Send the motion of the rig at the given sample numbers."""
+        """Send the motion of the rig at the given sample indices."""
         if not samples.size:
             return
         times = [self.time_column(samples)]

@@ -133,7 +133,7 @@ class Bench:
 class Block:
     """Samples of all channels, and the true motion at their instants, which tests and controllers must not use."""
 
-    first: int  # number of the first sample, from power-on
+    first: int  # index of the first sample, from power-on
     samples: Array | NDArray[np.int32]  # volts or counts, shape (channels, samples)
     overload: NDArray[np.bool_]  # whether each sample is clipped, or depends on a saturated device
     motion: Motion
@@ -209,7 +209,7 @@ def samples_per_tick(rate: float, tick_rate: float) -> Fraction:
 
 
 def first_sample(per_tick: Fraction, tick: int) -> int:
-    """Return the number of the first sample at or after a tick.
+    """Return the index of the first sample at or after a tick.
 
     >>> first_sample(Fraction(1, 6), 13)
     3
@@ -218,7 +218,7 @@ def first_sample(per_tick: Fraction, tick: int) -> int:
 
 
 def first_tick(per_tick: Fraction, sample: int) -> int:
-    """Return the number of the first tick at or after a sample."""
+    """Return the index of the first tick at or after a sample."""
     return first_sample(1 / per_tick, sample)
 
 

@@ -1,4 +1,4 @@
-"""Resamples the motion of the plant from its ticks to the instants that a sample rate requires."""
+"""Resamples the motion of the plant from ticks (time steps of the bench) to the instants that a sample rate needs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MotionAtRate:
     """Resamples a motion and its drive from ticks to instants: instant n is n / rate ticks after power-on.
 
     A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s, `first`
-    the number of the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of
+    the index of the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of
     velocity or acceleration), the acceleration is the cubic of `daq.dsp.interpolation`, integrated to velocity and
     displacement. The drive is interpolated linearly.
     """

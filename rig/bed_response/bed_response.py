@@ -121,7 +121,7 @@ def bed_response(
     scene : Scene, str, Path or mapping
         A scene with a bed of grains that can move; its test specifies the level.
     frequencies : sequence of float or str
-        Hz, or texts with units.
+        Hz, or strings with units.
     periods : int
         Drive periods in a block.
     table : Path, optional

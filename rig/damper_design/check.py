@@ -22,7 +22,7 @@ from rig.workers import Workers
 APPROACH_FREQUENCIES = 3
 #: Largest relative change of a motion that counts as steady.
 STEADY_TOLERANCE = 1e-4
-#: Longest wait for steady motion, periods.
+#: Longest wait for steady state, periods.
 MAX_WAIT_PERIODS = 2000
 #: Number of test frequencies around each peak.
 POINTS_PER_PEAK = 25
@@ -36,7 +36,7 @@ class Expected:
 
     `compliances`: minimum, nominal value and maximum over the tolerances of force control and steady state, m/N. They
     are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak` is for a purely
-    sinusoidal force. None if no steady motion was reached within `MAX_WAIT_PERIODS` periods.
+    sinusoidal force. None if no steady-state motion was reached within `MAX_WAIT_PERIODS` periods.
     """
 
     peak: Peak  # as computed by the design
@@ -97,7 +97,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
 
 
 def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Array:
-    """Return rising frequencies around each peak; where ranges overlap, the frequencies are not closer together."""
+    """Return ascending frequencies around each peak; where ranges overlap, the frequencies are not closer together."""
     frequencies: list[float] = []
     for peak in sorted(peaks):
         low, high = max(peak * (1.0 - PEAK_HALF_WIDTH), band[0]), min(peak * (1.0 + PEAK_HALF_WIDTH), band[1])

@@ -181,7 +181,7 @@ def design(
     dampers : int
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
-        Smallest and largest, m, or texts with units. By default, dampers hardly move at the smallest clearance and
+        Smallest and largest, m, or strings with units. By default, dampers hardly move at the smallest clearance and
         hardly reach the ceiling at the largest, and dampers without a ceiling are tried too.
     levels : sequence of float or str, optional
         Force levels, N; default half, once and twice the level of the scene's test.

@@ -157,7 +157,7 @@ def describe_check(design: Design, scene: Path) -> str:
 
 def _expected_line(expected: Expected) -> str:
     peak = expected.peak
-    in_this_test = "no steady motion: values scatter"
+    in_this_test = "no steady state: values scatter"
     if expected.compliances is not None:
         low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
         in_this_test = f"{nominal} ({low} to {high})"

@@ -3,8 +3,8 @@
 The *bed* is the particles of a damper, modeled as one mass. Its height above its floor, the gap g, is a coordinate.
 The walls are the floor, at the height g_w = 0, and the ceiling, at g_w = clearance. While the bed overlaps a wall and
 the force points away from the wall, the force on the bed is -k (g - g_w) - c g' (k stiffness, c damping of the wall).
-At a contact change the force may jump, but no velocity does. Three guards detect the changes. A guard is a linear
-function of the state whose zero is a contact change:
+At a contact event the force may jump, but no velocity does. Three guards detect the changes. A guard is a linear
+function of the state whose zero is a contact event:
 
 - a free bed touches a wall when the gap to it falls to zero;
 - the wall releases the bed when the force falls to zero; with a dashpot this is before the overlap is zero;
@@ -41,7 +41,7 @@ from rig.numerics.bernstein import N_COEFFICIENTS, first_crossing
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.jit import inlined_kernel, kernel
 
-#: Kinds of contact change: `FLOOR` or `CEILING` if the bed touches that wall; released by its wall; free of overlap.
+#: Kinds of contact event: `FLOOR` or `CEILING` if the bed touches that wall; released by its wall; free of overlap.
 RELEASED, FREE = 0, 3
 #: Largest force, relative to the forces of spring and dashpot, that may be a rounding error of their sum.
 MAX_ZERO_FORCE_RATIO = 1e-6
@@ -162,7 +162,7 @@ def first_contact_change(
 
     `length`: length of the step, relative to a full step.
 
-    Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact change;
+    Returns (tau, change, ambiguous). `tau`: fraction of the step, or `NO_CROSSING`; `change`: kind of contact event;
     `ambiguous`: number of minima of the guards that are zero within rounding error, and are not counted as crossings.
     """
     contact, wall = state.contact[j], state.recovering[j]
@@ -200,7 +200,7 @@ def first_contact_change(
 
 @kernel
 def change_contact(flow: Flow, model: Model, state: State, log: Log, j: int, change: int) -> None:
-    """Apply a contact change to damper j: it touches a wall, is released by it, or no longer overlaps it."""
+    """Apply a contact event to damper j: the bed touches a wall, is released by a wall, or no longer overlaps it."""
     if change == FREE:
         state.multiplicity[j] = 1 if state.recovering[j] == FLOOR else -1
         state.recovering[j] = FLIGHT

@@ -1,6 +1,6 @@
 """Input of the kernel: tables of the exact flow for each contact configuration, and the constants of the contacts.
 
-A contact configuration states which dampers are in contact with which wall. The flow maps a state to a later state.
+A contact configuration specifies which dampers are in contact with which wall. The flow maps a state to a later state.
 `rig.engine.flow_tables` computes both inputs.
 """
 
@@ -18,7 +18,7 @@ class Flow(NamedTuple):
     """Tables of a system; the first index of each table of numbers is the table index of a configuration.
 
     The state obeys z' = A z + b. The step length is h, and tau = t / h is the time in a step. A guard is a gap or
-    contact force, whose zero is a contact change. Matrices are stored [column, row] with padded rows. A table X and its
+    contact force, whose zero is a contact event. Matrices are stored [column, row] with padded rows. A table X and its
     constant part represent the affine map X z + X_constant.
 
     has_series: whether `series` is filled. has_step_matrix: whether all other tables are.

@@ -1,7 +1,7 @@
 """The exact flow: tables for each contact configuration, computed when the configuration is first visited.
 
-The configuration states which dampers are in contact with which wall. Its table index counts the configurations in the
-order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix exponential gives
+The configuration specifies which dampers are in contact with which wall. Its table index counts the configurations in
+the order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix exponential gives
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z(t) + terms of b
 
@@ -14,7 +14,7 @@ powers are tabulated. For a larger system the matrix of a full step is tabulated
 is summed from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system
 with many dampers is propagated by this series only.
 
-A *guard* is a gap or a contact force, whose zero is a contact change. Further tables bound the guards within a step
+A *guard* is a gap or a contact force, whose zero is a contact event. Further tables bound the guards within a step
 (`rig.engine.screening`): bounds of the fourth derivative, sums of the magnitudes of the terms, and the *margin*, the
 largest decrease within a step below the values at both ends.
 """
@@ -36,7 +36,7 @@ from rig.system.hybrid_system import Drive, HybridSystem
 
 #: Largest product of step length (s) and rate (rad/s); 0.7^16 / 16! is below the rounding of float64.
 MAX_RATE_TIMES_STEP = 0.7
-#: Matrix powers are tabulated up to this number of states, drive included.
+#: Matrix powers are tabulated up to this number of states, including the drive.
 MAX_TABULATED_STATES = 16
 #: The same limit for systems with at most `FEW_DAMPERS` dampers.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40

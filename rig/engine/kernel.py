@@ -1,6 +1,6 @@
 """The kernel: compiled code that propagates a system through flights, contacts and impacts.
 
-Between contact changes the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A
+Between contact events the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A
 and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is one
 matrix product if its matrix is tabulated; every other step is the sum of a power series. A guard is a gap or a contact
 force. Either every guard is proven free of zeros over the step (`rig.engine.screening`), or the step ends at the first
@@ -8,7 +8,7 @@ crossing (`rig.engine.guards`). Each proof is rigorous, so the motion does not d
 
 Terms:
 
-- event: contact change of one damper; break: instant at which velocities or accelerations jump;
+- event: change of the contact state of one damper; break: instant at which velocities or accelerations jump;
 - segment: time interval under one drive, such as a sample interval (`rig.engine.propagator`);
 - envelope: upper bound of the magnitude of each state, for which the margins are valid;
 - margin of a guard: a guard above its margin at both ends of a full step has no zero in the step;
@@ -59,7 +59,7 @@ MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: Task that is pending after a contact change: none; completion of the break in the log; or, before it, separation of
+#: Task that is pending after a contact event: none; completion of the break in the log; or, before it, separation of
 #: dampers with a tensile contact force.
 _NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
 #: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
@@ -94,7 +94,7 @@ def advance(
     Returns (reason, remaining, status). `reason`: `DONE`, `TABLES_MISSING`, `LOG_FULL` or `STUCK`. After missing tables
     are computed or the log is enlarged, call again with the remaining steps.
     """
-    columns = flow.rates_constant.shape[1]  # number of states, drive included
+    columns = flow.rates_constant.shape[1]  # number of states, including the drive
     dampers = model.mass.shape[0]
     # Whether a full step also computes the derivatives of the accelerations.
     has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]

@@ -4,9 +4,9 @@ Time is divided into segments. Sampled drive: each sample interval is a segment;
 (first-order hold) is integrated exactly. Pure tone: a segment ends at each sample instant and at each start of a
 period. At the start of a period the phase of the drive is reset, so that it is exact after any number of periods.
 
-The drive states are the part of the state from which the inputs are computed. An event is a contact change of one
-damper. A break is an instant at which velocities or accelerations jump. Both are logged. A table index identifies the
-tables of a contact configuration (which dampers are in contact with which wall).
+The drive states are the part of the state from which the inputs are computed. An event is a change of the contact state
+of one damper. A break is an instant at which velocities or accelerations jump. Both are logged. A table index
+identifies the tables of a contact configuration (which dampers are in contact with which wall).
 """
 
 from __future__ import annotations
@@ -324,7 +324,7 @@ class Propagator:
                 damper = self.system.damper_number[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
                 raise RunError(
                     f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
-                    "the contact law. Report this with the scene."
+                    "the contact law. Please report this as a bug and attach the scene."
                 )
             else:
                 return

@@ -1,6 +1,6 @@
-"""Proofs that guards have no zero over a step, so that the search for contact changes can be omitted.
+"""Proofs that guards have no zero over a step, so that the search for contact events can be omitted.
 
-A guard is a gap or a contact force; its zero is a contact change. The time in a step is tau, relative to its length.
+A guard is a gap or a contact force; its zero is a contact event. The time in a step is tau, relative to its length.
 The proof is by cubic Hermite interpolation: a guard is positive if the cubic through its values and slopes at both ends
 of the step exceeds the error of the interpolation. This error is at most a fixed fraction of the bound of the guard's
 fourth derivative.

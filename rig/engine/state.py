@@ -1,8 +1,8 @@
 """State of a system in motion, which the kernel updates, and the log of events and breaks.
 
-An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. The contact
-configuration states which dampers are in contact with which wall. A segment is a time interval under one drive, such as
-a sample interval.
+An event is a change of the contact state of one damper. A break is an instant at which velocities or accelerations
+jump. The contact configuration specifies which dampers are in contact with which wall. A segment is a time interval
+under one drive, such as a sample interval.
 """
 
 from __future__ import annotations

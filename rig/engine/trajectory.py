@@ -1,7 +1,8 @@
 """Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
 
-An event is a contact change of one damper. A break is an instant at which velocities or accelerations jump. A segment
-is a time interval in which one smooth function drives, such as a sample interval (`rig.engine.propagator`).
+An event is a change of the contact state of one damper. A break is an instant at which velocities or accelerations
+jump. A segment is a time interval in which one smooth function drives, such as a sample interval
+(`rig.engine.propagator`).
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ def select_frequencies(
         low, high = default[0] if low is None else low, default[1] if high is None else high
     points = count(points, 2, "points")
     if not 0.0 < low < high:
-        raise SceneError(f"frequencies: got {low:g} to {high:g} Hz; expected a rising range above 0")
+        raise SceneError(f"frequencies: got {low:g} to {high:g} Hz; expected an ascending range above 0")
     natural = natural_frequencies(scene, low, high)
     grid = np.linspace(low, high, 20_001)
     # Uniform density plus a Lorentzian at each natural frequency.
@@ -82,7 +82,7 @@ def select_frequencies(
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
     """Compute the natural frequencies in a range, Hz, without the moving dampers and with these at rest on floors.
 
-    With active dampers, each resonance is between these two values.
+    With dampers in motion, each resonance is between these two values.
     """
     model = structural_model(scene)
     models = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
@@ -140,7 +140,7 @@ def select_row_values(
     low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
     rows = count(rows, 2, "rows")
     if not 0.0 < low < high:
-        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected a rising range above 0 (--least, --most)")
+        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected an ascending range above 0 (--least, --most)")
     step = np.log(high / low) / (rows - 1)
     if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)

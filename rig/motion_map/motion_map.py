@@ -43,14 +43,14 @@ MAX_WAIT_DECAY_TIMES = 3.0
 MIN_WAIT_LIMIT_PERIODS = 2000
 #: Largest limit of the wait, periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
-#: Colors of `KINDS`: gray for riding, blue for the paper's types, warm colors for the other types.
+#: Colors of `KINDS`: gray for riding, blue for types I, II and III, warm colors for the other types.
 COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
 @dataclass(frozen=True, repr=False)
 class MotionMap(Result):
-    """Steady motion over a grid of levels or clearances (rows), and frequencies.
+    """Steady-state motion over a grid of levels or clearances (rows), and frequencies.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ def map_motion(
     cluster: str | None = None,
     table_path: Path | None = None,
 ) -> MotionMap:
-    """Compute the steady motion over a grid of levels or clearances, and frequencies.
+    """Compute the steady-state motion over a grid of levels or clearances, and frequencies.
 
     Parameters
     ----------
@@ -184,10 +184,10 @@ def map_motion(
         Second parameter in addition to the frequency; None: the level of the test. A clearance applies to every
         damper that is not locked, at the level of the test.
     values : array_like, shape (rows,), optional
-        Levels [N, or the drive's unit] or clearances [m], or texts with units; None: a range that includes
+        Levels [N, or the drive's unit] or clearances [m], or strings with units; None: a range that includes
         take-off or ceiling contact, and the scene's own value.
     frequencies : array_like, shape (frequencies,), optional
-        Hz, or texts with units; None: the test's range, with a finer spacing near the natural frequencies.
+        Hz, or strings with units; None: the test's range, with a finer spacing near the natural frequencies.
     progress : callable, optional
         Called with the number of points done and the total.
     cluster : str, optional
@@ -250,7 +250,7 @@ def _max_wait_periods(scene: Scene, frequency: Array) -> int:
 
 
 class _Row(NamedTuple):
-    """A row of the map, computed by rising frequency."""
+    """A row of the map, computed in ascending order of frequency."""
 
     scene: Scene
     frequency: Array
@@ -258,7 +258,7 @@ class _Row(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """A point of the map: properties of a steady motion."""
+    """A point of the map: properties of a steady-state motion."""
 
     types: list[str]  # motion type of each damper
     impacts: float
@@ -306,10 +306,10 @@ def summarize_map(map_: MotionMap) -> str:
     """Summarize the share of each motion type in the map, and the computing time."""
     rows, points = map_.kind.shape
     lines = [
-        f"{map_.scene.name}: {rows} x {points} steady motions, {map_.over} {map_.value[0]:.3g} to "
+        f"{map_.scene.name}: {rows} x {points} steady-state motions, {map_.over} {map_.value[0]:.3g} to "
         f"{map_.value[-1]:.3g} {map_.unit}, {map_.frequency[0]:.4g} to {map_.frequency[-1]:.4g} Hz",
         "",
-        f"{'most active damper':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
+        f"{'motion type':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
     ]
     for index, kind in enumerate(KINDS):
         is_kind = map_.kind == index
@@ -359,7 +359,7 @@ def _draw(map_: MotionMap) -> Figure:
         set_log_scale(bar.ax.yaxis)
         map_.draw_axes(right)
         right.set_ylabel("")
-        left.set_title("Motion type of the most active damper")
+        left.set_title("Most complex motion type of the dampers")
         right.set_title("Periods computed, not the duration of a test")
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]

@@ -73,7 +73,7 @@ class Curve:
 
 
 class NoConvergence(Exception):
-    """Newton's iteration did not converge; the message states the reason."""
+    """Newton's iteration did not converge; the message gives the reason."""
 
 
 def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal: Vector) -> tuple[Vector, Vector, int]:

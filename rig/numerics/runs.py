@@ -19,7 +19,7 @@ def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def merge_spans(spans: Iterable[tuple[int, int]], pause: int = 0) -> list[tuple[int, int]]:
-    """Merge intervals [first, stop) that overlap, or whose distance is at most `pause`; return them in rising order.
+    """Merge intervals [first, stop) that overlap, or whose distance is at most `pause`; return them in ascending order.
 
     >>> merge_spans([(5, 7), (0, 2), (2, 3)])
     [(0, 3), (5, 7)]

@@ -56,7 +56,7 @@ def follow_orbits(
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
         Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
     bounds : tuple of float or str
-        Range of the parameter, in SI or as texts with units.
+        Range of the parameter, in SI or as strings with units.
     frequency : float or str, optional
         Hz, or text with a unit; needed unless it is the parameter.
     searches : int
@@ -72,7 +72,7 @@ def follow_orbits(
     limits = parameter_values(parameter, bounds)
     if limits.size != 2 or not limits[0] < limits[1]:
         raise SceneError(
-            f"bounds: got {', '.join(f'{limit:g}' for limit in limits)}; expected two rising values above 0"
+            f"bounds: got {', '.join(f'{limit:g}' for limit in limits)}; expected two ascending values above 0"
         )
     low, high = limits.tolist()
     problem = OrbitProblem(scene_of(scene))

@@ -1,8 +1,8 @@
 """The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
 
-An event is a contact change of one damper. Beyond a *border* in the parameter, the sequence is impossible. The engine
-describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*, which also
-distinguishes finite-duration contact (`rig.orbits.event_kinds`).
+An event is a change of the contact state of one damper. Beyond a *border* in the parameter, the sequence is impossible.
+The engine describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*,
+which also distinguishes finite-duration contact (`rig.orbits.event_kinds`).
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
 # Largest change over a cycle, relative to the motion, before an early attempt. A motion that settles to an orbit within
 # `MAX_ORBIT_DISTANCE` changes less; in designs of dampers for the bundled scenes it was at most 0.15.
 MAX_EARLY_CHANGE = 0.2
-# Largest relative change from period to period of a steady motion.
+# Largest relative change from period to period of a steady-state motion.
 MAX_STEADY_CHANGE = 1e-7
 # Largest relative change from period to period of an almost periodic motion.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6

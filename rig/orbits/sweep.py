@@ -1,4 +1,4 @@
-"""Steady motion over a parameter (such as frequency or force), computed as exact stable orbits (periodic motions).
+"""Steady-state motion over a parameter such as frequency or force, computed as exact stable orbits (periodic motions).
 
 At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
 checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep, until it
@@ -70,7 +70,7 @@ AVERAGED_PERIODS = 64
 
 @dataclass(frozen=True, repr=False)
 class OrbitResponse(Result):
-    """Steady motion over a parameter, in the order in which its values were visited.
+    """Steady-state motion over a parameter, in the order in which its values were visited.
 
     Attributes
     ----------
@@ -147,8 +147,9 @@ class OrbitResponse(Result):
         body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
         unit = PARAMETERS[self.parameter].si
         return (
-            f"{self.value.size} steady motions, {self.parameter} {self.value.min():.4g} to {self.value.max():.4g} "
-            f"{unit}, highest {1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.value[k]:.4g} {unit} "
+            f"{self.value.size} steady-state motions, "
+            f"{self.parameter} {self.value.min():.4g} to {self.value.max():.4g} {unit}, "
+            f"highest {1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.value[k]:.4g} {unit} "
             f"({self.labels[body]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
@@ -178,7 +179,7 @@ def orbit_response(
     frequency: float | str | None = None,
     progress: CountProgress | None = None,
 ) -> OrbitResponse:
-    """Compute the steady motion of a scene at each value of a parameter, as exact stable orbits.
+    """Compute the steady-state motion of a scene at each value of a parameter, as exact stable orbits.
 
     The result is the same as that of `rig.frequency_response`, without simulation of transients. If the test
     controls the spring force of a table, this force is a pure tone here, as in `rig.periodic_orbit`.
@@ -245,7 +246,7 @@ def sweep(
 
 @dataclass(frozen=True)
 class _Point:
-    """Steady motion at one value of the parameter; fields as in `OrbitResponse`."""
+    """Steady-state motion at one value of the parameter; fields as in `OrbitResponse`."""
 
     compliance: NDArray[np.complex128]
     peak: Array
@@ -282,7 +283,7 @@ def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
 
 
 class _Continuation:
-    """Continuation of the steady motion from value to value."""
+    """Continuation of the steady-state motion from value to value."""
 
     def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
         self.problem, self.parameter = problem, parameter
@@ -294,7 +295,7 @@ class _Continuation:
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
-        """Compute the steady motion at a value, starting from the motion at the previous value."""
+        """Compute the steady-state motion at a value, starting from the motion at the previous value."""
         orbit = self._continue_orbit(value) if self.recent_points else None
         if orbit is not None:
             return _orbit_point(orbit)
@@ -312,7 +313,7 @@ class _Continuation:
                 continue
             if point.orbit.flaw or not point.orbit.stable:
                 return None
-            # The nodes of the extrapolation must differ, also where a sweep repeats a value.
+            # The nodes of the extrapolation must differ, even if a sweep repeats a value.
             other_points = [recent for recent in self.recent_points if recent.value != target]
             self.recent_points = [*other_points[1 - EXTRAPOLATION_POINTS :], point]
             if target == value:

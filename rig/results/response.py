@@ -642,7 +642,7 @@ class Response(Result, Sequence["Response"]):
         )
 
     def band(self, low: float | str, high: float | str) -> Response:
-        """Select the lines from `low` to `high`, in Hz or as texts with their unit."""
+        """Select the lines from `low` to `high`, in Hz or as strings with their unit."""
         first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
         return self.at((self.frequency >= first) & (self.frequency <= last))
 

@@ -54,7 +54,7 @@ def round_to_bound(value: float, bound: float) -> str:
 
 
 def format_interval(value: float, bound: float) -> str:
-    """Write a number with its bound, for a table whose header states the unit.
+    """Write a number with its bound, for a table whose header gives the unit.
 
     >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
     ('2.42 ± 0.20', '935.2 (no bound)', '1')

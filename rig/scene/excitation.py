@@ -82,7 +82,7 @@ class SteppedSine(Settings):
     to: Frequency | None = None
     """Last frequency [Hz], above from."""
     points: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
-    """Number of frequencies, both ends included."""
+    """Number of frequencies, both ends inclusive."""
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MAX_STEPS)
     """Instead of from, to and points: the frequencies [Hz] in ascending order."""
     spacing: Spacing = "linear"

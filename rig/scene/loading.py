@@ -39,7 +39,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
     Returns
     -------
     Scene
-        The validated scene, in SI. If the file states no name, the scene has the name of the file.
+        The validated scene, in SI. If the file gives no name, the scene has the name of the file.
 
     Raises
     ------

@@ -106,7 +106,7 @@ class Accelerometer(Settings):
 
 
 class Integrator(Settings):
-    """An integrating amplifier behind the accelerometer."""
+    """An integrating amplifier, downstream of the accelerometer."""
 
     order: Annotated[int, Field(ge=1, le=2)]
     """1: the output is proportional to velocity, 2: to displacement."""

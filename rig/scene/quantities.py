@@ -215,8 +215,8 @@ def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, flo
     """
     pair = positive_values(values, kind, name).tolist()
     if len(pair) != 2 or not pair[0] < pair[1]:
-        texts = ", ".join(f"{number:g} {kind.si}" for number in pair)
-        raise SceneError(f"{name}: got {texts}; expected two values, the smaller one first")
+        listed = ", ".join(f"{number:g} {kind.si}" for number in pair)
+        raise SceneError(f"{name}: got {listed}; expected two values, the smaller value first")
     return pair[0], pair[1]
 
 
@@ -236,12 +236,12 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
         # imaginary part.
         numbers = np.asarray(raw.tolist(), dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{name}: got {values!r}; expected a list of real numbers or texts") from None
+        raise SceneError(f"{name}: got {values!r}; expected a list of real numbers or strings") from None
     is_valid = (numbers >= kind.minimum) & (numbers <= kind.maximum)
     if numbers.ndim != 1 or not numbers.size or not is_valid.all():
         invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or "none"
         raise SceneError(
-            f"{name}: got {invalid}; expected a list of positive, finite numbers {kind.range}, or of texts such as "
+            f"{name}: got {invalid}; expected a list of positive, finite numbers {kind.range}, or of strings such as "
             f"{kind.example}"
         )
     return numbers

@@ -58,7 +58,7 @@ class Quantity:
         Raises
         ------
         PydanticCustomError
-            If the value is invalid; the message states what was expected.
+            If the value is invalid; the message gives what was expected.
         """
         if self.listed and isinstance(value, list | tuple):
             if not value:

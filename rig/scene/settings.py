@@ -1,8 +1,8 @@
 """Base classes of a scene's settings: frozen pydantic models that report all their problems together.
 
 A problem has a key path and a message. The key path is a tuple of keys and positions from 0, such as ("dampers", 1,
-"clearance"). The message states the given value and the expected value. `rig.scene.loading` converts the key path to a
-line of the file.
+"clearance"). The message contains the given and the expected value. `rig.scene.loading` converts the key path to a line
+of the file.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"t
 Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
-#: Drive per volt of the output in front of a shaker, by the unit of the drive: a volt at the amplifier, a newton, or
+#: Drive per volt of the output upstream of a shaker, by the unit of the drive: a volt at the amplifier, a newton, or
 #: a millimeter of table displacement.
 DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
 

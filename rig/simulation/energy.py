@@ -1,7 +1,7 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
 Power and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
-breaks (contact changes) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
+breaks (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
 energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
 
 A table index is the position of a contact configuration (which dampers are in contact with which wall) in the flow

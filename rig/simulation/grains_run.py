@@ -115,7 +115,7 @@ class GrainsRun:
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
-        """Return a function of two sample numbers that evaluates the tone between them at the grains' time steps.
+        """Return a function of two sample indices that evaluates the tone between them at the grains' time steps.
 
         Its result has the shape (inputs, steps + 1).
         """

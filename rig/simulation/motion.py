@@ -20,7 +20,7 @@ class Motion:
     Attributes
     ----------
     first : int
-        Number of the first sample, counted from the start of the run.
+        Index of the first sample, counted from the start of the run.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s^2; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)

@@ -150,7 +150,7 @@ def approximate_response(
     mode : int
         Number of the retained mode, from 1.
     band : tuple of float or str
-        Lowest and highest frequency, in Hz or as texts with units.
+        Lowest and highest frequency, in Hz or as strings with units.
     force : float or str, optional
         Force amplitude, in N or as text with its unit; default the force of the scene's test.
     weighting : {'printed', 'energy'}
@@ -180,7 +180,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     """
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:
-        raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two rising frequencies above 0.")
+        raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two ascending frequencies above 0.")
     if not mode.mass_ratio > 0:
         raise SceneError("mode: no damper of this mode can leave its floor. Choose another mode, or unlock a damper.")
     if not mode.force > 0 or mode.participation == 0:

@@ -1,6 +1,6 @@
 """One mode of the structure with one equivalent damper (Eqs 4-13 of Inoue, Yokomichi and Hiraki, 2011).
 
-For mode i, the structure is replaced by a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
+For mode i, the structure is replaced with a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
 acts on it as phi_ki f_k, with the mode shape phi. It carries one damper of mass mu_i M_i in a cavity of the scene's
 clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so that the
 single mass represents the body with the largest displacement.
@@ -172,7 +172,7 @@ def single_mode(
     if force is None:
         level = getattr(scene.test, "force", None)
         if not isinstance(level, int | float):
-            raise SceneError("force: the test of the scene does not state a single force. Pass force=... in N.")
+            raise SceneError("force: the test of the scene does not specify a single force. Pass force=... in N.")
         force = float(level)
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),

@@ -164,7 +164,7 @@ def draw_compliance(
 
 @dataclass(frozen=True)
 class SteadyPoint:
-    """Steady motion at one frequency; `end_state` is the initial state for the next frequency.
+    """Steady-state motion at one frequency; `end_state` is the initial state for the next frequency.
 
     The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
     `settle`, and the drive level relative to the level of the linear structure.
@@ -198,7 +198,7 @@ def frequency_response(
         A scene, or an argument of `rig.load`. Its test gives the level: `force` (the applied force, or the first
         harmonic of the spring force) or `drive`.
     frequencies : array_like or sequence of str, shape (frequencies,)
-        Hz, or texts with a unit, such as ``"49 Hz"``.
+        Hz, or strings with a unit, such as ``"49 Hz"``.
     direction : {"up", "down", "both"}
         Order of the frequencies; each starts from the motion at the previous frequency. "both" is up, then down.
     tolerance : float
@@ -288,7 +288,7 @@ def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
 
 
 class SteadyContinuation:
-    """Continuation of the steady motion of a scene in frequency."""
+    """Continuation of the steady-state motion of a scene in frequency."""
 
     def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
         self.scene, self.system = scene, assemble(scene)
@@ -307,7 +307,7 @@ class SteadyContinuation:
             yield previous
 
     def point(self, frequency: float, previous: SteadyPoint | None) -> SteadyPoint:
-        """Compute the steady motion at one frequency, from the motion at another or from rest."""
+        """Compute the steady-state motion at one frequency, from the motion at another or from rest."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)

@@ -15,7 +15,7 @@ MIN_STAY_RATIO = 2.0
 
 
 def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, segment_duration: float) -> list[str]:
-    """Classify the motion of every damper over one repetition of a steady motion.
+    """Classify the motion of every damper over one repetition of a steady-state motion.
 
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
     `segment_duration`: duration of a segment of the trajectory, s.

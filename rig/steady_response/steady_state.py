@@ -1,4 +1,4 @@
-"""Steady motion under a sinusoidal drive: integration until the estimated distance from steady state is small enough.
+"""Steady-state motion under a sinusoidal drive: integration until the estimated distance from steady state is small.
 
 At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. If the change r
 over p periods decays with the ratio q per p periods, the distance from the steady state is r q / (1 - q). A motion is
@@ -157,7 +157,7 @@ def _state_scales(propagator: Propagator) -> Array:
 
 
 def integrate_cycle(propagator: Propagator, steps: float, level: float, repetition: int) -> tuple[Trajectory, Array]:
-    """Integrate one repetition of a steady motion, with states stored at `INSTANTS_PER_PERIOD` instants per period.
+    """Integrate one repetition of a steady-state motion; store the state at `INSTANTS_PER_PERIOD` instants per period.
 
     Returns the trajectory, and the initial state of each segment.
     """

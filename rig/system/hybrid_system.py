@@ -1,4 +1,4 @@
-"""The hybrid system of a scene and its drive, which the engine simulates: linear between contact changes.
+"""The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
 ceiling of its cavity. A contact *configuration* states which dampers are in contact with which wall.

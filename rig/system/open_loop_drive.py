@@ -248,7 +248,7 @@ def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) 
 def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> Array:
     """Return a drive as an array of shape (inputs, samples).
 
-    `inputs`: names of the drive inputs; `first`: number of the first sample, for error messages. Raises `RunError`
+    `inputs`: names of the drive inputs; `first`: index of the first sample, for error messages. Raises `RunError`
     if the drive has another shape or is not finite.
     """
     try:

@@ -209,7 +209,7 @@ def driven_bodies(scene: Scene) -> list[int]:
     if scene.test is not None and scene.test.kind == "impulse":
         return [scene.test.body - 1]
     raise SceneError(
-        f"scene {scene.name!r} has neither shaker nor hammer, so the place of the force is unknown. Add a shaker."
+        f"scene {scene.name!r} has neither shaker nor hammer, so the location of the force is unknown. Add a shaker."
     )
 
 

@@ -1,7 +1,7 @@
 """General solvers of scipy and SUNDIALS, as alternatives to the engine in `rig cost`.
 
-Contact changes are events: the solver locates the root of a guard, a function that is negative after the change.
-`penalty` needs no events, because it replaces the walls by stiff springs.
+Contact events are events: the solver locates the root of a guard, a function that is negative after the change.
+`penalty` needs no events, because it replaces the walls with stiff springs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SegmentSolver(Protocol):
 
 
 class _Contacts:
-    """Contact state of each damper, and the guards of the contact changes that are possible from it."""
+    """Contact state of each damper, and the guards of the contact events that are possible from it."""
 
     def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
         self.problem, self.guard_pause = problem, guard_pause

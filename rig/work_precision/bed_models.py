@@ -1,7 +1,7 @@
 """Cost and error of models of a bed of grains: one mass, finite-duration contact, longer time steps, and softer grains.
 
-The reference is the steady motion of the grains as in the scene, a mean over chaotic motion. Its deviation from another
-packing of the same grains is the smallest significant error.
+The reference is the steady-state motion of the grains as in the scene, a mean over chaotic motion. Its deviation from
+another packing of the same grains is the smallest significant error.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STEP_RATIOS = (0.1, 0.19)
 SOFTENING_RATIO = 10.0
 #: Periods over which the motion of grains is averaged (a block).
 PERIODS = 20
-#: Maximum number of blocks to reach steady motion.
+#: Maximum number of blocks to reach steady state.
 MAX_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]

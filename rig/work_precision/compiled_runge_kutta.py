@@ -1,7 +1,7 @@
 """Compiled Runge-Kutta solver of Dormand and Prince, order 5(4), with event location: an alternative in `rig cost`.
 
 It is the fastest general-purpose alternative to the engine. Right-hand side, step size control, dense output, event
-location and contact changes are compiled. The right-hand side has a matrix for each configuration, the set of dampers
+location and contact events are compiled. The right-hand side has a matrix for each configuration, the set of dampers
 at rest on a wall. Unlike the engine, the solver can miss a guard that crosses zero twice within a step.
 
 E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: step size in II.4.

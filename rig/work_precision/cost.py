@@ -56,7 +56,7 @@ class Cost(Result):
     ----------
     scene : Scene
     motion : MotionStudy or None
-        Methods for the motion; None for models of beds of grains, which are compared in steady motion only.
+        Methods for the motion; None for models of beds of grains, which are compared in steady state only.
     steady : SteadyStudy
         Methods for the steady state, or models of the beds.
     """

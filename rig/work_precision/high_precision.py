@@ -234,7 +234,7 @@ class DecimalMotion:
             )
 
     def advance(self, end_time: Decimal) -> None:
-        """Advance to an earlier or later time without contact change."""
+        """Advance to an earlier or later time without contact event."""
         duration, z = end_time - self.now, self.z
         _, flow = self._flow()
         steps = max(1, int(np.ceil(abs(float(duration)) * self._max_rate / MAX_RATE_STEP)))
@@ -311,7 +311,8 @@ class _ClosedOrbit:
                 values = values - solve(jacobian, closure_error[:, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(
-                    f"the orbit in decimal arithmetic has a residual of {residual:.0e}. Report this with the scene."
+                    f"the orbit in decimal arithmetic has a residual of {residual:.0e}. Please report this as a bug "
+                    "and attach the scene."
                 )
             return list(values), residual
 

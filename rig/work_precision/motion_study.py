@@ -131,7 +131,8 @@ def motion_study(
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference is not a thousand times as accurate as the best method. Report this with the scene."
+            "the reference is not a thousand times as accurate as the best method. Please report this as a bug and "
+            "attach the scene."
         )
     reference = (
         f"decimal arithmetic of {DIGITS} digits, with every event located again. Fewer digits change the motion by "

@@ -37,7 +37,7 @@ class SteadyStudy:
 
     points: tuple[Point, ...]  # error: largest compliance error of any body, relative to the largest compliance
     frequency: float  # Hz
-    motion_type: str  # of the steady motion at this frequency; "" if there is none
+    motion_type: str  # of the steady-state motion at this frequency; "" if there is none
     reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
 
 
@@ -78,7 +78,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
             "the reference of the steady state is less than a thousand times more accurate than the best method. "
-            "Report this with the scene."
+            "Please report this as a bug and attach the scene."
         )
     return SteadyStudy(
         tuple(points),

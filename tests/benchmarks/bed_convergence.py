@@ -1,4 +1,4 @@
-"""Effect of grain stiffness and time step on the steady motion of a bed of grains; its scatter over packings.
+"""Effect of grain stiffness and time step on the steady-state motion of a bed of grains; its scatter over packings.
 
     python -m tests.benchmarks.bed_convergence
 

@@ -1,4 +1,7 @@
-"""Random scenes of the paper's rig with finite-duration contact, for the checks of impacts and types of motion."""
+"""Random scenes with finite-duration contact, for the checks of impacts and types of motion.
+
+The rig is that of Inoue, Yokomichi, Hiraki (2011).
+"""
 
 from __future__ import annotations
 

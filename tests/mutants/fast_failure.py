@@ -1,7 +1,7 @@
 """A pytest plugin that detects a mutation quickly: a test fails at its first failing example, or after a time limit.
 
 With NUMBA_DISABLE_JIT=1 kernels run as plain Python, but the functions of `rig.numerics.simd` exist only as machine
-code. This plugin replaces them by equal functions in numpy.
+code. This plugin replaces them with equal functions in numpy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Outputs are replaced by later outputs of the same source; edited files and files of other origin are protected."""
+"""Outputs are replaced with later outputs of the same source; edited files and files of other origin are protected."""
 
 from __future__ import annotations
 

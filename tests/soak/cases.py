@@ -26,7 +26,7 @@ from tests.daq.importing import files
 from tests.soak import command_lines, recordings, scenes
 from tests.soak.command import CommandResult, is_own_traceback, processes_remain, run, run_new_process
 
-# Commands that read a recording r.mcap; {odd}: an invalid number.
+# Commands that read a recording r.mcap; {unusual}: an invalid number.
 READING_COMMANDS = (
     "daq info r.mcap --check",
     "daq info r.mcap",
@@ -42,9 +42,9 @@ READING_COMMANDS = (
     "analysis export r.mcap -o o.npz",
     "analysis export r.mcap -o o.uff",
     "analysis export r.mcap -o o.wav",
-    "analysis export r.mcap -o o.csv --from {odd} --to {odd}",
-    "analysis frf r.mcap --block {odd} --overlap {odd}",
-    "daq replay r.mcap --save x.rrd --from {odd} --speed {odd}",
+    "analysis export r.mcap -o o.csv --from {unusual} --to {unusual}",
+    "analysis frf r.mcap --block {unusual} --overlap {unusual}",
+    "daq replay r.mcap --save x.rrd --from {unusual} --speed {unusual}",
 )
 # Commands that compute many motions in several processes.
 STUDY_COMMANDS = (
@@ -65,7 +65,7 @@ with nidaqmx.Task() as task:
     except nidaqmx.DaqError as error:
         print("refused:", error.error_code)
 """
-# Valid and odd names of recordings.
+# Valid and unusual names of recordings.
 RECORDING_NAMES = (
     "r.mcap",
     "r.mcap",
@@ -283,7 +283,7 @@ def use_random_command_line(workspace: Workspace, rng: random.Random) -> tuple[C
     (folder / "s.yaml").write_text(scenes.valid_scene(rng))
     (folder / "x.csv").write_bytes(next(data for (end, _), data in workspace.foreign_files.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT_SCRIPT)
-    command_lines.create_odd_files(folder)
+    command_lines.create_unusual_files(folder)
     before = command_lines.folder_contents(folder)
     words = command_lines.draw_command_line(rng)
     # End commands that do not end by themselves; end those that wait silently for their user earlier.
@@ -296,8 +296,8 @@ def use_random_command_line(workspace: Workspace, rng: random.Random) -> tuple[C
 
 def _reading_command(rng: random.Random, commands: Sequence[str] = READING_COMMANDS) -> list[str]:
     """Draw a command that reads a recording, with invalid numbers for its numeric options."""
-    odd_numbers = [rng.choice(scenes.ODD_NUMBERS) for _ in range(2)]
-    return [word.format(odd=odd_numbers.pop()) if "{" in word else word for word in rng.choice(commands).split()]
+    numbers = [rng.choice(scenes.UNUSUAL_NUMBERS) for _ in range(2)]
+    return [word.format(unusual=numbers.pop()) if "{" in word else word for word in rng.choice(commands).split()]
 
 
 def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:

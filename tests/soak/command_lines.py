@@ -13,7 +13,7 @@ from typing import Any
 import typer
 
 from tests.soak.command import PACKAGES
-from tests.soak.scenes import ODD_TEXTS
+from tests.soak.scenes import UNUSUAL_TEXTS
 
 # Valid values of each option or argument, by its name; options that are not listed take a number.
 VALID_VALUES: dict[str, tuple[str, ...]] = {
@@ -61,7 +61,7 @@ VALID_VALUES: dict[str, tuple[str, ...]] = {
     "show": ("fig9",),
     "cluster": ("local",),
 }
-# Odd paths, including those of `create_odd_files`.
+# Unusual paths, including those of `create_unusual_files`.
 PATHS = (
     "folder",
     "folder/",
@@ -89,7 +89,7 @@ PATHS = (
     "new\n\x1b[31m.mcap",
     os.fsdecode(b"\xff\xfe.mcap"),
 )
-# Odd numbers.
+# Unusual numbers.
 NUMBERS = (
     "nan",
     "-inf",
@@ -110,11 +110,11 @@ NUMBERS = (
     "1 2",
     "",
 )
-# Valid and odd units.
+# Valid and unusual units.
 UNITS = ("", "", " Hz", "Hz", " s", " N", " kg", " mm", " %", " parsec", " Hz Hz", ",", ",1", "\u00b5s", "\x1b[1m")
-# Odd texts.
+# Unusual texts.
 TEXTS = (
-    *(text.replace("\0", "") for text in ODD_TEXTS),
+    *(text.replace("\0", "") for text in UNUSUAL_TEXTS),
     os.fsdecode(b"\xff"),
     "-",
     "--",
@@ -136,7 +136,7 @@ TEXTS = (
 )
 
 
-def create_odd_files(folder: Path) -> None:
+def create_unusual_files(folder: Path) -> None:
     """Create special, empty and invalid files in a folder."""
     (folder / "folder").mkdir()
     (folder / "folder" / "kept.txt").write_text("kept")
@@ -151,7 +151,7 @@ def create_odd_files(folder: Path) -> None:
         try:
             os.mknod(folder / name, stat.S_IFCHR | 0o666, os.makedev(1, minor))
         except PermissionError:
-            # Without root rights: link to the system's device.
+            # Without root privileges: link to the system's device.
             (folder / name).symlink_to(f"/dev/{name}")
 
 
@@ -179,24 +179,25 @@ def lost_files(before: dict[str, str], after: dict[str, str], words: list[str]) 
 
 
 def draw_command_line(rng: random.Random) -> list[str]:
-    """Draw a command of any package, with some of its options and arguments; some values are odd."""
+    """Draw a command of any package, with some of its options and arguments; some values are unusual."""
     program = rng.choice(PACKAGES)
     commands: Any = typer.main.get_command(import_module(f"{program}.cli").app)
     name = rng.choice(list(commands.commands))
-    odd_ratio = rng.choice((0.2, 0.5, 0.9))
+    unusual_ratio = rng.choice((0.2, 0.5, 0.9))
     options, arguments = [], []
     for parameter in commands.commands[name].params:
         if rng.random() > (0.95 if parameter.required else 0.25):
             continue
         if parameter.param_type_name == "argument":
             arguments += [
-                _value(parameter, odd_ratio, rng) for _ in range(rng.choice((1, 1, 2)) if parameter.nargs < 0 else 1)
+                _value(parameter, unusual_ratio, rng)
+                for _ in range(rng.choice((1, 1, 2)) if parameter.nargs < 0 else 1)
             ]
         elif parameter.is_flag:
             options.append([parameter.opts[0]])
         else:
             options.append(
-                [rng.choice(parameter.opts), *(_value(parameter, odd_ratio, rng) for _ in range(parameter.nargs))]
+                [rng.choice(parameter.opts), *(_value(parameter, unusual_ratio, rng) for _ in range(parameter.nargs))]
             )
     if rng.random() < 0.05:
         options.append([rng.choice(("--nonsense", "-x", "--help", "-o", "--", "--set"))])
@@ -208,9 +209,9 @@ def draw_command_line(rng: random.Random) -> list[str]:
     return [program, name, *((*option_words, *arguments) if name == "run" else (*arguments, *option_words))]
 
 
-def _value(option: Any, odd_ratio: float, rng: random.Random) -> str:
-    """Draw a value of an option or an argument: odd with a probability of `odd_ratio`."""
-    if rng.random() > odd_ratio:
+def _value(option: Any, unusual_ratio: float, rng: random.Random) -> str:
+    """Draw a value of an option or an argument: unusual with a probability of `unusual_ratio`."""
+    if rng.random() > unusual_ratio:
         return rng.choice(VALID_VALUES.get(option.name, ("1", "2", "0.5")))
     kind = rng.random()
     if kind < 0.4:

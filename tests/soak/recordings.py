@@ -12,10 +12,10 @@ from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
-from tests.soak.scenes import ESCAPE, MARKUP, ODD_NUMBERS, ODD_TEXTS, invalid_scene
+from tests.soak.scenes import ESCAPE, MARKUP, UNUSUAL_NUMBERS, UNUSUAL_TEXTS, invalid_scene
 
-# Odd values of metadata.
-ODD_JSON: tuple[Any, ...] = (
+# Unusual values of metadata.
+UNUSUAL_JSON: tuple[Any, ...] = (
     None,
     True,
     [],
@@ -89,13 +89,13 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
             topic, metadata = channel.topic, dict(channel.metadata)
             if kind == "channel" and number == changed_channel:
                 key = rng.choice([*metadata, "unit", "filter"])
-                metadata[key] = _odd_text(rng)
+                metadata[key] = _unusual_text(rng)
                 description = f"{key} = {metadata[key][:40]!r}"
                 if rng.random() < 0.1:
                     del metadata[key]
                     description = f"no {key}"
             if kind == "name" and number == changed_channel:
-                topic = layout.RAW + rng.choice(ODD_TEXTS)
+                topic = layout.RAW + rng.choice(UNUSUAL_TEXTS)
                 metadata["name"] = topic.removeprefix(layout.RAW)
             numbers[number] = copy.add_channel(topic, channel.message_encoding, schemas[channel.schema_id], metadata)
         if kind == "many":
@@ -109,9 +109,9 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
                 channel, data = summary.channels[message.channel], bytes(message.data)
                 times = [message.log_time, message.publish_time]
                 if kind == "marker" and channel.topic == layout.MARKERS:
-                    data = _with_odd_value(data, rng)
+                    data = _with_unusual_value(data, rng)
                 if kind == "event" and channel.topic == layout.EVENTS:
-                    data = _with_odd_value(data, rng)
+                    data = _with_unusual_value(data, rng)
                 if kind == "time" and message.channel in sample_channels and chunk >= len(summary.offsets) // 2:
                     # The same shift for all blocks.
                     shift = 2 ** random.Random(str(summary.offsets)).choice((20, 27, 40, 62))
@@ -132,7 +132,7 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
             changed = {key: text for key, text in fields.items() if key != "crc32"}
             if kind == "metadata" and record == changed_record:
                 key = rng.choice(list(changed))
-                changed[key] = _odd_text(rng)
+                changed[key] = _unusual_text(rng)
                 description = f"{record}.{key} = {changed[key][:40]!r}"
             copy.add_metadata(record, with_checksum(changed))
         scene = container.attachment(layout.SCENE_FILE) or b""
@@ -143,19 +143,19 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
     return description
 
 
-def _odd_text(rng: random.Random) -> str:
-    """Draw an odd text, number or JSON value, as text."""
+def _unusual_text(rng: random.Random) -> str:
+    """Draw an unusual text, number or JSON value, as text."""
     if rng.random() < 0.3:
-        return rng.choice(ODD_TEXTS)
+        return rng.choice(UNUSUAL_TEXTS)
     if rng.random() < 0.3:
-        return repr(rng.choice(ODD_NUMBERS))
-    return json.dumps(rng.choice(ODD_JSON))
+        return repr(rng.choice(UNUSUAL_NUMBERS))
+    return json.dumps(rng.choice(UNUSUAL_JSON))
 
 
-def _with_odd_value(data: bytes, rng: random.Random) -> bytes:
-    """Return a JSON object with an odd value of an existing or an additional key."""
+def _with_unusual_value(data: bytes, rng: random.Random) -> bytes:
+    """Return a JSON object with an unusual value of an existing or an additional key."""
     content = json.loads(data)
-    content[rng.choice([*content, "channel", "reason", "settled"])] = rng.choice((*ODD_JSON, *ODD_NUMBERS))
+    content[rng.choice([*content, "channel", "reason", "settled"])] = rng.choice((*UNUSUAL_JSON, *UNUSUAL_NUMBERS))
     return json.dumps(content).encode()
 
 

@@ -12,7 +12,7 @@ import yaml
 ESCAPE = "\x1b[31mred\x1b]0;title\x07"
 # Markup of HTML, rich and Markdown.
 MARKUP = "<script>alert(1)</script> [bold]x[/bold] **b** `c` |d| ![i](http://x)"
-ODD_TEXTS = (
+UNUSUAL_TEXTS = (
     ESCAPE,
     MARKUP,
     "",
@@ -24,7 +24,7 @@ ODD_TEXTS = (
     "\u0000",
     "%s{0}$(x)",
 )
-ODD_NUMBERS = (
+UNUSUAL_NUMBERS = (
     0,
     -1,
     1,
@@ -46,7 +46,7 @@ ODD_NUMBERS = (
     float("inf"),
     float("-inf"),
 )
-ODD_VALUES: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
+UNUSUAL_VALUES: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
 UNITS = ("Hz", "s", "kg", "N", "V", "m", "mm", "%", "kN/m", "rad/s", "mV/g", "bit", "", "parsec", "ug/sqrt(Hz)")
 
 # Valid scenes, from which the invalid ones are made.
@@ -198,20 +198,20 @@ def _replace_entry(content: Any, rng: random.Random) -> None:
     if rng.random() < 0.1 and isinstance(content, dict):
         del content[key]
         return
-    content[key] = _odd_value(content[key], rng)
+    content[key] = _unusual_value(content[key], rng)
 
 
-def _odd_value(value: Any, rng: random.Random) -> Any:
-    """Draw an odd number with the unit of a value, an odd text, or a value of another type."""
+def _unusual_value(value: Any, rng: random.Random) -> Any:
+    """Draw an unusual number with the unit of a value, an unusual text, or a value of another type."""
     kind = rng.random()
     if kind < 0.55:
-        number = rng.choice(ODD_NUMBERS)
+        number = rng.choice(UNUSUAL_NUMBERS)
         unit = str(value).split(" ", 1)[-1] if " " in str(value) else ""
         unit = rng.choice(UNITS) if rng.random() < 0.2 else unit
         return f"{number!r} {unit}".strip() if unit else number
     if kind < 0.75:
-        return rng.choice(ODD_TEXTS)
-    return _copy(rng.choice(ODD_VALUES))
+        return rng.choice(UNUSUAL_TEXTS)
+    return _copy(rng.choice(UNUSUAL_VALUES))
 
 
 def _enlarge(content: Any, rng: random.Random) -> None:
@@ -231,7 +231,7 @@ def _enlarge(content: Any, rng: random.Random) -> None:
 
 def scene_command(path: str, rng: random.Random) -> list[str]:
     """Return a command on a scene, often with an invalid option."""
-    odd = rng.choice(ODD_NUMBERS)
+    unusual = rng.choice(UNUSUAL_NUMBERS)
     choose = lambda *options: list(rng.choice(options))  # noqa: E731
     commands: dict[str, list[str]] = {
         "explain": ["rig", "explain", path],
@@ -241,9 +241,9 @@ def scene_command(path: str, rng: random.Random) -> list[str]:
             path,
             *choose(
                 ("--duration", "0.05 s"),
-                ("--duration", f"{odd} s"),
-                ("--rate", f"{odd} Hz"),
-                ("--frequency", f"{odd} Hz", "--duration", "0.05 s"),
+                ("--duration", f"{unusual} s"),
+                ("--rate", f"{unusual} Hz"),
+                ("--frequency", f"{unusual} Hz", "--duration", "0.05 s"),
                 (),
             ),
         ],
@@ -253,8 +253,8 @@ def scene_command(path: str, rng: random.Random) -> list[str]:
             path,
             *choose(
                 ("--points", "2"),
-                ("--from", "20 Hz", "--to", f"{odd} Hz"),
-                ("--points", str(odd)),
+                ("--from", "20 Hz", "--to", f"{unusual} Hz"),
+                ("--points", str(unusual)),
                 ("--direction", "\x1b[3m"),
                 (),
             ),
@@ -267,7 +267,7 @@ def scene_command(path: str, rng: random.Random) -> list[str]:
             "2",
             "--points",
             "2",
-            *choose((), ("--least", f"{odd} N"), ("--over", "x"), ("--rows", "1000000000")),
+            *choose((), ("--least", f"{unusual} N"), ("--over", "x"), ("--rows", "1000000000")),
         ],
         "record": [
             "daq",
@@ -276,32 +276,32 @@ def scene_command(path: str, rng: random.Random) -> list[str]:
             "-o",
             "r.mcap",
             "--overwrite",
-            *choose((), ("--block", str(odd)), ("--block", "7")),
+            *choose((), ("--block", str(unusual)), ("--block", "7")),
         ],
     }
     return commands[rng.choices(list(commands), weights=(2, 3, 2, 1, 4))[0]]
 
 
 def rare_command(path: str, rng: random.Random) -> list[str]:
-    """Return a rarely used command, often with an odd number; its folder has the scene, r.mcap, x.csv and c.py."""
-    odd, text = rng.choice(ODD_NUMBERS), rng.choice(ODD_TEXTS).replace("\0", "")
+    """Return a rarely used command, often with an unusual number; its folder has the scene, r.mcap, x.csv and c.py."""
+    unusual, text = rng.choice(UNUSUAL_NUMBERS), rng.choice(UNUSUAL_TEXTS).replace("\0", "")
     commands = (
         f"rig cost {path} --periods 2",
-        f"rig cost {path} --frequency {odd}Hz",
-        f"rig design {path} --levels {odd}N,1N",
-        f"rig design {path} --budget {odd}kg --dampers 2",
-        f"rig design {path} --budget {odd}kg --bodies {odd} --band 20Hz,{odd}Hz",
-        f"rig design {path} --clearance {odd}m,1mm --damping-off {odd}",
-        f"rig simulate {path} --duration 0.05s --set seed={odd} --set structure.masses[1]={odd}kg",
+        f"rig cost {path} --frequency {unusual}Hz",
+        f"rig design {path} --levels {unusual}N,1N",
+        f"rig design {path} --budget {unusual}kg --dampers 2",
+        f"rig design {path} --budget {unusual}kg --bodies {unusual} --band 20Hz,{unusual}Hz",
+        f"rig design {path} --clearance {unusual}m,1mm --damping-off {unusual}",
+        f"rig simulate {path} --duration 0.05s --set seed={unusual} --set structure.masses[1]={unusual}kg",
         f"rig grains {path} --points 2 --periods 1",
-        f"analysis cost {path} --frequency {odd}",
+        f"analysis cost {path} --frequency {unusual}",
         f"analysis fit r.mcap {path} --overwrite",
-        f"analysis fit r.mcap {path} --free structure.masses[{odd}]",
+        f"analysis fit r.mcap {path} --free structure.masses[{unusual}]",
         f"daq run --scene {path} --clock fast --seconds 1 c.py",
-        f"daq run --scene {path} --clock fast --seconds {odd} c.py",
-        f"daq import x.csv --scene {path} --from {odd} -o i.mcap",
-        f"daq serve {path} --port {odd}",
-        f"daq scope {path} -F {odd} -o i.mcap",
+        f"daq run --scene {path} --clock fast --seconds {unusual} c.py",
+        f"daq import x.csv --scene {path} --from {unusual} -o i.mcap",
+        f"daq serve {path} --port {unusual}",
+        f"daq scope {path} -F {unusual} -o i.mcap",
     )
     words = rng.choice(commands).split()
     if rng.random() < 0.1:

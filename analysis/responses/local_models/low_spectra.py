@@ -74,7 +74,7 @@ def low_spectra(
     exponent = -2j * np.pi / size * np.arange(bins)
     filter_response = np.conj(_low_spectrum(taps, size, bins)) / decimation
     spectra = fft.rfft(filtered[:, n_taps:], axis=1)[:, :bins] / filter_response
-    # The mean is subtracted from the segment, but not from the zeros in front of it.
+    # The mean is subtracted from the segment, but not from the zeros before the segment.
     mean = total / (stop - start)
     spectra[:, 0] = 0.0
     spectra[:, 1:] += mean[:, None] * (np.expm1(padding * exponent[1:]) / np.expm1(exponent[1:]))

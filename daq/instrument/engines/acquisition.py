@@ -64,18 +64,18 @@ class Acquisition:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
         self.ring = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, dtype)
         self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # flag of each sample
-        self.position = 0  # read position: number of the sample that is read next
+        self.position = 0  # read position: index of the sample that is read next
         self.first_instant: int | None = None  # of the current record; None before the start trigger
-        self.trigger_sample: int | None = None  # number of the sample at the reference trigger; None before it
+        self.trigger_sample: int | None = None  # index of the sample at the reference trigger; None before it
         self.done = False  # complete or stopped; with `error` if stopped by one
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.bench_indices), bool)  # flag of each channel since it was last queried
         self._has_overflowed = False
         self._loss_reported_up_to = 0  # loss of samples before this number has been reported
-        self._record_start = 0  # number of the first sample of the current record
+        self._record_start = 0  # index of the first sample of the current record
         # Number and instant of the first sample of each record, in temporal order.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
-        self._record_end: int | None = None  # number of the sample after the current record; None while it is unknown
+        self._record_end: int | None = None  # index of the sample after the current record; None while it is unknown
         instant = first_sample(self._per_tick, tick)
         self._arm(instant)
         if plan.start is None:
@@ -130,7 +130,7 @@ class Acquisition:
 
     @property
     def first_readable(self) -> int:
-        """Number of the first sample that a script can read."""
+        """Index of the first sample that a script can read."""
         return 0 if self.trigger_sample is None else self.trigger_sample - self.plan.pretrigger
 
     def instant_of(self, sample: int) -> int:

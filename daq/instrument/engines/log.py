@@ -168,7 +168,7 @@ class TaskLog:
     the read are a gap in the log. With `LOG`, samples are logged as they are acquired. While the log is paused, samples
     are omitted.
 
-    `open_file` opens a file by its path and the number of its first sample. `settings` contain the logging mode, the
+    `open_file` opens a file by its path and the index of its first sample. `settings` contain the logging mode, the
     path, the samples per file, and whether the log is paused.
     """
 
@@ -177,7 +177,7 @@ class TaskLog:
         self.logs_only = self._settings["logging_mode"] == LoggingMode.LOG
         self._first_path, self._file_number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._first_path, 0)
-        self._next: int | None = None  # number of the sample that is logged next
+        self._next: int | None = None  # index of the sample that is logged next
         self._samples_in_file = 0  # of the present file
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:

@@ -37,7 +37,7 @@ class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
 
     `size` is in samples per channel, `dtype` the type of a sample. `written` counts the samples per channel written so
-    far: it is the number of the next sample. Raises `DaqError` -200077 if there is not enough memory.
+    far: it is the index of the next sample. Raises `DaqError` -200077 if there is not enough memory.
 
     >>> ring = RingBuffer(1, 4, float)
     >>> ring.write(np.arange(6.0)[None])

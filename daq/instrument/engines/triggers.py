@@ -103,7 +103,7 @@ class SyncPulse:
     edge: Slope
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the number of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
+        """Return the index of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
         # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
         second = max(1, math.ceil(earliest / rate - phase - 1e-9))
@@ -117,7 +117,7 @@ class AtTime:
     seconds: float  # of bench time, from power-on
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the number of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
+        """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
         return max(math.ceil(self.seconds * rate - 1e-6), earliest)
 
 

@@ -1,6 +1,7 @@
 """Motion types and energy balance of dampers, estimated from recordings and compared with the truth.
 
-Types of the paper: I, impacts on the floor; II, on floor and ceiling; III, on both and sticking at the ceiling.
+Types of Inoue, Yokomichi, Hiraki (2011): I, impacts on the floor; II, on floor and ceiling; III, on both and sticking
+at the ceiling.
 """
 
 from __future__ import annotations

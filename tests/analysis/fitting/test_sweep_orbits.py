@@ -1,4 +1,4 @@
-"""Steady motions of a scene with dampers during a fit: failed trials, derivatives, motions that cannot be computed."""
+"""Steady-state motion of dampers during a fit: failed trials, derivatives, motions that cannot be computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claim C7 of the paper: the table that compares beds of grains with a single mass, and the verdict from it.
+"""Claim C7 of Inoue, Yokomichi, Hiraki (2011): the table that compares grains with a single mass, and the verdict.
 
 A setting is a level of the body's acceleration in g, a clearance, a number of layers of grains and a seed.
 """

@@ -1,4 +1,7 @@
-"""The reproduction of the paper: it can be resumed, its parts agree with each other, and its page states results."""
+"""The reproduction of Inoue, Yokomichi, Hiraki (2011).
+
+The reproduction can be resumed, its parts agree with each other, and its page contains the results.
+"""
 
 import multiprocessing
 from pathlib import Path

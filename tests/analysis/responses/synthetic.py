@@ -50,7 +50,7 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 
 
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
-    """Record the steady motion at each frequency in turn, for a spring force of `level` in N."""
+    """Record the steady-state motion at each frequency in turn, for a spring force of `level` in N."""
     infos = channels() if infos is None else infos
     structure_scene = scene(name=name)
     random = np.random.default_rng(seed)

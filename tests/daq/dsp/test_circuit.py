@@ -35,10 +35,10 @@ SECTIONS = [
 ]
 
 
-@pytest.mark.parametrize(("section", "transfer"), SECTIONS)
-def test_section_has_its_transfer_function(section, transfer):
-    np.testing.assert_allclose(transfer_of_states(section), transfer, rtol=1e-9)
-    np.testing.assert_allclose(transfer_of_roots(section), transfer, rtol=1e-9)
+@pytest.mark.parametrize(("section", "transfer_function"), SECTIONS)
+def test_section_has_its_transfer_function(section, transfer_function):
+    np.testing.assert_allclose(transfer_of_states(section), transfer_function, rtol=1e-9)
+    np.testing.assert_allclose(transfer_of_roots(section), transfer_function, rtol=1e-9)
 
 
 def test_series_has_transfer_of_following_sections():

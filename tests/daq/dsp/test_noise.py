@@ -72,8 +72,8 @@ def test_integrated_noise_has_density_of_each_stage(order):
         chain, _ = chain_of(scene_of(keys))
         volts = chain.measure(at_rest(1, rate, 600_000))[0]
         frequency, density = spectral_density(volts, rate, 8192)
-        transfer = gain / np.abs(2j * np.pi * frequency + 2 * np.pi * corner) ** order
-        expected = 2 * 0.01 * transfer if is_before_integrator else np.full(frequency.size, 1e-5)
+        integrator_gain = gain / np.abs(2j * np.pi * frequency + 2 * np.pi * corner) ** order
+        expected = 2 * 0.01 * integrator_gain if is_before_integrator else np.full(frequency.size, 1e-5)
         for low, high in ((2.0, 6.0), (20.0, 60.0), (100.0, 400.0)):
             result = mean_density(frequency, density, low, high)
             assert result == pytest.approx(mean_density(frequency, expected, low, high), rel=0.05)
@@ -96,8 +96,8 @@ def test_noise_before_decimation_is_filtered(integrator, oversampling):
     low_pass = DecimationFilter.standard(rate)
 
     def filtered_density(f):
-        transfer = 500.0 / abs(2j * np.pi * f + 2 * np.pi * 20.0) if integrator else 1.0
-        return 0.02 * low_pass.amplitude_response(f) * transfer
+        integrator_gain = 500.0 / abs(2j * np.pi * f + 2 * np.pi * 20.0) if integrator else 1.0
+        return 0.02 * low_pass.amplitude_response(f) * integrator_gain
 
     # White noise above half the rate is aliased, attenuated by the filter.
     expected = np.hypot(filtered_density(frequency), filtered_density(rate - frequency))

@@ -174,7 +174,7 @@ def test_truncated_wav_is_rejected(tmp_path):
     data = bytearray((tmp_path / "a.wav").read_bytes())
     data[40:44] = struct.pack("<I", 10**6)
     (tmp_path / "a.wav").write_bytes(data)
-    assert "cut off" in rejection_message(tmp_path / "a.wav", tmp_path)
+    assert "truncated" in rejection_message(tmp_path / "a.wav", tmp_path)
 
 
 def test_error_for_uff_without_time_histories_names_the_command(tmp_path):
@@ -301,5 +301,5 @@ def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         daq.import_files(tmp_path / "cut.tdms", make_scene(), tmp_path / "r.mcap")
-    assert [str(warning.message) for warning in caught if "cut.tdms is cut off or damaged" in str(warning.message)]
+    assert [str(warning.message) for warning in caught if "cut.tdms is truncated or damaged" in str(warning.message)]
     assert not caplog.records

@@ -35,7 +35,7 @@ def make_scene(shaker="table, body: 1, spring: 6 kN/m", level="force: 1 N"):
 
 
 def blocks_between(boundaries, values):
-    """Yield values (channels, samples) in blocks between the boundaries, each with the number of its first sample."""
+    """Yield values (channels, samples) in blocks between the boundaries, each with the index of its first sample."""
     first = 0
     for block in np.split(values, boundaries, axis=1):
         yield first, block

@@ -81,7 +81,7 @@ def messages_of(path: Path, topic: str) -> list[Message]:
 
 
 def true_motion(first: int, samples: int, dampers: int = 0, points: int = 4, rate: float = RATE) -> rig.Motion:
-    """Return a true motion that is computed from the sample number, with an impact before each hundredth sample."""
+    """Return a true motion that is computed from the sample index, with an impact before each hundredth sample."""
     sample_number = np.arange(first, first + samples, dtype=float)
     displacement = 1e-3 * np.sin(0.01 * sample_number) * np.arange(1, points + 1)[:, None]
     impact_samples = [n for n in range(first, first + samples) if n and n % 100 == 0 and dampers]

@@ -90,7 +90,7 @@ def test_block_with_omitted_zero_fields_is_decoded(schema):
 
 
 def message_records(clock, first, channel=2):
-    """Return the records of a chunk with a block of three samples at each of the sample numbers `first`."""
+    """Return the records of a chunk with a block of three samples at each of the sample indices `first`."""
     records = b""
     for number in first:
         block = encode(clock, number, np.arange(3.0)[None, None] + number).tobytes()
@@ -116,7 +116,7 @@ def test_only_contiguous_blocks_of_one_channel_are_decoded_together():
     ]
     for other in others:
         assert decode_contiguous(memoryview(other), 2, schema, clock) is None
-    # Opcode, length and channel of the record; tags, sample number, rate and size of the block.
+    # Opcode, length and channel of the record; tags, sample index, rate and size of the block.
     for position in [*range(11), 31, *range(40, 60)]:
         damaged = bytearray(records)
         damaged[position] ^= 0xFF

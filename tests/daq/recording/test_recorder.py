@@ -1,4 +1,4 @@
-"""The files that `Recorder` writes, also if writing or acquisition fails."""
+"""The files that `Recorder` writes, even if writing or acquisition fails."""
 
 import json
 import os
@@ -195,7 +195,7 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("error", "status"), [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("odd"), "failed")]
+    ("error", "status"), [(KeyboardInterrupt("stopped by hand"), "interrupted"), (RuntimeError("failure"), "failed")]
 )
 def test_exception_closes_the_file_with_its_reason(tmp_path, error, status):
     with pytest.raises(type(error)), Recorder(tmp_path / "a.mcap", make_scene(), two_channels(), RATE) as recorder:

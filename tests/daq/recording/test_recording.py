@@ -341,7 +341,7 @@ BOMB_SIZE = 1 << 30  # Unpacked, bytes.
 
 @pytest.fixture(scope="module")
 def packed_bombs():
-    """Return a gigabyte of zeros as zstd and lz4 data that do not state their unpacked size."""
+    """Return a gigabyte of zeros as zstd and lz4 data that do not give their unpacked size."""
     compressor = zstandard.ZstdCompressor(write_content_size=False).compressobj()
     mebibyte, n_mebibytes = bytes(1 << 20), BOMB_SIZE >> 20
     zstd_data = b"".join(compressor.compress(mebibyte) for _ in range(n_mebibytes)) + compressor.flush()

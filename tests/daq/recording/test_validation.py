@@ -148,7 +148,7 @@ def test_excessively_compressed_chunk_is_rejected() -> None:
         unpack_chunk(memoryview(content))
 
 
-@pytest.mark.parametrize("reason", ["a message is no marker", "r.mcap is damaged"])
+@pytest.mark.parametrize("reason", ["a message is not a marker", "r.mcap is damaged"])
 def test_nested_error_names_the_file_once(reason: str) -> None:
     path = Path("r.mcap")
     with pytest.raises(RecordingError) as reported, add_path(path), add_path(path):

@@ -1,4 +1,4 @@
-"""Motion at a multiple of the sample rate, in front of a converter's filter: aliases, skew, blocks, and its rate."""
+"""Motion at a multiple of the sample rate, before the filter of a converter: aliases, skew, blocks, and its rate."""
 
 from itertools import pairwise
 

@@ -59,8 +59,8 @@ _MAX_AMPLITUDE_DEVIATION = 0.02
 # Largest relative change of the true amplitude from the first to the second half of a steady measurement. A transient
 # as large as `_MIN_DIFFERENCE_OF_MOTIONS` decays by more.
 _MAX_STEADY_DRIFT = 1e-3
-# Relative difference of the amplitudes above which a steady motion is not the computed periodic orbit, but a coexisting
-# stable motion.
+# Relative difference of the amplitudes above which a steady-state motion is not the computed periodic orbit, but a
+# coexisting stable motion.
 _MIN_DIFFERENCE_OF_MOTIONS = 0.01
 # Largest relative difference between an orbit and a simulation to steady state of the same motion.
 _MAX_DIFFERENCE_OF_METHODS = 1e-3
@@ -224,7 +224,7 @@ def _truth(scene: rig.Scene) -> ReceptanceFunction:
 
 
 def _exclude_irregular(case: Case, exact: ReceptanceFunction) -> ReceptanceFunction:
-    """Return ``exact`` with NaN at frequencies where the recorded true motion is irregular or another steady motion."""
+    """Return ``exact``, with NaN where the recorded true motion is irregular or another steady-state motion."""
     recording, excluded = case.recording, []
     if not case.scene.dampers or recording.truth_points == ():
         return exact

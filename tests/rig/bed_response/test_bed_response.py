@@ -1,4 +1,4 @@
-"""Steady motion of beds of grains: properties that do not depend on the grains, and the table of results."""
+"""Steady-state motion of beds of grains: properties that do not depend on the grains, and the table of results."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     unsteady = replace(
         design, expected=tuple(replace(expectation, compliances=None) for expectation in design.expected)
     )
-    assert "no steady motion: values scatter" in describe_check(unsteady, scene)
+    assert "no steady state: values scatter" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
@@ -190,7 +190,7 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
         ({"band": 49.0}, "band: got 49 Hz; expected two values"),
-        ({"uncertain": (2.0, 0.0)}, "two relative uncertainties"),
+        ({"uncertain": (2.0, 0.0)}, "relative uncertainties of damping and stiffness"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )

@@ -1,4 +1,4 @@
-"""A design predicts which accelerometers its check would overload, by impacts or by the steady motion.
+"""A design predicts which accelerometers its check would overload, by impacts or by the steady-state motion.
 
 The check is the test that verifies the design. A prediction has a reason and the changes of the scene that prevent it.
 """
@@ -18,7 +18,7 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
 
 FREQUENCY_HZ, FORCE_N = 49.0, 3.3
-# A peak of the steady motion that overloads no sensor: compliance 1e-6 m/N at body 2, acceleration 1 m/s^2, no
+# A peak of the steady-state motion that overloads no sensor: compliance 1e-6 m/N at body 2, acceleration 1 m/s^2, no
 # irregular motion.
 SMALL_PEAK = Peak(1e-6, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0)
 # A peak at which the dampers stay at rest on their floors: no approach speed.
@@ -42,7 +42,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
 
 
 def _expected(scene: rig.Scene) -> Expected:
-    """Return the expected measurement at the peak, with the closing speed of the damper in steady motion."""
+    """Return the expected measurement at the peak, with the closing speed of the damper in steady state."""
     response = rig.frequency_response(scene.replace(channels=None), [FREQUENCY_HZ], tolerance=1e-4)
     return Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
 

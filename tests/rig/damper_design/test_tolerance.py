@@ -1,6 +1,6 @@
 """The interval of clearances with nearly optimal performance, the choice among equal designs, and their flight.
 
-An objective returns the worst peak of a choice of dampers; some tests replace it by closed forms. A trial is a choice
+An objective returns the worst peak of a choice of dampers; some tests replace it with closed forms. A trial is a choice
 with its peaks. Arguments are positional: Objective(scenes, levels, band, bodies), Peak(compliance, frequency, level,
 body, acceleration, irregular share), SearchSpace(locations, largest mass, clearance limits).
 """

@@ -1,4 +1,4 @@
-"""The exact motion of a scene between two contact changes, to 40 digits, independent of the engine.
+"""The exact motion of a scene between two contact events, to 40 digits, independent of the engine.
 
 It shares only the matrices of the scene with the engine. The state z is augmented: displacements and velocities of the
 bodies, cos w t, sin w t, 1. It obeys z' = A z; A is called the generator.

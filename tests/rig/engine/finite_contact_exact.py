@@ -1,6 +1,6 @@
 """Motion with finite-duration contact to 40 digits, independent of the engine: Taylor series of a switched system.
 
-A switched system is linear between contact changes, with other matrices after each.
+A switched system is linear between contact events, with other matrices after each.
 
 It shares only the matrices of the scene with the engine. The coordinates are absolute heights, and the springs and
 dashpots of the walls are computed independently. A contact is closed while overlap and wall force are both positive,

@@ -1,4 +1,4 @@
-"""Guards: functions of the state that are positive until a contact changes, such as gaps and contact forces.
+"""Guards: functions of the state that are positive until a contact event, such as gaps and contact forces.
 
 From a guard's values and slopes at both ends of a step, the engine computes a lower bound. A positive lower bound
 proves that the guard is positive over the step. Otherwise the engine locates the first zero of the guard's power

@@ -127,7 +127,7 @@ def test_errors_state_the_invalid_range() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="50 to 40 Hz"):
         select_frequencies(scene, 50.0, 40.0)
-    with pytest.raises(SceneError, match="got 2 to 1; expected a rising range"):
+    with pytest.raises(SceneError, match="got 2 to 1; expected an ascending range"):
         select_row_values(scene, "force", np.array([49.0]), 2.0, 1.0)
     with pytest.raises(SceneError, match="positive"):
         rig.map_motion(scene, values=[-1.0], frequencies=[49.0])

@@ -1,4 +1,4 @@
-"""Steady motion over a parameter as stable periodic orbits, compared with simulations to steady state.
+"""Steady-state motion over a parameter as stable periodic orbits, compared with simulations to steady state.
 
 `simulated` marks points without a stable orbit, where the motion is simulated; `repetition` is the length of the motion
 in periods of the drive, 0 for irregular motion.

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 import rig
 from rig.errors import SceneError
-from tests.soak.scenes import ODD_NUMBERS, ODD_TEXTS, VALID_SCENES, key_paths
+from tests.soak.scenes import UNUSUAL_NUMBERS, UNUSUAL_TEXTS, VALID_SCENES, key_paths
 
 # Texts, numbers and nested values that a user or a program might write by mistake.
-texts = st.sampled_from(ODD_TEXTS) | st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]))
-numbers = st.sampled_from(ODD_NUMBERS) | st.floats() | st.integers()
+texts = st.sampled_from(UNUSUAL_TEXTS) | st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]))
+numbers = st.sampled_from(UNUSUAL_NUMBERS) | st.floats() | st.integers()
 anything = st.recursive(
     st.none() | st.booleans() | numbers | texts,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
@@ -38,7 +38,7 @@ def set_value(content: Any, path: tuple[Any, ...], value: Any) -> None:
 def test_any_value_anywhere_loads_or_is_rejected(data: st.DataObject, tmp_path: Path) -> None:
     content = yaml.safe_load(yaml.safe_dump(data.draw(st.sampled_from(VALID_SCENES))))
     set_value(content, data.draw(st.sampled_from(list(key_paths(content)))), data.draw(anything))
-    path = tmp_path / "odd.yaml"
+    path = tmp_path / "unusual.yaml"
     path.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
     try:
         rig.load(path)

@@ -285,7 +285,7 @@ def test_scene_overrides_the_preset_of_its_shaker() -> None:
     shaker = {"kind": "electrodynamic", "preset": "lds v203", "body": 1, "spring": "6.6 kN/m"}
     scene = rig.load("fig9", {"shaker": {**shaker, "coil": {"resistance": "2 ohm"}}})
     assert (scene.shaker.coil.resistance, scene.shaker.coil.inductance) == (2.0, 764e-6)
-    # The data sheet states 178.04e-6 lbf s^2/in; 1 lbf/in is 175.1268 N/m.
+    # The data sheet specifies 178.04e-6 lbf s^2/in; 1 lbf/in is 175.1268 N/m.
     assert scene.shaker.armature.mass == pytest.approx(178.04e-6 * 175.1268, rel=1e-3)
     assert rig.loads(scene.to_yaml()) == scene and scene.replace(seed=3).shaker == scene.shaker
     with pytest.raises(SceneError, match="unknown shaker preset 'LDS V9'"):

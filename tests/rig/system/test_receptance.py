@@ -68,7 +68,7 @@ def test_modally_damped_response_is_the_modal_sum() -> None:
 
 @pytest.mark.parametrize(
     ("response", "peaks"),
-    # Natural angular frequencies of the paper's structure, rad/s, without and with the coil spring.
+    # Natural angular frequencies, rad/s, of the structure of Inoue, Yokomichi, Hiraki (2011) without and with spring.
     [(receptance, (81.911, 218.512, 312.041)), (transmissibility, (86.776, 228.231, 318.003))],
 )
 def test_lightly_damped_peaks_are_at_natural_frequencies(

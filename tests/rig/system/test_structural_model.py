@@ -1,4 +1,4 @@
-"""Matrices and modes of the structure, compared with closed forms and the paper's values."""
+"""Matrices and modes of the structure, compared with closed forms and with Inoue, Yokomichi, Hiraki (2011)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.errors import SceneError
 from rig.scene.structure import Structure
 from rig.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
 
-# The paper's structure.
+# The structure of Inoue, Yokomichi, Hiraki (2011).
 MASSES = (0.74, 0.71, 0.64)  # kg
 SPRINGS = (24300.0, 21800.0, 19800.0)  # N/m
 

@@ -1,6 +1,6 @@
 """Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated.
 
-A *realisation* is a measurement of several periods with one set of random phases. *Distortion* is the difference
+A *realization* is a measurement of several periods with one set of random phases. *Distortion* is the difference
 between the response of a nonlinear structure and its best linear approximation.
 """
 
@@ -34,21 +34,21 @@ NONLINEAR = (
     "The structure is nonlinear: the curve is the best linear approximation for this level and kind of excitation, and "
     "its error bars are valid only for them. Use stepped sine for the response to steady tones."
 )
-ONE_REALISATION = (
-    "One realisation: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
-    "Measure several realisations (test: realisations)."
+ONE_REALIZATION = (
+    "One realization: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
+    "Measure several realizations (test: realisations)."
 )
 LIFTED = (
-    "Dampers may leave the floor at this level, although the realisations scatter no more than noise: the error bars "
-    "exclude distortion that is equal in every realisation. Use stepped sine for the response to steady tones."
+    "Dampers may leave the floor at this level, although the realizations scatter no more than noise: the error bars "
+    "exclude distortion that is equal in every realization. Use stepped sine for the response to steady tones."
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
 # A structure is nonlinear if at least this share of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# A line is distorted if the scatter of its realisations is at least this multiple of the scatter due to noise.
+# A line is distorted if the scatter of its realizations is at least this multiple of the scatter due to noise.
 _NOISE_RATIO = 3.0
-# Smallest scatter of realisations at a distorted line, relative to the mean.
+# Smallest scatter of realizations at a distorted line, relative to the mean.
 _MEAN_RATIO = 2e-3
 
 
@@ -59,12 +59,12 @@ def best_linear_approximation(
     reference: str = "force",
     progress: CountProgress | None = None,
 ) -> Lines:
-    """Average the amplitudes of each channel over periods, then over realisations.
+    """Average the amplitudes of each channel over periods, then over realizations.
 
-    `markers`: measured interval of each realisation; `names`: channels; `reference`: force or table.
+    `markers`: measured interval of each realization; `names`: channels; `reference`: force or table.
 
-    Before the second average, each realisation is rotated by the phase of its own reference. The scatter between
-    periods is noise. The scatter between realisations also contains nonlinear distortion (R. Pintelon, J. Schoukens,
+    Before the second average, each realization is rotated by the phase of its own reference. The scatter between
+    periods is noise. The scatter between realizations also contains nonlinear distortion (R. Pintelon, J. Schoukens,
     System Identification, 2nd ed., Wiley 2012, section 4.3).
     """
     all_spectra = [period_spectra(rec, names, marker) for marker in markers]
@@ -74,7 +74,7 @@ def best_linear_approximation(
     complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
     if not complete:
         raise RecordingError(
-            f"{rec.path}: no realisation of the multisine has two whole periods. {' '.join(notes)} Record again."
+            f"{rec.path}: no realization of the multisine has two whole periods. {' '.join(notes)} Record again."
         )
     count, frequency = len(complete), complete[0].frequency
     reference_weights = reference_of(rec, reference).row(rec, names, frequency)
@@ -85,8 +85,8 @@ def best_linear_approximation(
         phase_factor /= np.maximum(abs(phase_factor), 1e-300)
         means.append(mean * phase_factor)
         noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
-    realisation_means = np.stack(means)
-    mean_spectrum = realisation_means.mean(axis=0)
+    realization_means = np.stack(means)
+    mean_spectrum = realization_means.mean(axis=0)
     noise = Scatter(
         np.asarray(np.concatenate(noises) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
@@ -108,10 +108,10 @@ def best_linear_approximation(
     )  # fmt: skip
     dampers_move = any(damper.moves for damper in rec.scene.dampers)
     if count == 1:
-        return replace(noise_only, warnings=(*notes, ONE_REALISATION)) if dampers_move else noise_only
-    deviations = (realisation_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
-    realisations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
-    with_distortion = replace(noise_only, scatter=realisations, noise=noise)
+        return replace(noise_only, warnings=(*notes, ONE_REALIZATION)) if dampers_move else noise_only
+    deviations = (realization_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
+    realizations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
+    with_distortion = replace(noise_only, scatter=realizations, noise=noise)
     if _is_distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
     if dampers_move:
@@ -174,13 +174,13 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     ]
     notes = []
     if marker.fields.get("settled") is False:
-        notes.append(f"Realisation {number} was measured before steady state. Increase test: settle.")
+        notes.append(f"Realization {number} was measured before steady state. Increase test: settle.")
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
         reasons = reasons or "the recording ends"
-        notes.append(f"{periods - len(clean)} of {periods} periods of realisation {number} left out: {reasons}.")
+        notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} left out: {reasons}.")
     if len(clean) < 2:
-        notes.append(f"Realisation {number} left out: fewer than two whole periods.")
+        notes.append(f"Realization {number} left out: fewer than two whole periods.")
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))
@@ -194,14 +194,14 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
     """Subtract the linear drift of the mean from each period; shape (periods, channels, samples).
 
     A bias that settles slowly is an error of every line. Noise may hide its changes from period to period.
-    `numbers`: positions of the periods within the realisation.
+    `numbers`: positions of the periods within the realization.
     """
     drifts = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
     return np.asarray(periods - drifts[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
 
 
 def _is_distorted(measured: Lines, noise: Lines) -> bool:
-    """Return whether realisations scatter more than expected from noise, residual transients and rounding."""
+    """Return whether realizations scatter more than expected from noise, residual transients and rounding."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
     bounds = [bound for bound in (measured.residual_transient, measured.resolution) if bound is not None]
     distorted = scatter > _NOISE_RATIO * expected + np.sum(bounds, axis=0)

@@ -368,7 +368,7 @@ def _from_experiments(
         if len(group) < len(inputs):
             was = "was" if len(group) == 1 else "were"
             notes.append(
-                f"Realisation {number} left out: only {len(group)} of its {len(inputs)} experiments {was} recorded."
+                f"Realization {number} left out: only {len(group)} of its {len(inputs)} experiments {was} recorded."
             )
             continue
         experiments = [period_spectra(rec, channels, marker) for marker in group]
@@ -376,7 +376,7 @@ def _from_experiments(
             notes += [note for experiment in experiments for note in experiment.notes]
             continue
         frequency = experiments[0].frequency
-        # Degrees of freedom of one realisation; the scatter between realisations is more than noise.
+        # Degrees of freedom of one realization; the scatter between realizations is more than noise.
         noise_degrees = 2.0 * sum(len(experiment.spectra) - 1 for experiment in experiments)
         rows = _rows(rec, channels, frequency, names, inputs, motion)
         means = np.stack([experiment.spectra.mean(axis=0) for experiment in experiments], axis=2)
@@ -412,7 +412,7 @@ def _from_experiments(
         coherences.append(output_power / np.maximum(output_power + residual_power, 1e-300))
     if not values:
         raise RecordingError(
-            f"{rec.path}: no realisation of the multisine is complete. {' '.join(notes)} Record again."
+            f"{rec.path}: no realization of the multisine is complete. {' '.join(notes)} Record again."
         )
     count = len(values)
     value = np.mean(values, axis=0)

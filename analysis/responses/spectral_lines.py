@@ -125,7 +125,7 @@ class Lines:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
         It excludes lines without excitation, because noise exceeds it only at one line in a thousand. `noise` is the
-        scatter of the periods: realisations that were rotated by the phase of their own reference scatter only in its
+        scatter of the periods: realizations that were rotated by the phase of their own reference scatter only in its
         amplitude.
         """
         variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))

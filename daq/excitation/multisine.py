@@ -1,6 +1,6 @@
-"""Multisine test: periodic sum of tones with random phases, in several realisations of several periods.
+"""Multisine test: periodic sum of tones with random phases, in several realizations of several periods.
 
-Each realisation has new random phases. With n shakers, it consists of n experiments.
+Each realization has new random phases. With n shakers, it consists of n experiments.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
             )
             factor = min(limit_factor(station, wave) for wave in waves)
             experiment_fields: dict[str, object] = {}  # of the marker
-            message = f"realisation {realisation} of {test.realisations}"
+            message = f"realization {realisation} of {test.realisations}"
             if len(shakers) > 1:
                 experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
                 message += f", experiment {experiment + 1} of {len(shakers)}"

@@ -330,7 +330,7 @@ class _Assessment:
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
             return rehearsed_seconds
         if isinstance(test, Multisine):
-            # Each realisation takes about the same time to settle; the duration of the measurement is known.
+            # Each realization takes about the same time to settle; the duration of the measurement is known.
             rehearsed = rehearsed_test.parts[0].scene.test
             assert isinstance(rehearsed, Multisine)
             period = estimate(self.scene).seconds / (test.realisations * test.periods)

@@ -111,7 +111,7 @@ def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
     min_duration, test = estimate(scene).seconds, scene.test
     if isinstance(test, Multisine):
-        # Each realisation takes 3 periods more: a crossfade, and at least two until successive periods agree. With
+        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree. With
         # force control, the iterations of the drive take about 8 s.
         return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
     if not isinstance(test, SteppedSine):

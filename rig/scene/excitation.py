@@ -216,9 +216,9 @@ class Multisine(Settings):
     period: Duration | None = None
     """Instead of `lines`: the period of the signal [s]; the tones are multiples of its reciprocal."""
     periods: Count = 8
-    """Number of measured periods of each realisation."""
+    """Number of measured periods of each realization."""
     realisations: Count = 4
-    """Number of realisations: sets of random phases."""
+    """Number of realizations: sets of random phases."""
     force: Force | None = None
     """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
@@ -226,7 +226,7 @@ class Multisine(Settings):
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
-    """Numbers of other shakers to drive simultaneously: each realisation then has one experiment per shaker,
+    """Numbers of other shakers to drive simultaneously: each realization then has one experiment per shaker,
     with orthogonal phases."""
 
     @property

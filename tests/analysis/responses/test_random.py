@@ -128,7 +128,7 @@ def test_selection_of_a_sweep_requires_tones(random_file, selection):
 
 
 def multisine(path, realisations, periods=4, noise=0.01):
-    """Record periodic random forces with a period of 8 s; each realisation begins with three unmeasured periods."""
+    """Record periodic random forces with a period of 8 s; each realization begins with three unmeasured periods."""
     period = 8.0
     forces, marks, first = [], [], 0
     for number in range(realisations):
@@ -166,7 +166,7 @@ def test_note_on_missing_periods_states_the_reason(tmp_path):
         [marker] = [marker for marker in rec.markers if marker.kind == "measure"]
         marker.fields["periods"] += 1
         [curves] = analysis.frequency_responses(rec)
-    assert "1 of 5 periods of realisation 1 left out: the recording ends." in curves[0].warnings
+    assert "1 of 5 periods of realization 1 left out: the recording ends." in curves[0].warnings
 
 
 def test_linear_structure_shows_no_distortion(multisine_file):

@@ -129,7 +129,7 @@ def test_error_bars_exist_without_overloaded_realisation(multisine_path):
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.append(Marker("overload", last.first_sample, last.stop - 1, {"channel": "a1"}))
         (response,) = analysis.frequency_responses(rec)
-    assert np.isfinite(response.error).all() and "Realisation 2 left out" in " ".join(response.warnings)
+    assert np.isfinite(response.error).all() and "Realization 2 left out" in " ".join(response.warnings)
 
 
 def test_missing_experiment_omits_realisation(multisine_path):
@@ -137,7 +137,7 @@ def test_missing_experiment_omits_realisation(multisine_path):
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.remove(last)
         (response,) = analysis.frequency_responses(rec)
-    assert "Realisation 2 left out: only 1 of its 2 experiments was recorded." in response.warnings
+    assert "Realization 2 left out: only 1 of its 2 experiments was recorded." in response.warnings
 
 
 @pytest.mark.thorough

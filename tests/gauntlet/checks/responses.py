@@ -16,7 +16,7 @@ from scipy import special
 
 import analysis
 import rig
-from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALISATION
+from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALIZATION
 from daq.recording.markers import Marker
 from daq.recording.recording import Recording
 from daq.signal_chain.devices import accelerometer, force_sensor
@@ -47,7 +47,7 @@ MAX_MISLEADING_FRACTION = 0.02
 # Largest fraction of lines without a value, without a finite bound, or marked as unsteady.
 MAX_UNRESOLVED_FRACTION = 0.3
 # Warnings that the complete curve is not a response to steady tones. No other warning excuses a wrong line.
-_NOT_TONES = (LIFTED, NONLINEAR, ONE_REALISATION, "was measured before steady state", "too fast to reach steady state")
+_NOT_TONES = (LIFTED, NONLINEAR, ONE_REALIZATION, "was measured before steady state", "too fast to reach steady state")
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
 # Relative change of the force for the derivative of a response with respect to it.

@@ -36,21 +36,21 @@ from rig.system.structural_model import receptance, structural_model
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-#: Number of frequencies at which motion that repeats every period is searched for.
+#: Motion that repeats every period is searched at this number of frequencies.
 CANDIDATE_FREQUENCIES = 15
-#: Largest residual transient at the start of a measurement, relative to the amplitude.
+#: A measurement starts when the transient is at most this fraction of the amplitude.
 SETTLE_TOLERANCE = 1e-5
-#: Timeout of settling, in decay times of the slowest mode.
+#: The wait for steady state ends after this number of decay times of the slowest mode.
 MAX_WAIT_DECAY_TIMES = 10.0
-#: Shortest timeout of settling, s.
+#: The wait for steady state may take at least this time, s.
 MIN_TIMEOUT_S = 20.0
-#: Longest timeout of settling, s.
+#: The wait for steady state ends after this time, s.
 MAX_TIMEOUT_S = 60.0
 #: Periods in a measurement.
 PERIODS = 50
-#: Number of repetitions of each recording; the shortest time is reported.
+#: Each recording is repeated this many times; the shortest time is reported.
 REPEATS = 2
-#: Largest relative change of the reference, a steady-state motion, from period to period.
+#: The reference motion is in steady state if it changes by at most this fraction from period to period.
 REFERENCE_TOLERANCE = 1e-10
 #: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
 SAME_MOTION_TOLERANCE = 1e-4

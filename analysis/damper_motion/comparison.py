@@ -19,11 +19,11 @@ from rig.results.uncertainty import SENSITIVITY
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
 _BAND_BELOW_RATIO = 0.15
-# Maximum relative leave-one-out error, with which neighbors predict a point; above it, the curve has a jump.
+# The curve has a jump at a point if the prediction from the neighboring points has a larger relative error than this.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
-# Maximum relative interpolation error at a peak; above it, a smaller frequency step is recommended.
+# If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
 

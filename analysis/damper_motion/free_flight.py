@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 # Part of the segment that is excluded at each end, relative to its length: the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
-# Minimum number of flights that are consistent with the impacts.
+# The restitution is estimated from at least this number of flights that are consistent with the impacts.
 _MIN_FLIGHTS = 6
-# Minimum share of flights among the intervals between impacts.
+# At least this fraction of the intervals between impacts must be flights.
 _MIN_FLIGHT_RATIO = 0.25
 # A flight is consistent if its computed end deviates from the wall by at most this fraction of its height.
 _MAX_HEIGHT_ERROR = 0.05
-# Largest uncertainty of the restitution from one flight.
+# A flight is used if the uncertainty of the restitution from this flight is at most this.
 _MAX_UNCERTAINTY = 0.1
 # For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
 # of median and mean.
@@ -45,7 +45,7 @@ _MEDIAN_ERROR = 1.4826 * 1.2533
 # Largest distance from the ceiling of a flight that may reach it, relative to the clearance. The accuracy of the height
 # is limited by the motion between samples and by the band limit, which blurs the impact.
 _CEILING_DISTANCE_RATIO = 0.03
-# Number of samples around an impact that the band limit blurs.
+# The band limit blurs this number of samples around an impact.
 _BLURRED_SAMPLES = 2
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# Minimum fraction of valid samples in a segment.
+# At least this fraction of the samples in a segment must be valid.
 _MIN_VALID_RATIO = 0.5
 # Longest time from first contact to release, in nominal contact durations; gravity on the bed delays the release.
 RELEASE_DURATIONS = 1.6
@@ -60,7 +60,7 @@ _HIGH_RATE_RATIO = 0.4
 _SIDE_TIME_S = 2e-3
 # Minimum number of these samples.
 _MIN_SIDE_SAMPLES = 8
-# Decay times of the sensor resonance that are skipped after the impact.
+# After the impact, this number of decay times of the sensor resonance is skipped.
 _DECAY_TIMES = 4.0
 # Order of the polynomial.
 _SIDE_ORDER = 3

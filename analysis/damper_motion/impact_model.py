@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo, Quantity
 
 
-# Maximum distance of a jump from the middle of its window, samples.
+# A jump is at most this distance from the middle of its window, samples.
 MAX_SHIFT = 4
 # Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
@@ -47,11 +47,11 @@ _FILTER_STRIDE = 4
 _FAST_POLE = 0.3
 # Number of decay times after which the response of a resonance has decayed to 1e-6.
 _DECAY_TIMES = 14.0
-# Number of these decay times within the window.
+# The window includes this number of decay times of a resonance.
 _WINDOW_DECAY_TIMES = 3.0
 # Length of a decimation filter's impulse response on either side.
 _FILTER_SPAN_SAMPLES = 40
-# Part of that impulse response within the window.
+# The window includes this part of the impulse response of a decimation filter, samples.
 _FILTER_WINDOW_SAMPLES = 12
 # Singular values of the filters below this fraction of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12

@@ -18,7 +18,7 @@ from rig.arrays import Array
 
 # Number of Gauss-Newton iterations.
 ITERATIONS = 4
-# Maximum change of a time in one iteration.
+# The time of a jump changes by at most this in one iteration, samples.
 _MAX_CHANGE_SAMPLES = 0.5
 # Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
 _DIAGONAL_LOADING = 1e-11

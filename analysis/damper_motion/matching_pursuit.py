@@ -36,18 +36,19 @@ from rig.numerics.runs import runs_of
 
 # Detection threshold in standard deviations: about two false alarms in 1e9 samples of Gaussian noise.
 DETECTION_SIGMAS = 6.0
-# Distance of the detection limit above the threshold in standard deviations, because noise may reduce a jump.
+# The detection limit exceeds the threshold by this number of standard deviations, because noise may reduce a jump.
 DETECTION_MARGIN_SIGMAS = 3.0
-# Model error of a jump, relative to the largest jump.
+# The model of a jump has an error of this fraction of the largest jump.
 MODEL_ERROR = 3e-3
-# The same for finite-duration contact: the weight of the bed changes the pulse.
+# The model of a finite-duration contact has an error of this fraction of the largest jump, because the weight of the
+# bed changes the pulse.
 _CONTACT_MODEL_ERROR = 2e-2
-# Residual of a subtracted jump during its ringing, relative to the jump.
+# After the subtraction of a jump, this fraction of the jump remains while the sensor rings.
 RESIDUAL_RATIO = 0.02
 # An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
-# jump. Largest such jump, relative to the velocity change due to the kink within one sample.
+# jump. This jump is at most this multiple of the velocity change due to the kink within one sample.
 _KINK_JUMP_RATIO = 1.0
-# Time that replaces the sample for finite-duration contact, relative to the contact duration.
+# For finite-duration contact, this fraction of the contact duration replaces the sample interval in the limit above.
 _KINK_DURATION_RATIO = 1.0 / 6.0
 # Maximum number of searches of the residual.
 _MAX_ROUNDS = 12
@@ -83,15 +84,16 @@ _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
 _SPURIOUS_DISTANCE_SAMPLES = 10.0
 # Prior standard deviation of steps of the acceleration, relative to the 90th percentile of the smoothed acceleration.
 _STEP_PRIOR_RATIO = 0.2
-# Length of that smoothing.
+# The acceleration is smoothed over this number of samples for the prior standard deviation above.
 _SMOOTHING_SAMPLES = 8
-# Prior standard deviation of kinks, as the prior standard deviation of steps times this angular frequency.
+# The prior standard deviation of kinks is the prior standard deviation of steps times this angular frequency.
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# Smallest detectable jump, relative to the velocity change due to a step of one prior standard deviation in a contact.
+# In a contact, a jump is detectable if it exceeds this fraction of the velocity change due to a step of one prior
+# standard deviation.
 _MIN_JUMP_STEP_RATIO = 0.02
-# The noise is assumed constant over this number of windows.
+# The noise is assumed to be constant over this number of windows.
 _NOISE_WINDOWS = 8
 # Quantile of the jump filter's output from which the noise is estimated: impacts hardly affect the median.
 NOISE_QUANTILE = 0.5

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _COUNT_TOLERANCE = 0.15
 # Maximum number of periods after which a pattern of impacts must recur.
 _MAX_PATTERN_PERIODS = 4
-# Smallest restitution that differs significantly from zero, in standard deviations.
+# A restitution differs significantly from zero above this number of standard deviations.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples searched in a window, to limit memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20

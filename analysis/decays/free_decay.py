@@ -44,11 +44,11 @@ _MIN_SAMPLES = 256
 _MAX_FINAL_ENERGY_FRACTION = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 INITIAL_DECAY_DB = -1.0, -11.0
-# Relative energy below which only rounding errors remain.
+# Below this fraction of the initial energy, only rounding errors remain.
 _MIN_ENERGY_RATIO = 1e-30
 # If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
 _MAX_OVERLOADED_FRACTION = 0.1
-# Lost samples are interpolated up to this fraction.
+# Lost samples are interpolated if they are at most this fraction of a decay.
 _MAX_LOST_FRACTION = 0.01
 # Assumed frequency of the lowest mode if no mode is detected.
 _DEFAULT_MODE_HZ = 10.0

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 # Number of points over which the median roughness of a curve is computed.
 _ROUGHNESS_POINTS = 25
-# Smallest coherence of a point outside the noise.
+# A point with a smaller coherence than this is drawn as noise.
 _MIN_COHERENCE = 0.5
-# Smallest systematic error visible in the figure, relative to the magnitude.
+# A systematic error below this fraction of the magnitude is not visible, and is not drawn.
 _MIN_VISIBLE_RATIO = 3e-3
 # Ratio to the magnitude that replaces zero on a logarithmic axis; its inverse replaces infinity.
 _ZERO_RATIO = 1e-9
-# Largest standard uncertainty of a point outside the noise, relative to the magnitude.
+# A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude.
 _MAX_ERROR_RATIO = 0.5
-# Largest roughness of a curve without error bars outside the noise, relative to the magnitude.
+# A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
 _THEORY_COLOR = "#555555"
 _NOISE_COLOR = "#c4c4c4"

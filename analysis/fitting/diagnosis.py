@@ -48,24 +48,24 @@ _FORCE_UNIT_ERRORS = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",
 }
-# Largest relative difference between a fitted factor and the factor of a unit error.
+# A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"
 )
 # Delays of a channel that are tried for the first estimate, s.
 _TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
-# Largest error of the first estimate of a delay, s.
+# The first estimate of a delay has an error of at most this, s.
 _MAX_DELAY_ERROR = 1e-4
-# Smallest reported delay, s.
+# A shorter delay than this is not reported, s.
 _MIN_DELAY = 5e-6
-# Relative tolerance of a sensor whose sensitivity is fitted freely.
+# A sensitivity is fitted freely if the sensor has this relative tolerance.
 _FREE_TOLERANCE = 1e4
 # A unit is probably wrong if fitted and initial masses differ by more than this factor.
 _MAX_MASS_RATIO = 2.5
 # Maximum number of pairs of channels tested for a swap.
 _MAX_PAIRS = 15
-# Minimum number of responses without the omitted sensor; a fit to fewer always succeeds.
+# At least this number of responses must remain without the omitted sensor, because a fit to fewer always succeeds.
 _MIN_RESPONSES = 2
 
 

@@ -25,35 +25,37 @@ Report = Callable[[str], None]
 
 # Coverage factor of 95 % intervals.
 COVERAGE_FACTOR = 1.96
-# Model errors of the successive fits of the structure.
+# The structure is fitted several times, with these model errors in turn.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
-# Model errors of fits from random initial values, which are used if the modes lead to no solution.
+# If the modes lead to no solution, the structure is fitted from random initial values, with these model errors in turn.
 _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
-# Standard deviation of the random initial values of unknowns around the parameters of the scene.
+# Standard deviation of the random initial values of the unknowns around the parameters of the scene.
 _RANDOM_SD = 0.15
 # Number of random initial values.
 _RANDOM_STARTS = 8
-# Mean square of the residuals above which the structure is searched from random initial values.
+# The structure is fitted from random initial values if the mean square of the residuals exceeds this.
 _MAX_STRUCTURE_VARIANCE = 4.0
-# Mean square of the residuals above which they enlarge the intervals.
+# The residuals enlarge the intervals if the mean square of the residuals exceeds this.
 _MIN_INFLATED_VARIANCE = 1.3
-# Model errors of the first fits of the dampers.
+# The first fits of the dampers use these model errors in turn.
 _DAMPER_MODEL_ERRORS = (0.2, 0.05)
 # A negligible model error that selects the Cauchy loss. With it, a point where rig and model have different orbits has
 # little effect.
 _ROBUST_MODEL_ERROR = 1e-6
-# Factors of the initial masses and clearances of all dampers, tried if the parameters of the scene lead to no solution.
+# If the parameters of the scene lead to no solution, the initial masses and clearances of all dampers are multiplied by
+# these factors in turn.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
-# Mean square of the residuals up to which the orbits explain the curves; noise alone leaves slightly below 1.
+# The orbits explain the curves if the mean square of the residuals is at most this; noise alone leaves slightly below
+# 1.
 _MAX_EXPLAINED_SQUARE = 1.5
-# Upper bound of each squared residual in the robust cost.
+# In the robust cost, each squared residual is limited to this value.
 _MAX_SQUARE = 9.0
 # Squared residual assigned to a point where the model has no orbit.
 _FAILED_SQUARE = 1e6
-# Robust cost if about half of the points have no orbit.
+# The robust cost has this value if about half of the points have no orbit.
 _HALF_FAILED_COST = 4.5
 # Maximum number of fits of all unknowns, each after a search for other orbits at outliers.
 _MAX_ROUNDS = 4

@@ -35,16 +35,16 @@ _MAX_HALF_WIDTH = 0.5
 # Smallest clearance (free height above the damper at rest) without ceiling impacts, as a multiple of the largest gap
 # between damper and floor.
 _UNREACHED_RATIO = 1.2
-# Largest mean square of the normalized residuals that the errors of the curves explain.
+# The errors of the curves explain the residuals if the mean square of the normalized residuals is at most this.
 _MAX_NOISE_VARIANCE = 4.0
-# Relative residual above which the scene is not a model of the measured structure.
+# The scene does not describe the measured structure if the relative residual exceeds this.
 _MAX_RESIDUAL_RATIO = 0.02
-# Largest plausible deviation of a sensor's sensitivity, in tolerances of its data sheet.
+# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
 _MAX_SENSOR_DEVIATION = 2.0
-# Largest share that a fit may omit of the points with a steady-state motion in the model.
+# A fit may omit at most this fraction of the points at which the model has a steady-state motion.
 _MAX_OMITTED_SHARE = 0.25
-# Largest share of points without a steady-state motion in the model. Dampers without a ceiling move irregularly over
-# wide ranges of frequency, in the model as on the rig.
+# At most this fraction of the points may have no steady-state motion in the model. Dampers without a ceiling move
+# irregularly over wide ranges of frequency, in the model as on the rig.
 _MAX_IRREGULAR_SHARE = 0.5
 
 

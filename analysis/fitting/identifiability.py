@@ -11,11 +11,11 @@ from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solve
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
 
-# A combination of values is reported if the relative half-width of its 95 % interval is at least this.
+# A combination of parameters is reported if the relative half-width of its 95 % interval is at least this.
 _MIN_HALF_WIDTH = 0.02
-# A value is listed in a combination if its component is at least this fraction of the largest component.
+# A parameter is listed in a combination if its component is at least this fraction of the largest component.
 _MIN_COMPONENT_RATIO = 0.3
-# A sensor is named if the correlation of its error with the error of a value is at least this.
+# A sensor is named if the correlation of its error with the error of a parameter is at least this.
 _MIN_CORRELATION = 0.7
 # Damping is determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5

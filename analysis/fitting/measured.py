@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Smallest standard deviation of a point, relative to its value.
+# The standard deviation of a point is at least this fraction of the value.
 _MIN_RELATIVE_STD = 2e-5
-# Smallest standard deviation of a point, relative to the largest value of its curve.
+# The standard deviation of a point is at least this fraction of the largest value of its curve.
 _MIN_STD_RELATIVE_TO_PEAK = 1e-7
-# Relative uncertainty of the noise power of the reference if it is estimated from several responses.
+# The noise power of the reference has this relative uncertainty if it is estimated from several responses.
 _REFERENCE_NOISE_UNCERTAINTY = 0.5
-# Systematic errors that are unknowns of the fit.
+# These systematic errors are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
-# Systematic errors that are not included in `Curves.correlated_bound`.
+# `Curves.correlated_bound` does not include these systematic errors.
 _EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
 # Minimum number of points of a fit.
 _MIN_POINTS = 8

@@ -29,12 +29,13 @@ _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
-# Largest relative half width of the 95 % interval of a determined value, by its quantity.
+# A parameter is determined if the relative half-width of its 95 % interval is at most this, by quantity.
 _MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
 _MAX_HALF_WIDTHS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
-# The same for all other quantities.
+# The limit of the half-width for all other quantities.
 _MAX_HALF_WIDTH = 0.02
-# Unknowns are converted up to this value, below the overflow of exp at 709; undetermined intervals reach it.
+# Unknowns are converted up to this value, because exp overflows at 709. The intervals of undetermined parameters reach
+# it.
 _MAX_UNKNOWN = 600.0
 
 

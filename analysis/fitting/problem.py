@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # Prior standard deviation of the unknown of a parameter: so wide that it matters only where the data determine nothing.
 PRIOR_SD = 1.0
-# Largest change of the unknown of a parameter from its initial value.
+# The unknown of a parameter changes by at most this from its initial value.
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6

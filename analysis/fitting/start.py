@@ -32,13 +32,13 @@ _CONSTANT_SD = 0.05
 _MAX_RANKED = 2000
 # Maximum number of fitted assignments.
 _MAX_FITTED = 4
-# Model error, relative to the local peak, that is assumed when assignments are compared.
+# The comparison of assignments assumes this model error, relative to the local peak.
 _MODEL_ERROR = 0.1
-# Limit of the residuals in this comparison, standard deviations.
+# In this comparison, residuals are limited to this number of standard deviations.
 _MAX_RESIDUAL = 30.0
-# Difference of logarithmic frequencies that counts as a distance of 1 between an identified mode and a model mode.
+# If the logarithmic frequencies of an identified mode and a model mode differ by this, their distance is 1.
 _LOG_FREQUENCY_SCALE = 0.1
-# Weight of 1 - MAC (modal assurance criterion, `mac`) in the squared distance.
+# In the squared distance, 1 - MAC (modal assurance criterion, `mac`) has this weight.
 _MAC_WEIGHT = 4.0
 # Maximum number of evaluations of the model in the fit to the modes.
 _MAX_EVALUATIONS = 60

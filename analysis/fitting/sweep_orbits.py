@@ -31,7 +31,7 @@ from rig.scene.structure import Structure
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import driven_bodies, structural_model
 
-# Maximum number of Newton corrections from the orbit at a nearby frequency and drive.
+# The orbit at a nearby frequency and drive is corrected by at most this number of Newton steps.
 _MAX_CORRECTIONS = 8
 # The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500
@@ -41,7 +41,7 @@ _LEVEL_CORRECTIONS = 2
 # Maximum number of secant steps to the drive that gives the level, and the smallest relative step.
 _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
-# Relative error of the level at which the secant steps end; the remaining error is corrected linearly.
+# The secant steps end if the relative error of the level is at most this; the remaining error is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
 # Maximum number of drives at which an orbit is searched; each gives a level closer to the required level.
 _MAX_SEARCHES = 5

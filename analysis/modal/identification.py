@@ -23,24 +23,24 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
 
-# Smallest relative error assigned to a point, so that a few points of very small error do not determine the result.
+# A point has at least this relative error, so that a few points with a very small error do not determine the result.
 MIN_RELATIVE_ERROR = 1e-4
-# Relative error assumed for a second chart, so that it weights the whole curve and not only its peaks.
+# A second chart assumes this relative error, so that the whole curve has weight and not only its peaks.
 _CHART_ERROR = 0.03
 # Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15
 # Maximum number of candidates for a further pole.
 _MAX_CANDIDATES = 40
-# Largest misfit that noise explains, relative to its expected value. Above it, a model error is assumed.
+# Noise explains a misfit up to this multiple of its expected value. Above it, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
 # Model errors relative to the highest neighboring magnitude, which are assumed in this order until they and the noise
 # explain the misfit.
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
-# Largest frequency ratio of neighboring lines, for the model error.
+# For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 # The error of a line with fewer degrees of freedom than this is combined with the errors of neighboring lines.
 _MIN_DEGREES = 10.0
-# Ratio of the bound of the clock error to its standard uncertainty (1.73 for a rectangular distribution).
+# The bound of the clock error is this multiple of its standard uncertainty (1.73 for a rectangular distribution).
 _LIMIT_FACTOR = 1.8
 
 

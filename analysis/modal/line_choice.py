@@ -18,13 +18,13 @@ MAX_LINES = 2000
 _MAX_PEAKS = 24
 # Number of adjacent lines that are selected around each peak, and of lines at equal distances between its flanks.
 _LINES_PER_PEAK = 41
-# Magnitude at the ends of a peak's flanks, relative to the peak.
+# The flanks of a peak end where the magnitude is this fraction of the peak.
 _FLANK_RATIO = 0.1
-# Smallest ratio of a peak to the magnitude of its neighborhood.
+# A peak exceeds the magnitude of its neighborhood by at least this factor.
 _MIN_PEAK_RATIO = 2.0
-# Smallest gap, as a ratio of a frequency step to the larger of the steps on either side.
+# A frequency step is a gap if it is at least this multiple of the larger of the steps on either side.
 _GAP_RATIO = 5.0
-# Number of lines over which scatter is estimated.
+# The scatter is estimated over this number of lines.
 _SCATTER_LINES = 31
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 
-# Largest damping ratio of a mode; poles with a larger ratio are discarded.
+# A pole with a larger damping ratio is discarded.
 MAX_DAMPING = 0.25
-# Minimum number of stable poles in a cluster that represents a mode.
+# A cluster represents a mode if it contains at least this number of stable poles.
 _MIN_STABLE_POLES = 4
 
 

@@ -11,12 +11,12 @@ from analysis.modal.pole_errors import LEAKAGE_FACTOR
 from rig.arrays import Array
 from rig.results.response import Response
 
-# Largest relative standard uncertainty of a damping ratio without a warning.
+# A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
 # At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by
 # `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
-# Largest residual of a linear response, relative to the peak height.
+# The response is nonlinear if the residual exceeds this fraction of the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
 
 

@@ -20,16 +20,16 @@ from rig.arrays import Array, ComplexArray
 
 # Maximum number of modes inside the band.
 MAX_MODES = 12
-# Minimum number of degrees of freedom of the residuals; with fewer, a model fits any data.
+# The residuals need at least this number of degrees of freedom; with fewer, a model fits any data.
 _MIN_DEGREES = 8
-# Smallest reduction of the misfit by a pole, as a multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
+# A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# Smallest distance of two resolved poles, in mean half-power bandwidths.
+# Two poles are resolved if their distance is at least this, in mean half-power bandwidths.
 _MIN_DISTANCE_WIDTHS = 0.4
-# Largest distance of close poles, in the same unit. They are accepted only if their local misfit is at noise level,
-# because two close poles can fit the skewed peak of a nonlinear structure.
+# Two poles are close up to this distance, in the same unit. Close poles are accepted only if their local misfit is at
+# noise level, because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
-# Largest local misfit of close poles, relative to its expected value for noise.
+# The local misfit of close poles is at noise level up to this multiple of its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
 # Two poles closer than this multiple of the frequency resolution may be fitted to one narrow peak, which the window
 # broadens.

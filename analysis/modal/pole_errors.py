@@ -24,19 +24,20 @@ _PHASE_ERRORS = (ALIASING,)
 _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 # Systematic errors are evaluated up to this distance from a pole, in half-widths (halves of the half-power bandwidth).
 _FLANK_HALF_WIDTHS = 10.0
-# Increase of a fitted half-width due to leakage of a Hann window, in units of the squared resolution over the
+# Leakage of a Hann window increases a fitted half-width by this factor times the squared resolution over the
 # half-width.
 LEAKAGE_FACTOR = 0.16
-# Largest increase of a half-width due to leakage, as a multiple of the resolution.
+# Leakage increases a half-width by at most this multiple of the resolution.
 _MAX_WIDENING = 0.5
-# Largest frequency error of a peak narrower than the resolution, as a multiple of the resolution.
+# The frequency of a peak that is narrower than the resolution has an error of at most this multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0
 # Lines may have common errors up to this distance, in correlation lengths of the residual.
 _CORRELATION_LENGTHS = 3.0
 # If the misfit is below this fraction of its expected value, the residual does not show the correlation of the errors.
 _MIN_NOISE_RATIO = 0.3
-# Smallest relative uncertainty of a damping ratio, and of a frequency relative to the half-width. Errors of a curve
-# that resemble a mode (residual transients, phase errors of sensors) do not increase the misfit.
+# A damping ratio has at least this relative uncertainty, and a frequency at least this uncertainty relative to the
+# half-width. Errors of a curve that resemble a mode (residual transients, phase errors of sensors) do not increase the
+# misfit.
 _MIN_UNCERTAINTY = 5e-4
 # Eigenvalues of the information matrix below this fraction of the largest are rounding errors.
 _MIN_EIGENVALUE_RATIO = 1e-15

@@ -17,11 +17,11 @@ from rig.arrays import Array, ComplexArray
 
 # Maximum number of evaluations: a fit from good initial values converges earlier, others are stopped.
 _MAX_EVALUATIONS = 25
-# Number of terms of the series that represents modes above the band.
+# A series with this number of terms represents the modes above the band.
 UPPER_TERMS = 3
-# Minimum number of lines that determine all of these terms; fewer determine only the first.
+# At least this number of lines determines all of these terms; fewer lines determine only the first.
 _MIN_LINES = 20
-# Squared norm below which the remainder of a unit column is rounding error.
+# The remainder of a unit column is a rounding error if its squared norm is below this.
 _ROUNDING = 1e-20
 
 

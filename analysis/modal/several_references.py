@@ -18,9 +18,10 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.arrays import ComplexArray
 
-# Smallest second or further singular value of a residue that indicates another mode, in standard uncertainties.
+# A second or further singular value of a residue indicates another mode if it exceeds this number of standard
+# uncertainties.
 _DETECTION_SIGMAS = 5.0
-# Smallest ratio of such a singular value to the largest; smaller values may be errors of the model.
+# Such a singular value must be at least this fraction of the largest; smaller values may be errors of the model.
 _MIN_RATIO = 0.02
 
 

@@ -35,11 +35,11 @@ from rig.scene.presets import preset_note
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# Limits of the band around the highest point in which its peak is interpolated, relative to its frequency.
+# The peak at the highest point is interpolated in the band between these multiples of the frequency of the point.
 _PEAK_BAND = (0.85, 1.15)
-# Largest relative deviation of the highest point from the interpolated peak that is not reported.
+# A relative deviation of the highest point from the interpolated peak up to this value is not reported.
 _MAX_PEAK_DEVIATION = 0.01
-# Largest relative bound of an interpolated peak that is stated.
+# An interpolated peak is reported if its relative bound is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
 
 

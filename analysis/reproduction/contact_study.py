@@ -28,9 +28,9 @@ from rig.system.assembly import assemble
 
 #: Restitutions of the contacts.
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
-#: Durations of a landing, s.
+#: Nominal contact durations, s.
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
-#: Shares of the bed that move.
+#: Fractions of the mass of the bed that move as one mass.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
 #: Number of periods before averaging, in which the transient decays.
 _SETTLING_PERIODS = 40

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
 # Factor by which all further images increase the sum; exact for images that decrease as 1/k², the slowest decrease.
 _FURTHER_IMAGES = 1.08
-# Smallest aliased component of a reading, relative to the reading times (frequency / sample rate)².
+# The aliased part of a reading is at least this fraction of the reading times (frequency / sample rate)².
 _MIN_IMAGE_RATIO = 0.1
-# Lowest frequency of the top of the band, relative to the highest frequency.
+# The top of the band begins at this fraction of the highest frequency.
 _TOP_OF_BAND = 0.8
 
 

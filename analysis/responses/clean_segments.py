@@ -25,7 +25,7 @@ SETTLING = "settling"
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16
-# Largest deviation of a block's mean without drift, in standard deviations of settled blocks.
+# The mean of a block drifts if it deviates by more than this number of standard deviations of settled blocks.
 _DRIFT_SIGMAS = 5.0
 # Number of successive blocks without drift after which a channel is settled.
 _SETTLED_IN_A_ROW = 3

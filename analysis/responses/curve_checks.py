@@ -16,12 +16,12 @@ from rig.results.response import Response
 
 # The power is evaluated at points whose relative expanded uncertainty is at most this.
 _MAX_UNCERTAINTY = 0.3
-# Smallest jump, as the magnitude of the change of the complex logarithm (nepers, radians). A jump also exceeds the two
-# following limits.
+# A step is a jump if the magnitude of the change of the complex logarithm (nepers, radians) exceeds this value and the
+# two following limits.
 _MIN_STEP = 0.25
-# Smallest ratio of a jump to the larger of the steps on either side, both scaled to its frequency spacing.
+# A jump exceeds the larger of the steps on either side, both scaled to its frequency spacing, by this factor.
 _MIN_RATIO_TO_NEIGHBORS = 4.0
-# Smallest jump in standard uncertainties of the step.
+# A jump exceeds this number of standard uncertainties of the step.
 _MIN_SIGMAS = 5.0
 
 

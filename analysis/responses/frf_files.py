@@ -30,14 +30,15 @@ _COLUMN_NAME = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
-# Frequencies whose spacing varies relatively by less are lines of a DFT; the digits of a table cause such variation.
+# Frequencies are lines of a DFT if their spacing varies relatively by less than this; the digits of a table cause such
+# variation.
 _MAX_SPACING_SPREAD = 0.05
 # Assumed noise bandwidth in lines, that of a Hann window, because files do not give the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
 _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
-# Smallest relative frequency difference of two distinct lines.
+# Two lines are distinct if their relative frequency difference is at least this.
 _MIN_SPACING_RATIO = 1e-9
 # Components of a response by the first letter of their names.
 _COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}

@@ -27,25 +27,25 @@ if TYPE_CHECKING:
 
 # Interval before a hit in which residual motion is detected and the zero of each channel is measured, s.
 PRE_HIT_S = 0.2
-# Largest motion of a rig at rest in this interval, relative to the response to the hit.
+# The rig is at rest in this interval if its motion is at most this fraction of the response to the hit.
 _MAX_REST_RATIO = 2e-3
-# Detection limit of motion, in standard deviations of the estimate due to noise.
+# Motion is detected above this number of standard deviations of the estimate due to noise.
 _DETECTION_SIGMAS = 4.0
-# Smallest force within the marker of a hit, relative to the largest force until the next hit.
+# The largest force within the marker of a hit must be at least this fraction of the largest force until the next hit.
 _MIN_MARKED_RATIO = 0.5
-# Smallest force of a rebound of the hammer, relative to the force within the marker.
+# A rebound of the hammer is detected if its force is at least this fraction of the force within the marker.
 _MIN_REBOUND_RATIO = 0.05
-# Smallest force of a rebound, relative to the median change between samples, which measures the noise.
+# The force of a rebound is at least this multiple of the median change between samples, which measures the noise.
 _REBOUND_SIGMAS = 8.0
-# Power at the end of the usable force spectrum, relative to its maximum (-20 dB).
+# The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
 # Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
 # of the resulting changes, relative to the mean square of the original rounding (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
-# Smallest signal that a coarser converter resolves without dither from noise, in counts.
+# A coarser converter resolves a signal of at least this size without dither from noise, in counts.
 _MIN_COUNTS = 6.0
-# Largest share of the rounding error that is equal in every hit if noise dithers the signal: the share for half a count
-# of noise.
+# If noise dithers the signal, at most this fraction of the rounding error is equal in every hit: the fraction for half
+# a count of noise.
 _MAX_REPRODUCIBLE = 0.007
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Length of a block, relative to its pretrigger (its samples before the hit).
 _BLOCK_PER_PRETRIGGER = 50
-# Largest response at the end of a block without significant leakage, relative to its maximum.
+# Leakage is significant if the response at the end of a block exceeds this fraction of its maximum.
 _MAX_END_RATIO = 0.02
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are then as long as possible.
 DEFAULT_BLOCKS = 30
-# Largest response at the end of a block without leakage into the next burst, relative to its maximum.
+# A response leaks into the next burst if its value at the end of a block exceeds this fraction of its maximum.
 _MAX_END_RATIO = 0.02
 
 

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 from rig.results.uncertainty import LineCovariance, Lines, RandomErrors
 
-# The noise level is assumed constant over this frequency range, in widths of a local fit.
+# The noise level is assumed to be constant over this number of widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
 # Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
 _ITERATIONS = 4
-# Smallest noise power of a response, relative to the residual of a local fit.
+# The noise power of a response is at least this fraction of the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
 # Weight of the normal equations of the whole test in those of each line, if there is a single response. Only the
 # variation of its magnitude, which is small far from peaks, distinguishes the noise of the reference from its own.

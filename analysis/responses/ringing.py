@@ -17,18 +17,18 @@ from rig.arrays import Array, ComplexArray
 _POINTS_TWO_POLES = 7
 # Number of points of a local fit with a single pole.
 _POINTS_ONE_POLE = 3
-# Smallest residual of a fit with one pole, relative to the response, that requires a second pole.
+# A fit needs a second pole if the residual with one pole is at least this fraction of the response.
 _MIN_RESIDUAL_RATIO = 1e-3
-# Largest spacing of points that resolves a pole, relative to the distance of the point from the pole.
+# Points resolve a pole if their spacing is at most this multiple of the distance of the point from the pole.
 _MAX_SPACING_RATIO = 1.5
-# Largest frequency offset of a resonance, in its half-power half-widths. The ringing of a farther resonance beats with
-# the tone, which is visible in the window.
+# A resonance is considered up to this frequency offset, in its half-power half-widths. The ringing of a farther
+# resonance beats with the tone, which is visible in the window.
 _MAX_HALF_WIDTHS = 4.0
-# Largest change of a response between points that may be noise, in standard uncertainties.
+# A change of a response between points may be noise up to this number of standard uncertainties.
 _NOISE_SIGMAS = 4.0
-# Largest change that may be numerical rounding, relative to the response.
+# A change may be numerical rounding up to this fraction of the response.
 _ROUNDING_RATIO = 1e-9
-# Duration of the transition to the next tone, relative to the window; the ringing begins after it.
+# The transition to the next tone lasts this fraction of the window; the ringing begins after it.
 _TRANSITION_RATIO = 0.5
 
 

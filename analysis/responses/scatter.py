@@ -21,7 +21,7 @@ from scipy import special
 
 from rig.arrays import Array, ComplexArray
 
-# Largest ratio of two variances, because one of them may be zero.
+# The ratio of two variances is limited to this value, because one of the variances may be zero.
 _MAX_RATIO = 1e30
 # Number of iterations within which Newton's method for the inverse of the trigamma function converges from below.
 _ITERATIONS = 20

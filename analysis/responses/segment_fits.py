@@ -32,9 +32,11 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Smallest length of a segment, relative to the longest; the transients of shorter segments need too many parameters.
+# A segment is used if it has at least this fraction of the length of the longest; the transients of shorter segments
+# need too many parameters.
 _MIN_LENGTH_RATIO = 0.25
-# Smallest share of a burst in a segment; with less, most of the vibration was excited before the segment.
+# A segment is used if it contains at least this fraction of a burst; with less, most of the vibration was excited
+# before the segment.
 _MIN_BURST_RATIO = 0.5
 # Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
@@ -42,7 +44,7 @@ _MAX_LINES = 1000
 _MAX_VALUES = 14_000_000
 #: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
-# Largest amplitude of this motion without a warning, relative to the response to the hit.
+# This motion causes a warning if its amplitude exceeds this fraction of the response to the hit.
 _MAX_MOTION_RATIO = 0.01
 
 

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 # Inputs can be separated up to this condition number of the matrix of their spectra, scaled to unit power.
 MAX_CONDITION_NUMBER = 1e3
-# Smallest mean-square force of a driven shaker, relative to the largest mean-square force.
+# A shaker is driven if its mean-square force is at least this fraction of the largest.
 _MIN_FORCE_POWER_RATIO = 1e-4
 # Reciprocal responses must agree within their uncertainties at this share of the lines or more.
 _MIN_RECIPROCAL_LINES = 0.8

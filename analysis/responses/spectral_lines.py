@@ -30,19 +30,22 @@ if TYPE_CHECKING:
 
 # Transients are assumed to decay equally at this number of neighboring lines.
 _COMMON_DECAY_LINES = 5
-# Assumed decay factor of a transient from part to part if only two parts are available, which do not determine it.
+# If only two parts are available, which do not determine the decay of a transient, this decay factor from part to part
+# is assumed.
 _ASSUMED_DECAY = 0.5
-# Largest decay factor from part to part. Slower decay cannot be distinguished from a steady amplitude.
+# A decay factor from part to part is limited to this value. Slower decay cannot be distinguished from a steady
+# amplitude.
 _MAX_DECAY = 0.99
 # Confidence level of the largest noise in a reference.
 _REFERENCE_CONFIDENCE = 0.999
-# Minimum number of lines for an estimate of the noise of the parts from their differences.
+# The noise of the parts is estimated from their differences if there are at least this number of lines.
 _MIN_LINES = 8
 # Width of the median filter of this noise, in lines.
 _MEDIAN_LINES = 31
-# Number of averages of successive parts from which the decay of a transient is estimated if there are many parts.
+# If there are many parts, successive parts are averaged to this number, from which the decay of a transient is
+# estimated.
 _AVERAGED_PARTS = 4
-# Factor of the residual transients, because their estimates have an error of up to 5 %.
+# Residual transients are multiplied by this factor, because their estimates have an error of up to 5 %.
 _TRANSIENT_FACTOR = 1.05
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 # Maximum number of fitted harmonics, including the tone.
 HARMONICS = 10
-# Maximum number of parts of a window, whose scatter determines the uncertainty of its mean.
+# A window is divided into at most this number of parts; their scatter determines the uncertainty of the mean.
 PARTS = 20
 # A transient below this fraction of the settling tolerance is not detectable in the parts of a window.
 _UNDETECTED_TRANSIENT = 0.05

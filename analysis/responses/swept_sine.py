@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Smallest ratio of the last to the first frequency of a segment. It excludes the harmonics of a nonlinear structure.
+# The ratio of the last to the first frequency of a segment is at least this, which excludes the harmonics of a
+# nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
 # Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1

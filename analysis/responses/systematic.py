@@ -38,10 +38,10 @@ IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 _LATERAL_RATIO = 0.1
 # Minimum number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
-# Slope that is assumed for fewer lines, as a multiple of value / frequency. Peaks with a half-power bandwidth of a
+# For fewer lines, the slope is assumed to be this multiple of value / frequency. Peaks with a half-power bandwidth of a
 # fifth of their frequency or more are not steeper.
 _ASSUMED_SLOPE_RATIO = 10.0
-# Largest slope of a peak between lines, relative to the slope of its chords.
+# Between lines, the slope of a peak is at most this multiple of the slope of its chords.
 _MAX_CHORD_RATIO = 10.0
 # Mean square of a signal of a quarter of a count, in counts²; rounding may hide a smaller signal.
 _MIN_POWER_COUNTS = 1.0 / 16.0

@@ -90,8 +90,8 @@ _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# In a contact, a jump is detectable if it exceeds this fraction of the velocity change due to a step of one prior
-# standard deviation.
+# With finite-duration contact, a jump is detectable above this fraction of the velocity change that a step of one prior
+# standard deviation causes during the contact.
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed to be constant over this number of windows.
 _NOISE_WINDOWS = 8

@@ -11,12 +11,13 @@ from rig.arrays import Array
 
 # Time before the trigger that belongs to the window of a hit, s.
 _PRETRIGGER_S = 0.01
-# Minimum ratio of the second pulse of a double hit to the highest. A double hit is rejected, because its spectrum has
-# deep minima.
+# A hit is double if its second pulse is at least this fraction of the highest pulse. A double hit is rejected, because
+# its spectrum has deep minima.
 _REBOUND_RATIO = 0.05
-# Ratio of the trigger level to the smallest accepted peak: hits below this peak are detected, too, and rejected.
+# The trigger level is this fraction of the smallest accepted peak: smaller hits are detected, too, and rejected.
 _TRIGGER_RATIO = 0.3
-# Maximum gap within one pulse, s. The force of a ringing hammer crosses zero several times in a pulse.
+# Samples above the trigger level with a shorter gap than this belong to one pulse, s. The force of a ringing hammer
+# crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3
 # Duration of the displayed force, s.
 _DISPLAYED_S = 0.05

@@ -27,10 +27,10 @@ _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of the block length of the live frequency response, s. Within these limits, it is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
-# Longest window of a hit, and shortest time between a window and the next hit, s.
+# The window of a hit lasts at most this time, and the next hit begins at least this time after a window, s.
 _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
-# Minimum ratio of the peak of an accepted hit to the requested peak.
+# A hit is accepted if its peak is at least this fraction of the requested peak.
 _MIN_PEAK_RATIO = 0.5
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
-# Minimum ratio of an excited line to the largest line of the force's auto-spectrum.
+# A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum.
 _EXCITED_RATIO = 1e-3
 
 

@@ -37,9 +37,9 @@ if TYPE_CHECKING:
 
     from rig.scene.scene import Scene
 
-# Largest drawn change of length of a spring, relative to its drawn length.
+# The drawn length of a spring changes by at most this fraction.
 _MAX_STRETCH_RATIO = 0.6
-# Largest exaggeration; a larger one would show the noise of a rig at rest.
+# The motion is exaggerated at most by this factor; a larger factor would show the noise of a rig at rest.
 _MAX_EXAGGERATION = 1e4
 
 

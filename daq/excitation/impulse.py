@@ -25,7 +25,7 @@ _WINDOW_S = 0.1
 _MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
 # Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5
-# Detection limit of a drift, in standard deviations of its estimate.
+# A drift is detected above this number of standard deviations of its estimate.
 _DRIFT_SIGMAS = 4.0
 
 

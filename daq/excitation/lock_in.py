@@ -8,16 +8,16 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 
-# Minimum window, periods.
+# A window has at least this number of periods.
 _MIN_PERIODS = 2
-# Minimum window, samples: more than the six fitted terms of a tone without harmonics.
+# A window has at least this number of samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
-# Minimum window, in beats: near half the sampling rate the samples of a tone beat, and less of a beat does not separate
-# amplitude and phase.
+# A window has at least this number of beats: near half the sample rate the samples of a tone beat, and a shorter part
+# of a beat does not separate amplitude and phase.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
-# Harmonics are fitted up to this ratio to the sampling rate.
+# Harmonics are fitted up to this fraction of the sample rate.
 _MAX_HARMONIC_RATIO = 0.4
 # A longer window is evaluated in pieces of this number of samples, which limits the memory.
 _PIECE_SAMPLES = 1 << 16

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
 
 
-# Relative tolerance of the steady state: difference of successive periods.
+# The motion is in steady state if successive periods differ by at most this fraction.
 _TOLERANCE = 1e-4
 # Maximum wait for the steady state, s and periods; the longer of the two applies.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
-# A difference of successive periods above this ratio to the smallest earlier difference is noise, not a transient.
+# If the difference of successive periods exceeds this multiple of the smallest earlier difference, the difference is
+# noise, not a transient.
 _MIN_NOISE_RATIO = 0.9
 
 

@@ -22,14 +22,14 @@ _SEARCH_DAMPING = np.array([0.005, 0.03])
 # The different mode becomes the nearest mode if its residual, relative to the residual of the present mode, is below
 # this.
 _MAX_RESIDUAL_RATIO = 0.7
-# Initial frequency step of the search around the present mode, relative to its frequency.
+# The search around the present mode begins with this frequency step, relative to the frequency of the mode.
 _INITIAL_STEP = 0.01
 # Limits of the relative frequency step.
 _MIN_STEP = 1e-4
 _MAX_STEP = 0.03
-# Factor on the frequency step if the present frequency remains the best.
+# The frequency step is multiplied by this factor if the present frequency remains the best.
 _STEP_DECREASE = 0.6
-# Factor on the frequency step if another frequency is better.
+# The frequency step is multiplied by this factor if another frequency is better.
 _STEP_INCREASE = 1.5
 # Relative step of the damping ratio.
 _DAMPING_STEP = 0.2

@@ -27,7 +27,7 @@ _EDGE_S = 0.25
 _DECAY_S = 1.0
 # The tones extend beyond both limits of the test's band by this factor, so that the estimate is valid at the limits.
 _BAND_MARGIN = 1.3
-# Largest drive of the burst relative to the cautious drive for the test's level.
+# The drive of the burst is at most this multiple of the cautious drive for the level of the test.
 _MAX_DRIVE_RATIO = 5.0
 # The amplitudes of the tones are proportional to 1 / frequency to this power.
 _SPECTRUM_EXPONENT = 1.0

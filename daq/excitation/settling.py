@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array, ComplexArray
 
-# Number of differences of successive observations for the estimate of the transient's decay.
+# The decay of the transient is estimated from this number of differences of successive observations.
 _N_DIFFERENCES = 6
 # Minimum number of observations for this estimate: two pairs of successive differences.
 MIN_OBSERVATIONS = 4
-# Smallest deviation from 1 of the decay factor (ratio of successive changes). A smaller deviation is not measurable:
-# the transient is longer than the observed time.
+# The decay factor is the ratio of successive changes. If the decay factor deviates from 1 by less than this, it is not
+# measurable: the transient is longer than the observed time.
 _MIN_FACTOR_DEVIATION = 1e-3
-# With a decay factor of larger magnitude, the final amplitude is not extrapolated.
+# The final amplitude is extrapolated if the magnitude of the decay factor is at most this.
 _MAX_EXTRAPOLATED_FACTOR = 0.995
 # If the coherence of successive changes is below this value, they are noise instead of a decaying transient.
 _MIN_COHERENCE = 0.8
-# Number of observations whose scatter in both halves is compared, to distinguish noise from decaying beats.
+# The scatter in both halves of this number of observations is compared, to distinguish noise from decaying beats.
 _NOISE_OBSERVATIONS = 24
 # The scatter of noise does not decrease below this ratio from the first to the second half.
 _MIN_SCATTER_RATIO = 0.75

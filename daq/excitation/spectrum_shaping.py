@@ -20,11 +20,11 @@ Lines = NDArray[np.int64]
 
 # Maximum number of iterations.
 _MAX_ITERATIONS = 8
-# Largest ratio of a line's drive amplitude from one iteration to the next.
+# The drive amplitude of a line changes by at most this factor from one iteration to the next.
 _MAX_STEP_RATIO = 4.0
-# Largest ratio of a line's drive amplitude to the median of all lines.
+# The drive amplitude of a line is at most this multiple of the median of all lines.
 _MAX_LINE_RATIO = 100.0
-# Relative tolerance of the RMS force, and of the median force of the lines.
+# The RMS force and the median force of the lines must agree with their levels within this fraction.
 _LEVEL_TOLERANCE = 0.03
 
 

@@ -27,7 +27,8 @@ _MAX_TRANSITION_S = 3.0
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# Largest change of the drive, as the natural logarithm of its ratio, in one window: its transient is negligible.
+# The drive may change suddenly by at most this, as the natural logarithm of its ratio: the transient is then
+# negligible.
 _MAX_SUDDEN_CHANGE = 0.03
 # The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
 # its deviation from the level.
@@ -217,25 +218,25 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
 
 # If the force scatters, its relative tolerance is twice its standard error, up to this value.
 _MAX_TOLERANCE = 0.02
-# Smallest assumed slope d log(force) / d log(drive). When dampers begin to impact, the force can rise slowly or
-# even fall with the drive.
+# The slope d log(force) / d log(drive) is assumed to be at least this. When dampers begin to impact, the force can rise
+# slowly or even fall with the drive.
 _MIN_SLOPE = 0.3
-# Largest assumed slope. When dampers begin to impact, the force can also rise steeply.
+# The slope is assumed to be at most this. When dampers begin to impact, the force can also rise steeply.
 _MAX_SLOPE = 3.0
-# Smallest difference of log(drive) that determines a slope.
+# A slope is computed if log(drive) differs by at least this.
 _MIN_LOG_DIFFERENCE = 1e-3
-# Smallest width of the bracket in log(drive). In a narrower bracket that does not contain the level, the force jumps or
-# has changed; the bracket is then discarded.
+# The bracket in log(drive) has at least this width. In a narrower bracket that does not contain the level, the force
+# jumps or has changed; the bracket is then discarded.
 _MIN_BRACKET = 2e-3
-# Distance of the next drive from both ends of the bracket, relative to its width.
+# The next drive is at least this fraction of the width of the bracket from both ends.
 _BRACKET_MARGIN = 0.1
-# Largest change of log(drive) from one drive to the next.
+# log(drive) changes by at most this from one drive to the next.
 _MAX_LOG_STEP = math.log(3.0)
-# Factor on `_MAX_LOG_STEP` if the slope is below `_MIN_SLOPE`.
+# `_MAX_LOG_STEP` is multiplied by this factor if the slope is below `_MIN_SLOPE`.
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4
-# Forces are not smaller than this fraction of the level, so that their logarithms are finite.
+# A smaller force than this fraction of the level is replaced with this value, so that its logarithm is finite.
 _MIN_FORCE_RATIO = 1e-9
 
 

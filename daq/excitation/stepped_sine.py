@@ -17,7 +17,7 @@ from rig.results.text import format_decimals
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
 
-# Largest extrapolated change of the drive, as the natural logarithm of its ratio.
+# The drive is extrapolated by at most this, as the natural logarithm of its ratio.
 _MAX_LOG_CHANGE = 0.2
 # Maximum number of frequencies that a warning lists.
 _MAX_LISTED = 8

@@ -13,11 +13,11 @@ from daq.excitation.nearest_mode import NearestMode, mean_exponential
 from daq.excitation.pretest import ShakerLaw
 from rig.arrays import Array, ComplexArray
 
-# Minimum length of an observation (see `Observation`), periods; shorter observations amplify the noise.
+# An observation (see `Observation`) has at least this number of periods; shorter observations amplify the noise.
 _MIN_PERIODS = 2.0
-# Minimum length of an observation, samples: the number of fitted terms.
+# An observation has at least this number of samples: the number of fitted terms.
 _MIN_SAMPLES = 6
-# Minimum length of an observation, periods of the beat between the tone and the Nyquist frequency.
+# An observation has at least this number of periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
 # The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. The
 # memory is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
@@ -28,7 +28,7 @@ _MIN_MEMORY_PERIODS = 6.0
 _MAX_MEMORY_PERIODS = 20.0
 # Number of integration steps from the middle of an observation to its end, which compensate its delay.
 _STEPS = 6
-# Largest change of the drive between windows, relative to the largest of the stored drive amplitudes.
+# The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drive amplitudes that are stored.
 _STORED_DRIVES = 12

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
 
 
-# Update interval of the drive of a controlled force, periods.
+# The drive of a controlled force is updated after this number of periods.
 _WINDOW_PERIODS = 0.5
-# Shortest update interval, samples.
+# The drive is updated after at least this number of samples.
 _MIN_WINDOW_SAMPLES = 4
 # Length of the windows in open loop, s.
 _WINDOW_S = 0.1
@@ -36,9 +36,9 @@ _WINDOW_S = 0.1
 _TOLERANCE = 0.01
 # Maximum wait for this steady state, s.
 _MAX_WAIT_S = 60.0
-# Permitted relative deviation of the force from its level.
+# The force may deviate from its level by at most this fraction.
 ALLOWED_DEVIATION = 0.1
-# Intervals of excessive deviation with a shorter gap than this are merged, s.
+# Two intervals of excessive deviation are merged if the gap between them is shorter than this, s.
 _MIN_GAP_S = 0.5
 # Remedy if the channels do not measure the force.
 _SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."

@@ -40,11 +40,11 @@ from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
 from rig.system.assembly import assemble
 
-# Longest duration of a rehearsal, as a multiple of the duration that the CPU time allows, or of the expected duration.
+# A rehearsal may last at most this multiple of the duration that the CPU time allows, or of the expected duration.
 _MAX_TIME_RATIO = 1.5
 # A drive above this ratio to its limit counts as limited.
 _LIMITED_DRIVE_RATIO = 0.999
-# Maximum number of rehearsals at other levels, which determine the largest permissible level if dampers fly.
+# If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
 _MAX_SECANT_STEPS = 3
 # Relative tolerance of the largest permissible level.
 _LEVEL_TOLERANCE = 0.02

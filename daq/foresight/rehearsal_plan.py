@@ -27,7 +27,7 @@ from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
-# Approximate CPU time of a rehearsal, s.
+# A rehearsal takes about this CPU time, s.
 _CPU_BUDGET_S = 0.7
 # CPU time for a random test or multisine, as a multiple of `_CPU_BUDGET_S`, because the extremes in a part of such a
 # test vary by 10 % from part to part.
@@ -44,9 +44,9 @@ _CONTROLLED_PERIOD_CPU_S = 1.2e-3
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_CPU_S = 0.6e-9
-# Fixed part of the wait at a step (one tone), s, measured with the bundled scenes.
+# The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4
-# Remaining part of the wait, in which transients decay, as a number of time constants of the slowest mode.
+# In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
 # Longest wait for steady state in a rehearsal of parts, s.
 _LONGEST_WAIT_S = 10.0

@@ -24,7 +24,7 @@ from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 from rig.scene.scene import Scene
 
-# Relative difference below which two units are the same, written with different numbers of digits.
+# Two units are the same, written with different numbers of digits, if they differ by less than this fraction.
 _UNIT_TOLERANCE = 1e-3
 # Integrations of an ideal channel that measures velocity or displacement, as a laser sensor does.
 _INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}

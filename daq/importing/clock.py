@@ -24,13 +24,15 @@ TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12
-# Largest deviation of a time from evenly spaced times, samples. Beyond it samples are missing, or there is no clock.
+# A time deviates from evenly spaced times by at most this, samples. Beyond it samples are missing, or there is no
+# clock.
 _MAX_DEVIATION = 0.5
 # Jitter is reported if times deviate from even spacing by more than this and rounding, samples.
 _MAX_UNREPORTED_JITTER = 0.02
-# Longest interval between successive times without missing rows, sample intervals.
+# If two successive times are farther apart than this number of sample intervals, rows are missing.
 _MAX_REGULAR_INTERVALS = 1.5
-# Tolerance of an interval without missing rows, and of a gap from a whole number of intervals, sample intervals.
+# An interval without missing rows deviates by at most this from one sample interval, and a gap from a whole number of
+# sample intervals.
 _INTERVAL_TOLERANCE = 0.25
 # Maximum number of gaps in the times of a clock.
 _MAX_GAPS = 10_000

@@ -20,10 +20,10 @@ _MIN_REAL_RATIO = 0.3
 # Power is returned if the sum of the real parts is negative and at least this fraction of the sum of their magnitudes:
 # at 0.8, 90 % is negative. Less than 1, because phase errors can reverse the sign far from resonances.
 _MIN_NEGATIVE_SUM = 0.8
-# Smallest share of the total power at lines with a clear sign. In a band around an antiresonance alone, the share is
-# smaller.
+# The sign is evaluated if lines with a clear sign have at least this fraction of the total power. In a band around an
+# antiresonance alone, the fraction is smaller.
 _MIN_CLEAR_SHARE = 0.02
-# Minimum force at a driven line, as a ratio to the largest line of the force.
+# A line is driven if its force is at least this fraction of the largest line of the force.
 _MIN_FORCE_RATIO = 0.1
 #: Number of integrations from acceleration to a quantity of motion.
 MOTION_INTEGRATIONS: dict[Quantity, int] = {"acceleration": 0, "velocity": 1, "displacement": 2}

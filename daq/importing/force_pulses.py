@@ -9,11 +9,11 @@ import numpy as np
 from rig.arrays import Array
 from rig.numerics.runs import merge_spans, runs_of
 
-# Threshold of a pulse, as a ratio to the largest force.
+# A pulse begins and ends at this fraction of the largest force.
 _PULSE_RATIO = 0.05
-# Minimum peak of a hit, as a ratio to the largest force.
+# A pulse is a hit if its peak is at least this fraction of the largest force.
 _HIT_RATIO = 0.1
-# Largest share of the time in contact; a force that acts for longer is not the force of a hammer.
+# The force of a hammer acts for at most this fraction of the time.
 _MAX_CONTACT_SHARE = 0.2
 # Time after a hit in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2

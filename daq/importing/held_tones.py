@@ -15,34 +15,36 @@ from daq.importing.tone_track import HOPS_PER_BLOCK, Track
 from rig.arrays import Array, ComplexArray
 from rig.numerics.runs import runs_of
 
-# Minimum number of blocks of a held tone: about ten periods.
+# A held tone has at least this number of blocks: about ten periods.
 _MIN_BLOCKS = 7
-# Largest deviation of the phase from a straight line: a multiple of its scatter, limited to the range from
-# `_MIN_TOLERANCE_RAD` to `_MAX_TOLERANCE_RAD`.
+# The phase of a held tone deviates from a straight line by at most this multiple of its scatter, limited to the range
+# from `_MIN_TOLERANCE_RAD` to `_MAX_TOLERANCE_RAD`.
 _MAX_RESIDUAL_SIGMAS = 8.0
 _MIN_TOLERANCE_RAD = 0.02
 _MAX_TOLERANCE_RAD = 0.25
-# Deviation from the line through the middle half at which a tone ends: a multiple of the scatter, at least
-# `_END_MIN_RAD`.
+# A tone ends where the phase deviates from the line through the middle half by this multiple of the scatter, but at
+# least `_END_MIN_RAD`.
 _END_SIGMAS = 4.0
 _END_MIN_RAD = 0.01
-# Change of the amplitude from one block to the next that ends a tone, as natural logarithm of the ratio.
+# A tone ends where the amplitude changes from one block to the next by more than this, as natural logarithm of the
+# ratio.
 _MAX_AMPLITUDE_STEP = 0.2
-# Largest change of the amplitude in the second half of a held tone, as natural logarithm of the ratio.
+# In the second half of a held tone, the amplitude changes by at most this, as natural logarithm of the ratio.
 _MAX_AMPLITUDE_CHANGE = 0.2
-# Largest drift of the frequency within a tone, as a share of the distance to the next tone; a sweep drifts more.
+# The frequency of a tone drifts by at most this fraction of the distance to the next tone; the frequency of a sweep
+# drifts more.
 _MAX_DRIFT = 0.25
-# Smallest share of the time with a signal during which a tone is held.
+# Tones are held for at least this fraction of the time with a signal.
 _MIN_HELD_SHARE = 0.3
-# Level below which there is no signal, as a ratio to the median amplitude of the held tones.
+# Below this fraction of the median amplitude of the held tones, there is no signal.
 _SILENCE_RATIO = 0.05
 # Blocks at this distance scatter independently, although neighboring blocks share half of their samples.
 _INDEPENDENT_BLOCKS = 2
-# Largest deviation of a settled channel from its mean, as a multiple of its scatter.
+# A channel is settled if it deviates from its mean by at most this multiple of its scatter.
 _STEADY_SIGMAS = 3.0
 # A block is settled if it deviates from the mean by at most this fraction of the tolerance.
 _SETTLED_TOLERANCE_SHARE = 0.1
-# Shares of a segment, at its end, that are tested for steady state; the second only if the first is not steady.
+# The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)
 # Relative difference of frequency below which two tones are the same.
 _SAME_FREQUENCY = 2e-4

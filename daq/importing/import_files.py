@@ -40,7 +40,7 @@ _RATE_TOLERANCE = 2e-5
 # Frequency band of a test if its scene specifies none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
-# Largest plausible readings of a vibration test, SI.
+# A reading of a vibration test is plausible up to these values, SI.
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
@@ -48,7 +48,7 @@ _MAX_LOST_SEGMENTS = 1000
 _LOST_PAUSE_S = 0.1
 # Two overloads are merged up to this pause between them, s.
 _OVERLOAD_PAUSE_S = 0.01
-# Latest position of the largest motion of a free decay, as a share of its duration.
+# In a free decay, the largest motion occurs within this fraction of the duration.
 _MAX_PEAK_SHARE = 0.05
 
 

@@ -7,9 +7,10 @@ import numpy as np
 from rig.arrays import Array
 from rig.numerics.runs import merge_spans, runs_of
 
-# Minimum number of equal samples of a flat top; a smooth peak has fewer.
+# A flat top has at least this number of equal samples; a smooth peak has fewer.
 _MIN_FLAT_SAMPLES = 3
-# Minimum rise to a flat top, in quantization steps; a slow, coarsely quantized signal also has flat peaks.
+# The signal rises to a flat top by at least this number of quantization steps; a slow, coarsely quantized signal also
+# has flat peaks.
 _MIN_RISE_COUNTS = 4.0
 # A sample is clipped from this fraction of the full scale upward.
 _CLIPPED_RATIO = 0.9999

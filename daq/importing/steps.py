@@ -17,7 +17,7 @@ from rig.arrays import Array
 from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 
-# Ratio by which the searched frequency band exceeds the band of the scene's test at either end.
+# The searched frequency band extends beyond the band of the scene's test by this factor at either end.
 _BAND_RATIO = 1.5
 # Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
 _BLOCKS_PER_TONE = 8

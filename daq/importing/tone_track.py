@@ -16,9 +16,9 @@ from rig.arrays import Array, ComplexArray
 HOPS_PER_BLOCK = 4
 # Number of averages in a hop: enough to resolve the tone, and few enough for recordings at high rates.
 _AVERAGES_PER_HOP = 24
-# Ratio of successive block lengths, and of the limits of each length's frequency band.
+# Successive block lengths have this ratio, as have the limits of the frequency band of each length.
 _LENGTH_RATIO = 2**0.5
-# Ratio by which the bands overlap, so that no tone lies between two.
+# The bands overlap by this factor, so that no tone lies between two bands.
 _BAND_OVERLAP = 1.1
 # Highest frequency, as a ratio to the sample rate.
 _MAX_FREQUENCY_RATIO = 0.35

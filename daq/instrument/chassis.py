@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _MAX_BLOCK_TICKS = 4096
 # More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62
-# Delay of the bench relative to the wall clock at which the runs stop with the error of an input overflow.
+# The runs stop with the error of an input overflow if the bench is later than the wall clock by this time, s.
 _MAX_DELAY_S = 5.0
 # Maximum pause of the fast clock for the callback of an event, in wall-clock time.
 _CALLBACK_WAIT_S = 0.25

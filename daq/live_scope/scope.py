@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Duration of a block, s.
 _BLOCK_S = 0.04
-# Longest delay that the bench catches up, s; a longer delay is reported.
+# The bench catches up a delay of at most this time, s; a longer delay is reported.
 _MAX_DELAY_S = 0.5
 # Minimum number of samples per period of the drive.
 _MIN_SAMPLES_PER_PERIOD = 10.0

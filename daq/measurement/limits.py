@@ -26,9 +26,9 @@ _MIN_GAP_S = 0.5
 _CHECK_INTERVAL_S = 0.1
 # Check interval if no channel has a limit, and only the channels of a controlled force are monitored.
 _CONTROL_CHECK_INTERVAL_S = 0.5
-# Duration of an overload of a control channel after which a test ends.
+# A test ends if a control channel is overloaded for longer than this, s.
 _MAX_OVERLOAD_S = 1.0
-# Longest simulated settling: a bias is assumed to be constant after this time.
+# The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant, s.
 _MAX_SETTLING_S = 60.0
 
 

@@ -30,7 +30,7 @@ from rig.progress import FractionProgress
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
-# Fraction of a test after which the size of its recording can be extrapolated.
+# After this fraction of a test, the size of its recording is extrapolated.
 _MIN_FRACTION = 0.02
 
 

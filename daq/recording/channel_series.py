@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # If more samples than this number are requested, the file is checked for them first: a wrong sample index must not
 # exhaust the memory.
 _LARGE_RANGE = 1 << 22
-# Largest ratio of the number of requested samples to the number of samples in the file.
+# At most this number of samples may be requested for each sample in the file.
 _MAX_REQUESTED_PER_STORED = 16
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.

@@ -18,11 +18,12 @@ from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers
 
-#: Number of test frequencies up to and including a peak at which the motion is computed in turn, each from the last.
+#: At a peak, the motion is computed at this number of test frequencies in turn, each from the motion at the previous
+#: one; the last is the peak.
 APPROACH_FREQUENCIES = 3
-#: Largest relative change of a motion that counts as steady.
+#: A motion is in steady state if it changes by at most this fraction.
 STEADY_TOLERANCE = 1e-4
-#: Longest wait for steady state, periods.
+#: The wait for steady state ends after this number of periods.
 MAX_WAIT_PERIODS = 2000
 #: Number of test frequencies around each peak.
 POINTS_PER_PEAK = 25

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 
 #: Clearances of the chart (worst peak over clearance and force), relative to the clearances of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
-#: Factor by which the chart extends beyond the requested levels.
+#: The levels of the chart extend beyond the requested levels by this factor.
 CHART_MARGIN = 2.0
-#: The chart extends at least by this factor above and below its middle level.
+#: The levels of the chart extend above and below the middle level by at least this factor.
 MIN_LEVEL_RATIO = 4.0
-#: Approximate ratio of neighboring levels of the chart.
+#: Neighboring levels of the chart have about this ratio.
 LEVEL_STEP_RATIO = 2.0**0.5
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
-#: A clearance is at a limit of the search up to this relative distance.
+#: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02
 
 
@@ -252,7 +252,7 @@ class Agreement(NamedTuple):
 # Agreement from the table of `analysis beds`; a test compares these figures with the table.
 WITHOUT_CEILING = Agreement(21, 36)
 BELOW_CEILING = Agreement(6, 61)
-#: Interquartile range of the deviation of grains from one mass below a ceiling, percent.
+#: Below a ceiling, the deviations of grains from one mass have this interquartile range, percent.
 INTERQUARTILE_RANGE = (-50, -16)
 #: Diameter of the shot in the grain simulation, m.
 _SHOT_DIAMETER = 2e-3

@@ -19,7 +19,8 @@ from rig.scene.scene import Scene
 EFFECTIVE_DB = 1.0
 #: Number of frequencies over the band, in addition to natural frequencies and peaks.
 _BAND_POINTS = 20
-#: Body acceleration above which dampers are usually effective, computed with the dampers at rest on their floors, g.
+#: Dampers are usually effective if the acceleration of the body exceeds this value, g. This acceleration is computed
+#: with the dampers at rest on their floors.
 _EFFECTIVE_G = 3.0
 
 

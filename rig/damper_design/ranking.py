@@ -17,7 +17,7 @@ EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 IRREGULAR_RATIO = 1.03
 #: Smallest machinable clearance, m: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
-#: Weight of the mean over the levels relative to the worst level in the objective of the search.
+#: In the objective of the search, the mean over the levels has this weight relative to the worst level.
 _MEAN_WEIGHT = 0.01
 
 

@@ -35,11 +35,12 @@ MAX_REFINEMENT_TRIALS = 8
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Maximum number of locations refined by the simplex search at the largest mass.
 MAX_SIMPLEX_LOCATIONS = 2
-#: Largest ratio of the masses of two dampers: large, so that a single damper can dominate if that is the optimum.
+#: The masses of two dampers have at most this ratio. The value is large, so that a single damper can dominate if that
+#: is the optimum.
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
-#: The same ratio for the smaller masses, and for locations with several different dampers.
+#: The same limit for the smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
 #: Maximum number of locations refined for each smaller mass.
 MAX_REFINED_LOCATIONS = 2

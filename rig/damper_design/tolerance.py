@@ -11,14 +11,14 @@ from rig.damper_design.choice import Objective, SearchSpace, Trial
 from rig.damper_design.evaluator import Evaluator
 from rig.results import format_number
 
-#: Rise of the worst peak at the ends of the interval, dB.
+#: At the ends of the tolerance interval, the worst peak is higher by this, dB.
 MAX_RISE_DB = 0.5
 #: Bisection stops when the ratio of its two clearances is below this value.
 _RESOLUTION_RATIO = 1.06
-#: Largest ratio of clearances per outward step.
+#: The search for an end of the interval multiplies or divides the clearance by at most this factor in a step.
 _STEP_RATIO = 1.6
-#: If the chosen clearance is nearer to an end of the interval than this share of its logarithmic width, the middle is
-#: recommended instead.
+#: If the chosen clearance is nearer to an end of the interval than this fraction of the logarithmic width, the middle
+#: is recommended instead.
 _MIN_END_DISTANCE = 0.15
 
 

@@ -43,9 +43,9 @@ from rig.numerics.jit import inlined_kernel, kernel
 
 #: Kinds of contact event: `FLOOR` or `CEILING` if the bed touches that wall; released by its wall; free of overlap.
 RELEASED, FREE = 0, 3
-#: Largest force, relative to the forces of spring and dashpot, that may be a rounding error of their sum.
+#: A contact force may be a rounding error of zero up to this fraction of the forces of spring and dashpot.
 MAX_ZERO_FORCE_RATIO = 1e-6
-#: Largest force, relative to speed times sqrt(stiffness mass), that may be a rounding error of the gap.
+#: A contact force may be a rounding error of the gap up to this fraction of speed times sqrt(stiffness mass).
 GAP_ROUNDING_RATIO = 1e-9
 
 

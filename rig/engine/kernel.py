@@ -59,8 +59,8 @@ MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
 #: that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: Task that is pending after a contact event: none; completion of the break in the log; or, before it, separation of
-#: dampers with a tensile contact force.
+#: What remains to be done after a contact event: nothing; complete the break in the log (`_CLOSE_BREAK`); or, before
+#: this completion, separate the dampers with a tensile contact force (`_SEPARATE_TENSILE`).
 _NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
 #: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
 _SEPARATION_MULTIPLICITY = 3

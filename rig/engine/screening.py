@@ -28,7 +28,7 @@ CONTACT_FORCE, FLOOR_GAP, CEILING_GAP = 0, 1, 2
 #: Largest ratio of the fifth derivative with respect to tau to the bound of the fourth. Both are sums over the terms
 #: tau^k up to k = TERMS - 1; for one term the ratio at tau = 1 is k - 4, at most TERMS - 5.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
-#: Ratio of a new envelope to the magnitudes of the state.
+#: A new envelope is this multiple of the magnitudes of the state.
 ENVELOPE_FACTOR = 2.0
 # A factor, because divisions take longer than multiplications.
 _THIRD = 1.0 / 3.0

@@ -20,15 +20,15 @@ KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
 DEFAULT_POINTS = 48
 #: Default number of rows.
 DEFAULT_ROWS = 36
-#: Relative half-width of the finely spaced band around a natural frequency.
+#: Frequencies are finely spaced within this fraction of a natural frequency on either side.
 RESONANCE_HALF_WIDTH = 0.02
-#: The default range of levels includes at least these multiples of the lowest take-off level.
+#: The default range of levels includes these multiples of the lowest take-off level.
 LEVEL_TO_TAKE_OFF_RATIOS = (0.5, 20.0)
-#: The default range of levels includes at least these multiples of the scene's own level.
+#: The default range of levels includes these multiples of the level of the scene.
 LEVEL_TO_SCENE_LEVEL_RATIOS = (0.5, 4.0)
-#: The default range of clearances includes at least these multiples of the displacement of a damper on its floor.
+#: The default range of clearances includes these multiples of the displacement of a damper on its floor.
 CLEARANCE_TO_DISPLACEMENT_RATIOS = (0.1, 3.0)
-#: The default range of clearances includes at least these multiples of the scene's own clearance.
+#: The default range of clearances includes these multiples of the clearance in the scene.
 CLEARANCE_TO_SCENE_CLEARANCE_RATIOS = (0.1, 5.0)
 
 

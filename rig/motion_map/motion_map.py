@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 #: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: The motion type is determined at this distance from steady state, relative to the motion, or less.
+#: The motion type is determined when the motion deviates from the steady state by at most this fraction.
 STEADY_TOLERANCE = 1e-6
-#: Longest wait, relative to the time in which the slowest mode decays to the tolerance. A motion that has not repeated
-#: by then counts as irregular.
+#: The wait ends after this multiple of the time in which the slowest mode decays to the tolerance. A motion that has
+#: not repeated by then counts as irregular.
 MAX_WAIT_DECAY_TIMES = 3.0
-#: Smallest limit of the wait, periods; a smaller limit would save little time.
+#: The limit of the wait is at least this number of periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000
-#: Largest limit of the wait, periods.
+#: The limit of the wait is at most this number of periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
 #: Colors of `KINDS`: gray for riding, blue for types I, II and III, warm colors for the other types.
 COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")

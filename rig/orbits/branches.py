@@ -32,7 +32,8 @@ SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
 MAX_BRANCHES = 60
 # Relative deviations of two responses below which their orbits are the same: on a branch, or on a branch of one point.
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
-# Relative deviation of responses below which an orbit beyond a border is the neighbor of the orbit at the border.
+# An orbit beyond a border is the neighbor of the orbit at the border if their responses differ by at most this
+# fraction.
 NEIGHBOR_RESPONSE = 0.05
 # An orbit is compared with the end of a branch at this distance from the end, relative to the parameter.
 END_DISTANCE = 1e-3

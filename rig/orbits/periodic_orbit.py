@@ -42,13 +42,13 @@ EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
 # Largest change over a cycle, relative to the motion, before an early attempt. A motion that settles to an orbit within
 # `MAX_ORBIT_DISTANCE` changes less; in designs of dampers for the bundled scenes it was at most 0.15.
 MAX_EARLY_CHANGE = 0.2
-# Largest relative change from period to period of a steady-state motion.
+# A motion is in steady state if it changes by at most this fraction from period to period.
 MAX_STEADY_CHANGE = 1e-7
-# Largest relative change from period to period of an almost periodic motion.
+# A motion is almost periodic if it changes by at most this fraction from period to period.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # A motion settles to an orbit if its relative distance from the orbit is at most this.
 MAX_ORBIT_DISTANCE = 0.05
-# Periods over which the distance from the orbit must decrease.
+# The distance from the orbit must decrease over this number of periods.
 CONFIRMATION_PERIODS = 16
 # Relative distance below which the motion has reached the orbit, so that the distance need not decrease further.
 CLOSE_DISTANCE = 1e-6

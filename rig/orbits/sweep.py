@@ -55,7 +55,7 @@ MAX_CORRECTIONS = 6
 # ratio of successive corrections. In designs of dampers for the bundled scenes, 0.4 % of the predictions that converged
 # exceeded these limits, and 97 % of the predictions that did not converge in six corrections.
 MAX_CORRECTION_RATIO = 0.5
-# Largest error of a prediction, relative to the change from the previous point.
+# A prediction is rejected if its error exceeds this fraction of the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
 # Largest change of an unknown by a prediction, relative to the scale of the unknown. Without this limit, closely spaced
 # points could predict event instants millions of periods ahead, and the propagation would not finish.

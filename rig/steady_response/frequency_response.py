@@ -40,7 +40,7 @@ LEVEL_TOLERANCE = 1e-6
 MAX_LEVEL_TRIALS = 25
 #: Number of periods over which a motion without repetition is averaged.
 IRREGULAR_PERIODS = 16
-#: Largest difference of the compliances of two computations of the same motion, relative to the largest compliance.
+#: Two computations have the same motion if their compliances differ by at most this fraction of the largest compliance.
 SAME_MOTION_TOLERANCE = 1e-5
 
 

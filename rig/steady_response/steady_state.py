@@ -28,7 +28,7 @@ MAX_REPETITION = 8
 COMPARED_PERIODS = 40
 #: Maximum number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
-#: Change per repetition, in tolerances, below which the motion is assumed to converge to this repetition.
+#: The motion is assumed to converge to a repetition if the change per repetition is below this number of tolerances.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 CHANGE_ROUNDING = 2e-14

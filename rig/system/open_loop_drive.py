@@ -23,7 +23,7 @@ from rig.system.hybrid_system import HybridSystem
 
 # Minimum number of frequencies between which the drive per level of a sweep is interpolated.
 _MIN_GAIN_FREQUENCIES = 400
-# Largest relative error of this interpolation.
+# The interpolated drive has a relative error of at most this.
 _MAX_GAIN_ERROR = 1e-3
 # Maximum number of times that an interval of this interpolation is halved.
 _MAX_HALVINGS = 20

@@ -19,7 +19,8 @@ from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FL
 
 #: Event detection at a wall is suspended for this time after a damper leaves it, s: its guard is at rounding level.
 GUARD_PAUSE_S = 2e-5
-#: Events per period after which a solver is stopped: a damper leaves its wall and lands endlessly (chattering).
+#: A solver is stopped after this number of events in a period: a damper leaves its wall and lands endlessly
+#: (chattering).
 MAX_EVENTS_PER_PERIOD = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8

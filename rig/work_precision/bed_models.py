@@ -33,7 +33,7 @@ STEP_RATIOS = (0.1, 0.19)
 SOFTENING_RATIO = 10.0
 #: Periods over which the motion of grains is averaged (a block).
 PERIODS = 20
-#: Maximum number of blocks to reach steady state.
+#: The simulation ends after this number of blocks, even if the motion is not in steady state.
 MAX_BLOCKS = 5
 
 Compliance = NDArray[np.complex128]

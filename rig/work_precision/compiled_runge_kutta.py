@@ -31,7 +31,7 @@ DENSE_WEIGHTS = np.ascontiguousarray(RK45.P)
 MAX_ROOT_ITERATIONS = 60
 #: Tolerance of a root, as a share of the step.
 ROOT_TOLERANCE = 1e-15
-#: Steps per period after which the solver is stopped, because it alternates around one instant.
+#: A solver is stopped after this number of steps in a period, because it alternates around one instant.
 MAX_STEPS_PER_PERIOD = 10_000
 #: Maximum number of dampers; each additional damper doubles the number of matrices.
 MAX_DAMPERS = 8

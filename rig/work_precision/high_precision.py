@@ -40,12 +40,12 @@ DIGITS = 40
 CHECK_DIGITS = 30
 #: The Taylor series loses a negligible number of digits up to this product of rate and step.
 MAX_RATE_STEP = 3.0
-#: A touch with at most this penetration [m] is an impact, not a resumed contact; rounding is 1e-18 m.
+#: A touch is an impact, and not a resumed contact, if the penetration is at most this, m; rounding is 1e-18 m.
 MAX_TOUCH_PENETRATION_M = 1e-13
 #: Newton iterations for an event; they start within the rounding error of the engine, so eight doublings of the digits
 #: suffice.
 EVENT_ITERATIONS = 8
-#: Largest difference between an event's time and the engine's, s.
+#: The time of an event may differ from the time in the engine by at most this, s.
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
 #: Relative step of the difference quotients of an orbit; each Newton iteration gains the same number of digits.
 ORBIT_STEP_RATIO = Decimal("1e-14")

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from analysis.responses.aliasing import aliased_ratios
-from analysis.responses.measurands import motion_of, reference_of, responses
+from analysis.responses.measurands import motion_of, reference_of, response_channels
 from analysis.responses.systematic import ChannelContributions, tolerance
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
@@ -52,7 +52,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 
     names = sweep.lines.channels
     damping = structural_model(rec.scene).damping
-    bodies = {rec.channels[name].at: name for name in responses(rec)}
+    bodies = {rec.channels[name].at: name for name in response_channels(rec)}
     count = len(damping)
     missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
     if missing:

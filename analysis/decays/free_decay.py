@@ -18,7 +18,7 @@ from analysis.decays.sensor_correction import correct_motion
 from analysis.recordings.channel_delay import arrival
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import hits
-from analysis.responses.measurands import motion_channel, responses
+from analysis.responses.measurands import motion_channel, response_channels
 from analysis.responses.systematic import clock_deviation
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
@@ -186,7 +186,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     modes : int, optional
         Maximum number of modes; default: the number of bodies of the structure.
     """
-    names = responses(rec)
+    names = response_channels(rec)
     if not names:
         raise RecordingError(
             f"{rec.path}: no motion channel on a body. Add one to the scene's channels, and record again."

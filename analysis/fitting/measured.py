@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.frequency_responses import annotate, frequency_responses
-from analysis.responses.measurands import reference_of, required_channels, responses
+from analysis.responses.measurands import reference_of, required_channels, response_channels
 from analysis.responses.several_inputs import driven_forces
 from analysis.responses.stepped_sine import sweep_name, sweeps
 from analysis.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
@@ -105,7 +105,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             f"{name}: several shakers were driven at once, but a fit needs responses to one force. Record one "
             "shaker at a time, and fit the recordings together."
         )
-    names = responses(rec)
+    names = response_channels(rec)
     if not names:
         raise RecordingError(
             f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."

@@ -28,7 +28,7 @@ from analysis.presentation.outputs import CommandOutput, check_outputs, output_s
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import opened, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from analysis.responses.measurands import reference_of, responses
+from analysis.responses.measurands import reference_of, response_channels
 from rig.errors import SceneError
 from rig.progress import CountProgress
 from rig.results import format_decimals, round_to_bound
@@ -252,7 +252,7 @@ class MeasurementPoints:
     @classmethod
     def of(cls, path: Path, rec: Recording) -> MeasurementPoints:
         """Return the measurement points of a recording."""
-        names = responses(rec)
+        names = response_channels(rec)
         force_channels, sensors = reference_of(rec, "force").channels, {}
         if len(force_channels) == 1:
             for name in names:

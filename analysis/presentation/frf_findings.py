@@ -21,7 +21,7 @@ from analysis.presentation.outputs import (
     with_recording_name,
 )
 from analysis.recordings.names import opened, relabel
-from analysis.responses.curve_checks import jumps
+from analysis.responses.curve_checks import find_jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
@@ -188,7 +188,7 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     """List the jumps of all curves, without duplicates."""
-    return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in jumps(curve)})
+    return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in find_jumps(curve)})
 
 
 def _without_duplicates(curves: Sequence[Response]) -> list[Response]:

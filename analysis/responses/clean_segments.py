@@ -46,7 +46,7 @@ class Flaw:
         return f"{'samples of ' if self.reason == LOST else ''}{self.channel} {self.reason}"
 
 
-def flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
+def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
     """Return overloads and lost samples of the channels between two samples, sorted by their first sample."""
     all_flaws = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), OVERLOADED)

@@ -55,7 +55,7 @@ def supplies_power(curve: Response) -> bool:
     return returns_energy(mobility.value[valid] * width)
 
 
-def jumps(frf: Response) -> list[tuple[float, str]]:
+def find_jumps(frf: Response) -> list[tuple[float, str]]:
     """Find the frequencies at which a curve jumps from one branch to another.
 
     `frf`: points in the order of measurement. Returns the mean frequency of the two points, Hz, and ``"jump up"`` or
@@ -64,7 +64,7 @@ def jumps(frf: Response) -> list[tuple[float, str]]:
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
     >>> error = np.full(11, 1e-6)
-    >>> jumps(Response.curve(f, value, "body3", error=error, degrees=error + 38))
+    >>> find_jumps(Response.curve(f, value, "body3", error=error, degrees=error + 38))
     [(14.5, 'jump down')]
     """
     if frf.frequency.size < 4:

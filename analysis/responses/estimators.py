@@ -12,7 +12,7 @@ from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.budget import assemble_budget
-from analysis.responses.clean_segments import Flaw, flaws
+from analysis.responses.clean_segments import Flaw, find_flaws
 from analysis.responses.measurands import motion_of, reference_of, reject_zero_reference
 from analysis.responses.random_errors import MeanErrors
 from analysis.responses.systematic import (
@@ -215,7 +215,7 @@ def block_spectra(
     block,).
     """
     names, block_samples = list(channels), window.size
-    all_flaws = flaws(rec, names, starts[0], starts[-1] + block_samples)
+    all_flaws = find_flaws(rec, names, starts[0], starts[-1] + block_samples)
     flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
     frequency = fft.rfftfreq(block_samples, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)

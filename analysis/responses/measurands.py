@@ -49,7 +49,7 @@ def body_names(rec: Recording) -> tuple[str, ...]:
 def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
     """Return names of channels or bodies as a list; by default all channels that measure a body's motion."""
     if not channels:
-        return responses(rec)
+        return response_channels(rec)
     names = [channels] if isinstance(channels, str) else channels
     if not isinstance(names, Iterable) or not all(isinstance(name, str) for name in names):
         raise SceneError(f"channels: got {channels!r:.60}; expected a list of names, such as {', '.join(rec.channels)}")
@@ -61,7 +61,7 @@ def motion_channel_at(rec: Recording, location: str) -> ChannelInfo | None:
     return next((info for info in rec.channels.values() if info.at == location and info.quantity in MOTIONS), None)
 
 
-def responses(rec: Recording) -> list[str]:
+def response_channels(rec: Recording) -> list[str]:
     """Return the names of the channels that measure a body's motion, in the recording's order."""
     return [name for name, info in rec.channels.items() if info.quantity in MOTIONS and info.body]
 
@@ -97,7 +97,7 @@ def motion_channel(rec: Recording, name: str) -> ChannelInfo:
     if info.quantity not in MOTIONS:
         raise RecordingError(
             f"{rec.path}: channel {info.name!r} measures {info.quantity}, not motion. Choose one of "
-            f"{', '.join(responses(rec))}."
+            f"{', '.join(response_channels(rec))}."
         )
     return info
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_segments import describe_flaws, flaws
+from analysis.responses.clean_segments import describe_flaws, find_flaws
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.measurands import motion_channel_at, reference_of
 from analysis.responses.scatter import Scatter
@@ -166,7 +166,7 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     frequency = lines * rec.rate / period_samples
     starts = marker.first_sample + period_samples * np.arange(periods)
     intervals = [(start, start + period_samples) for start in starts.tolist()]
-    all_flaws = [flaws(rec, names, *interval) for interval in intervals]
+    all_flaws = [find_flaws(rec, names, *interval) for interval in intervals]
     clean = [
         interval
         for interval, period_flaws in zip(intervals, all_flaws, strict=True)

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.responses.clean_segments import clean_segments, describe_flaws, flaws, remedy
+from analysis.responses.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
 from analysis.responses.force_pulse import high_passes
 from analysis.responses.local_models.jitter import jitter_factor
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.local_models.low_spectra import low_spectra
-from analysis.responses.measurands import motion_of, reference_of, responses
+from analysis.responses.measurands import motion_of, reference_of, response_channels
 from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError
 from rig.results.response import Response
@@ -87,7 +87,7 @@ class SegmentFits:
 
         `references`: channels of the reference, without which no response can be estimated.
         """
-        all_flaws = flaws(rec, self.channels, self.first, self.stop)
+        all_flaws = find_flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
         segments, memory_notes = self._limit_memory(segments, rec.rate)
@@ -99,7 +99,7 @@ class SegmentFits:
             )
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}
-            others = [name for name in responses(rec) if name in self.channels and name not in flawed]
+            others = [name for name in response_channels(rec) if name in self.channels and name not in flawed]
             advice = f"the test is flawed. {remedy(rec, all_flaws)}, and record again"
             if not all_flaws:
                 advice = "the test is too short to average. Record longer"

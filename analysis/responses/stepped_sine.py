@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from analysis.recordings.slices import PIECE_SAMPLES, read_slices
-from analysis.responses.clean_segments import describe_flaws, flaws
+from analysis.responses.clean_segments import describe_flaws, find_flaws
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, residual_transient
 from analysis.responses.systematic import quantization_steps, reproducible_rounding
@@ -328,7 +328,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         samples = (next(batch_samples) for _ in group)
         frequency = float(marker.fields["frequency"])
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
-        window_flaws = flaws(rec, names, first, stop)
+        window_flaws = find_flaws(rec, names, first, stop)
         if (stop - first) * frequency < 0.99 * rec.rate:
             omissions.setdefault(key, []).append(_Omission(frequency, _TOO_SHORT, _TOO_SHORT))
         elif window_flaws:

@@ -15,7 +15,7 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
-from analysis.responses.clean_segments import describe_flaws, flaws, remedy
+from analysis.responses.clean_segments import describe_flaws, find_flaws, remedy
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
@@ -118,7 +118,7 @@ def sweep_spectra(
     low, high = sorted(float(marker.fields[key]) for key in ("from", "to"))
     frequency = np.geomspace(low, high, _POINTS)
     bounds = [_segment(marker, f, rec.rate, first, stop) for f in frequency]
-    all_flaws = flaws(rec, names, first, stop)
+    all_flaws = find_flaws(rec, names, first, stop)
     is_clean = [
         not any(flaw.first < end and flaw.stop > begin for flaw in all_flaws) and end - begin > 4 * FIT_HALF_WIDTH
         for begin, end in bounds

@@ -86,27 +86,27 @@ class RobotDescription:
         # A message, and the offsets of the time stamp and the height of each part in it.
         self._message_template, self._field_offsets = b"", list[tuple[int, int]]()
         stack, points = Stack(scene, self.exaggeration), list[str]()
-        self._link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
+        self._add_link(WORLD, [((0, 0, -0.01), (0.62, 0.30, 0.02))], GROUND)
         parts = zip(stack.cavities, stack.heights, stack.bottoms, strict=True)
         for body, (body_cavities, height, bottom) in enumerate(parts, 1):
             points.append(f"body {body}")
             boxes = walls(body_cavities) if body_cavities else [((0.0, 0.0, height / 2), (WIDTH, DEPTH, height))]
-            self._link(f"body_{body}", boxes, body_color(body))
-            self._joint(WORLD, f"body_{body}", bottom)
+            self._add_link(f"body_{body}", boxes, body_color(body))
+            self._add_joint(WORLD, f"body_{body}", bottom)
         for table in stack.tables:
             points.append(table.point)
             name = table.point.replace(" ", "_")
-            self._link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
-            self._joint(WORLD, name, table.top)
+            self._add_link(name, [((0, 0, -PLATE / 2), (0.085, 0.085, PLATE))], DRIVE)
+            self._add_joint(WORLD, name, table.top)
         cavity_of_damper = {cavity.damper_index: cavity for body_cavities in stack.cavities for cavity in body_cavities}
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
             (x, y, z), size = cavity_of_damper[number - 1].damper
-            self._link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
-            self._joint(f"body_{damper.body}", f"damper_{number}", WALL)
+            self._add_link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
+            self._add_joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
 
-    def _link(self, name: str, boxes: Sequence[BoxGeometry], color: Color) -> None:
+    def _add_link(self, name: str, boxes: Sequence[BoxGeometry], color: Color) -> None:
         """Add a part of boxes, each with center and size in m of the drawing."""
         rgba = " ".join(f"{component / 255:.3f}" for component in (*color, 255))
         visuals = "".join(
@@ -116,7 +116,7 @@ class RobotDescription:
         )
         self._links.append(f'<link name="{name}">{visuals}</link>')
 
-    def _joint(self, parent: str, child: str, rest_height: float) -> None:
+    def _add_joint(self, parent: str, child: str, rest_height: float) -> None:
         """Let a part move vertically relative to its parent, and append its transform to the message template."""
         self._joints.append(
             f'<joint name="{child}_moves" type="prismatic"><parent link="{parent}"/><child link="{child}"/>'

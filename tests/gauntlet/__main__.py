@@ -28,7 +28,7 @@ MAX_COVERAGE = 0.99
 # The largest fraction applies only to intervals without sensor tolerances. No sensor exceeds its tolerance: intervals
 # with tolerances therefore contain more than 95 %.
 CHECKS_WITHOUT_TOLERANCES = ("responses, as built",)
-OUTCOMES = ("right", "warned", "refused", "wrong")
+OUTCOMES = ("correct", "warned", "refused", "wrong")
 
 
 def main() -> int:
@@ -73,7 +73,7 @@ def print_summary(all_results: list[CheckResult]) -> int:
         "points",
         "within 95 % bounds",
         "median bound",
-        "right",
+        "correct",
         "warned",
         "refused",
         "wrong",

@@ -1,4 +1,4 @@
-"""Input and output of a check: the recorded random scene, and whether one kind of result of the analysis is right."""
+"""Input and output of a check: the recorded random scene, and whether one kind of result of the analysis is correct."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from rig import Scene
 
-Outcome = Literal["right", "warned", "refused", "wrong"]
+Outcome = Literal["correct", "warned", "refused", "wrong"]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ def trial() -> Trial:
 
 
 @pytest.mark.thorough
-def test_determined_values_of_random_scene_are_right(trial: Trial) -> None:
+def test_determined_values_of_random_scene_are_correct(trial: Trial) -> None:
     determined = [value for value in trial.values if value.status == "determined"]
     assert len(draw_scene(SEED, NUMBER).dampers) == 1
     assert {"frequency", "mass_ratio", "clearance"} <= {value.name for value in determined}

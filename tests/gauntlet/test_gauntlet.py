@@ -1,4 +1,4 @@
-"""The analysis is right for one random scene of each kind of test; `make gauntlet` draws hundreds of scenes."""
+"""The analysis is correct for one random scene of each kind of test; `make gauntlet` draws hundreds of scenes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCENE_NUMBERS = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
-def test_results_of_random_scene_are_right(kind: str) -> None:
+def test_results_of_random_scene_are_correct(kind: str) -> None:
     results = run_trial(SEED, SCENE_NUMBERS[kind], kind)
     assert results
-    assert {result.outcome for result in results} == {"right"}
+    assert {result.outcome for result in results} == {"correct"}

@@ -46,7 +46,7 @@ def record_jumps(path, quantity="displacement", noise=2e-8, count=300):
 
 
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
-def test_known_impacts_have_right_times_and_sizes(tmp_path, quantity):
+def test_known_impacts_have_correct_times_and_sizes(tmp_path, quantity):
     path, times, jumps = record_jumps(tmp_path / "a.mcap", quantity)
     with daq.open(path) as rec:
         detected = detect_impacts(rec, "body1")

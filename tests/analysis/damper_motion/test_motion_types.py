@@ -24,7 +24,7 @@ from analysis.damper_motion.energy_balance import energy_per_cycle, impact_energ
 from analysis.damper_motion.free_flight import BodyMotion, restitution
 from analysis.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.presentation.damper_findings import describe_motions, present_dampers
-from analysis.responses.curve_checks import jumps
+from analysis.responses.curve_checks import find_jumps
 from analysis.responses.stepped_sine import sweeps
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError
@@ -103,7 +103,7 @@ def test_missing_channel_is_named(tmp_path):
 def test_linear_resonance_is_not_a_jump(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 105))) as rec:
         for [*curves] in analysis.frequency_responses(rec):
-            assert [jumps(curve) for curve in curves] == [[], [], []]
+            assert [find_jumps(curve) for curve in curves] == [[], [], []]
 
 
 def motion_with(floor, ceiling, **fields):

@@ -75,7 +75,7 @@ def test_clock_error_is_in_frequency_bound(tmp_path):
     assert 2.0 * mode.frequency_error == pytest.approx(0.1, rel=0.01)
 
 
-def test_damping_above_noise_floor_is_right(tmp_path):
+def test_damping_above_noise_floor_is_correct(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", noise=2e-3)) as rec:
         decay = analysis.decay(rec, channel="body3")
     for mode in decay.modes:

@@ -42,7 +42,7 @@ def test_failed_trial_keeps_previous_motion():
     np.testing.assert_allclose(orbits.response(test_scene, level, frequency), expected, rtol=1e-9)
 
 
-def test_continued_motions_have_right_derivatives():
+def test_continued_motions_have_correct_derivatives():
     # With `search=False` the response is continued linearly from the last periodic motion.
     curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
     table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})

@@ -75,7 +75,7 @@ def stepped_path(tmp_path_factory):
         (["dampers"], "no dampers"),
     ],
 )
-def test_error_of_wrong_option_names_right_ones(stepped_path, tmp_path, options, message):
+def test_error_of_invalid_option_names_valid_options(stepped_path, tmp_path, options, message):
     result = CliRunner().invoke(app, [options[0], str(stepped_path), *options[1:], "-o", str(tmp_path)])
     assert message in str(result.exception) + result.output
     assert getattr(result.exception, "exit_code", result.exit_code) == 2

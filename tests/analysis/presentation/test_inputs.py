@@ -121,7 +121,7 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
         ("{kind: impulse, body: 1, peak: 50 N, width: 4 ms}", "hit", "dampers", "analysis decay"),
     ],
 )
-def test_error_names_right_command_for_recording(tmp_path, test, marker_kind, command, suggested):
+def test_error_names_suitable_command_for_recording(tmp_path, test, marker_kind, command, suggested):
     undriven = test.startswith("{kind: free") or test.startswith("{kind: impulse")
     scene = synthetic.scene(test)
     scene = scene.replace(dampers=[{"body": 1, "mass_ratio": 0.1, "clearance": 1e-3}])

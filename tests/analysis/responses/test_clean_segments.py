@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.responses.clean_segments import Flaw, clean_segments, describe_flaws, flaws, remedy
+from analysis.responses.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
 from daq.recording.markers import Gap, Marker
 from daq.signal_chain.channel import ChannelInfo
 
@@ -45,7 +45,7 @@ def test_clean_segments_exclude_overloads_and_gaps(rec, used_channels, first, le
     for gap in rec.gaps:
         if used_channels & set(gap.channels):
             flawed_samples |= set(range(gap.first_sample, gap.last_sample + 1))
-    listed_flaws = flaws(rec, used_channels, first, stop)
+    listed_flaws = find_flaws(rec, used_channels, first, stop)
     segments = clean_segments(listed_flaws, first, stop)
     clean_samples = [sample for begin, end in segments for sample in range(begin, end)]
     assert clean_samples == [sample for sample in range(first, stop) if sample not in flawed_samples]

@@ -154,7 +154,7 @@ def test_damper_flies_where_its_body_exceeds_gravity() -> None:
 
 
 @pytest.mark.thorough
-def test_largest_level_is_right_with_flying_damper() -> None:
+def test_largest_level_is_correct_with_flying_damper() -> None:
     damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
     test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}
     scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))

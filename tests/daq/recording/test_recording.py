@@ -462,7 +462,7 @@ def test_overlapping_blocks_are_rejected(tmp_path, second_start):
         record(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + b"x"),
     ],
 )
-def test_malformed_message_with_right_checksum_is_rejected(tmp_path, messages):
+def test_malformed_message_with_correct_checksum_is_rejected(tmp_path, messages):
     path = write_messages(tmp_path / "n.mcap", messages, 10**9)
     with pytest.raises(RecordingError, match=r"n\.mcap"):
         daq.open(path)

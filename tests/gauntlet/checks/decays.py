@@ -36,7 +36,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     worst = float(np.max(abs(mode.damping / true - 1.0)[is_known], initial=0.0))
     outcome: Outcome = "warned" if decay.warnings else "wrong"
     if inside.sum() >= MIN_COVERAGE * inside.size:
-        outcome = "right"
+        outcome = "correct"
     bound = float(np.median((1.96 * mode.damping_error / mode.damping)[is_known])) if is_known.any() else np.nan
     note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(f" [{text}]" for text in decay.warnings)
     return [CheckResult("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]

@@ -42,17 +42,19 @@ def check(case: Case, kind: str) -> list[CheckResult]:
         time, jump = true_impacts(case, number)
         is_compared = (time > low) & (time < high) & detectable(time, jump, detected)
         is_compared &= ~_is_in_excluded_interval(time, detected.unsearched)
-        _, right, is_detected = score(detected.time, time, _max_distance(detected, recording.rate))
-        n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
-        if detected.contact_duration and right.any():
-            right[right] = _agrees_within_errors(detected, right, time, jump, recording.channels[detected.channel])
-            is_detected = score(detected.time[right], time, _max_distance(detected, recording.rate))[2]
-            n_false = int(np.sum(~right & (detected.time > low) & (detected.time < high)))
+        _, is_match, is_detected = score(detected.time, time, _max_distance(detected, recording.rate))
+        n_false = int(np.sum(~is_match & (detected.time > low) & (detected.time < high)))
+        if detected.contact_duration and is_match.any():
+            is_match[is_match] = _agrees_within_errors(
+                detected, is_match, time, jump, recording.channels[detected.channel]
+            )
+            is_detected = score(detected.time[is_match], time, _max_distance(detected, recording.rate))[2]
+            n_false = int(np.sum(~is_match & (detected.time > low) & (detected.time < high)))
         n_detected, n_missed = int(np.sum(is_detected & is_compared)), int(np.sum(~is_detected & is_compared))
         matched_points += 2 * n_detected
         points += 2 * n_detected + n_missed + n_false
         notes.append(f"a{damper.body}: {n_detected} detected, {n_missed} missed, {n_false} false")
-    outcome = "right" if matched_points >= MIN_F1_SCORE * points else "wrong"
+    outcome = "correct" if matched_points >= MIN_F1_SCORE * points else "wrong"
     return [CheckResult("impacts", kind, outcome, matched_points, points, note="; ".join(notes))]
 
 

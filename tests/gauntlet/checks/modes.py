@@ -57,7 +57,7 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckR
         ]
     ).reshape(-1, 2)
     is_separated = kind not in _CLOSE_MODES or {0, 1} <= {j for _, j in matched}
-    outcome: Outcome = "right"
+    outcome: Outcome = "correct"
     if modes.model_error:
         outcome = "warned"
     elif spurious or not is_separated or np.any(error > MAX_ERROR_SIGMAS):

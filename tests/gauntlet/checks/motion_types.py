@@ -29,7 +29,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare the types of all dampers; points are the frequencies at which the analysis names a type."""
     if kind not in (STEPS, STEPS_FINITE_CONTACT):
         return []
-    right, points, n_with_type, notes = 0, 0, 0, []
+    n_correct, points, n_with_type, notes = 0, 0, 0, []
     for sweep in sweeps(case.recording):
         for number, damper in enumerate(case.scene.dampers, 1):
             motions = damper_motion(case.recording, sweep, f"a{damper.body}")
@@ -38,12 +38,12 @@ def check(case: Case, kind: str) -> list[CheckResult]:
                 n_with_type += true in TYPE_NAMES
                 if motion.name in TYPE_NAMES:
                     points += 1
-                    right += motion.name == true
+                    n_correct += motion.name == true
                     if motion.name != true:
                         notes.append(f"a{damper.body} at {motion.frequency:.4g} Hz: {motion.name}, true {true}")
-    outcome = "right" if right == points else "wrong"
+    outcome = "correct" if n_correct == points else "wrong"
     notes.append(f"{points} of {n_with_type} named")
-    return [CheckResult("motion_types", kind, outcome, right, points, note="; ".join(notes))]
+    return [CheckResult("motion_types", kind, outcome, n_correct, points, note="; ".join(notes))]
 
 
 def _true_type(case: Case, number: int, frequency: float, first: int, stop: int) -> str:

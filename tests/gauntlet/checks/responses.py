@@ -35,8 +35,8 @@ ReceptanceFunction = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
 # Smallest fraction of the lines of a scene within their intervals.
 MIN_COVERAGE = 0.7
-# With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also right if the joint probability of its errors
-# under correct intervals exceeds this.
+# With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also correct if the joint probability of its
+# errors under correct intervals exceeds this.
 MIN_PROBABILITY = 1e-4
 # A line is misleading if its error exceeds both this multiple of its bound and `MISLEADING_ERROR`.
 MISLEADING_BOUNDS = 3.0
@@ -123,7 +123,7 @@ class _Tally:
         """Return the result on all added curves, given the warnings of the analysis."""
         lines = self.points + self.unresolved + self.unsteady
         covered = self.inside >= MIN_COVERAGE * self.points or self.probability > MIN_PROBABILITY
-        is_right = covered and self.misleading <= MAX_MISLEADING_FRACTION * self.points
+        is_correct = covered and self.misleading <= MAX_MISLEADING_FRACTION * self.points
         outcome: Outcome
         if self.unresolved > MAX_UNRESOLVED_FRACTION * lines:
             outcome = "refused"
@@ -132,10 +132,10 @@ class _Tally:
         ):
             outcome = "warned"
         else:
-            outcome = "right" if is_right else "wrong"
+            outcome = "correct" if is_correct else "wrong"
         note = "; ".join(self.notes) + "".join(f" [{text}]" for text in dict.fromkeys(warnings))
         # The lines of refused curves, and of curves with a warning, do not count.
-        counted = outcome in ("right", "wrong")
+        counted = outcome in ("correct", "wrong")
         return CheckResult(
             self.name,
             kind,

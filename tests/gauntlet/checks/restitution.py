@@ -33,7 +33,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
             CheckResult(
                 "restitution",
                 kind,
-                "right" if error < MAX_ERROR_SIGMAS else "wrong",
+                "correct" if error < MAX_ERROR_SIGMAS else "wrong",
                 int(error < COVERAGE_FACTOR),
                 1,
                 note=note,

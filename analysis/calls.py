@@ -190,7 +190,7 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
 
 
 def compare(recordings: Sequence[OneRecording], progress: CountProgress | None = None) -> Comparison:
-    """Compare height and frequency of resonance peaks with those of the first recording, as `analysis compare`."""
+    """Compare height and frequency of resonance peaks with the first recording, like `analysis compare`."""
     from analysis.presentation.comparison import compare_peaks
 
     return compare_peaks(_paths(recordings), progress)

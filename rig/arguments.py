@@ -63,7 +63,7 @@ Overwrite = Annotated[
 def load_scene(scene: str, changes: Sequence[str] | None) -> Scene:
     """Load the scene of a command and apply its changes.
 
-    Raises `SceneError` as `rig.load`.
+    Raises the errors of `rig.load`.
     """
     from rig.scene.loading import load_with_options
 

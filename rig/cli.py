@@ -397,7 +397,7 @@ def design(
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Choose mass, clearance and place of dampers.
+    """Choose mass, clearance and location of dampers.
 
     The choice minimizes the highest peak over all levels. An interrupted run continues when it is started again.
 

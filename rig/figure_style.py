@@ -142,7 +142,7 @@ def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
 
 
 def log_axis(axes: Axes, values: Any, max_decades: float = 7.0) -> None:
-    """Set up a logarithmic vertical axis of 1 to `max_decades` decades around the positive ones of some values."""
+    """Set up a logarithmic vertical axis of 1 to `max_decades` decades that contains the positive values."""
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
     if not values.size:
@@ -252,7 +252,7 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 
 
 def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:
-    """Write a figure as `save_figure`, and its table (the first row is the header); return the three paths.
+    """Write a figure by `save_figure`, and its table, whose first row is the header; return the three paths.
 
     Raises `SceneError`, `RunError` if a file cannot be written.
     """

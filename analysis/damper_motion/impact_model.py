@@ -371,7 +371,7 @@ def _filters(acceleration_responses: Array, integrations: int, rate: float) -> l
             without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
         basis, r_factors = np.linalg.qr(without_smooth)
         filters = np.swapaxes(basis, 1, 2)
-        # Summation by parts: these filters give the same outputs from the differences as `basis` from the responses.
+        # By summation by parts, these filters and the differences give the same outputs as `basis` and the responses.
         for _ in range(integrations + 2):
             filters = -np.cumsum(filters, axis=-1)[..., :-1]
         filters_of_orders.append((np.ascontiguousarray(filters), r_factors))

@@ -97,7 +97,7 @@ def fit_within(
     noise: Deviations,
     iterations: int = ITERATIONS,
 ) -> tuple[list[Jump], float]:
-    """Fit jumps as `fit_group` does, to a range of differences; a single iteration keeps their times fixed."""
+    """Fit jumps to a range of differences by the method of `fit_group`; a single iteration keeps their times fixed."""
     first, last = difference_range
     readings = model.readings(residual[first:last])
     times = initial_times = np.array([jump.time for jump in group])

@@ -89,7 +89,7 @@ class DamperMotion:
                 return "I"
             if self.ceiling and self.stays_at_ceiling is not None:
                 return "III" if self.stays_at_ceiling else "II"
-            uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak ones on the ceiling"
+            uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak impacts on the ceiling"
         floor, ceiling = (
             round(count * self.pattern_periods) / self.pattern_periods for count in (self.floor, self.ceiling)
         )

@@ -102,8 +102,8 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     ]
     if len(contradicting) == 1:
         return True, (
-            f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at another place "
-            "than in the scene. Without it the scene fits. Check its mounting and its channel settings."
+            f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at another "
+            "location than in the scene. Without this channel, the scene fits. Check mounting and settings of the channel."
         )
     return False, (
         "Corrections of a channel's sign, unit or delay, of two swapped channels, and of the form of damping do not "
@@ -303,7 +303,7 @@ def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered:
                 f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"
             )
         else:
-            reason = "the motion of the rig is irregular, or of another type than that of the model"
+            reason = "the motion of the rig is irregular, or has another type than the motion of the model"
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [
         f"{curves.label}: omitted {', '.join(frequencies)} Hz, where {reason}."

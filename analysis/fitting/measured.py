@@ -46,7 +46,7 @@ class Sensor:
     """A physical sensor; equal sensors in several recordings have the same sensitivity error."""
 
     name: str  # of its channel
-    at: str  # place in the scene, such as 'body 2'
+    at: str  # location in the scene, such as 'body 2'
     seed: int  # of the recorded scene, which identifies the individual sensor
     tolerance: float  # relative tolerance of the sensitivity, from the data sheet
 

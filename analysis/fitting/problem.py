@@ -113,7 +113,7 @@ class Group:
 class Problem:
     """Unknowns of a scene, and its residuals relative to the measured curves.
 
-    The unknowns `x`, shape (unknowns,), are those of the parameters, then the sensors, then the clock.
+    The unknowns `x`, shape (unknowns,), belong to the parameters, then to the sensors, then to the clock.
 
     Attributes
     ----------

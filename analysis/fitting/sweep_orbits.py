@@ -158,7 +158,7 @@ class SweepOrbits:
     def _search(
         self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, from_riding: bool
     ) -> OrbitResponse | None:
-        """Search the orbit of point k, as `_OrbitSolver.search`; store the reason if it cannot be computed."""
+        """Search the orbit of point k by `_OrbitSolver.search`; store the reason if the orbit cannot be computed."""
         self.uncovered.pop(k, None)
         try:
             return solver.search(frequency[k], level[k], from_riding)

@@ -238,7 +238,8 @@ class Projection:
     def reduced_jacobian(self, x: Array) -> Array:
         """Return the triangular factor of the residuals and their Jacobian, without its first column: the residuals.
 
-        It is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete ones.
+        This matrix is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete
+        columns.
         """
         jacobian = self.jacobian(x)
         rows = np.concatenate([self.residual(x).reshape(*jacobian.shape[:2], 1), jacobian], axis=2)

@@ -28,7 +28,7 @@ _MIN_RATIO = 0.02
 def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: positions of the
+    `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: locations of the
     outputs. Returns modes with the residues of one input: that whose smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)

@@ -98,7 +98,7 @@ class Comparison(Result):
 
 
 def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) -> Comparison:
-    """Compare each resonance peak of the first recording with those of the others.
+    """Compare each resonance peak of the first recording with the same peak of the other recordings.
 
     `paths`: recordings with frequency responses of one structure. The first sweep (level, direction) of the first
     recording is the baseline; all sweeps of the other recordings are compared with it. Raises `SceneError` if there
@@ -210,7 +210,7 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
 def present_compare(
     paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
 ) -> CommandOutput:
-    """Print and tabulate the results of `compare_peaks`; the default folder is that of the first recording."""
+    """Print and tabulate the results of `compare_peaks`; the default is the folder of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     comparison = compare_peaks(paths, progress)
     with output_stem(paths, output, "compare", "csv") as stem:

@@ -169,7 +169,7 @@ def best_clearance(scene: Scene, force: float, mass_ratio: float, clearances: Ar
 def best_damper(
     scene: Scene, force: float, mass_ratios: Array, clearances: Array, frequencies: Array, trials: int = 30
 ) -> Arrays:
-    """Compute the clearance and mass ratio with the smallest worst peak; returns as `best_clearance`.
+    """Compute the clearance and mass ratio with the smallest worst peak. Returns the entries of `best_clearance`.
 
     The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
     the grid.

@@ -87,7 +87,7 @@ def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
 
 
 def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
-    """Return the remedy for flaws, as a sentence without full stop."""
+    """Return a sentence without full stop that describes the remedy for flaws."""
     reasons = {flaw.reason for flaw in all_flaws}
     limits = []
     for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == OVERLOADED):

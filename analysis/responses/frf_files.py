@@ -181,7 +181,7 @@ def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
 def _ratio(where: str, unit: str) -> tuple[str, float]:
     """Return the motion quantity of a ratio of motion to force, and the SI value of its unit.
 
-    `where`: place in the file, for messages.
+    `where`: location in the file, for messages.
 
     >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))

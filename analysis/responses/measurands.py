@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def find_channel(rec: Recording, name: str) -> ChannelInfo:
-    """Return the channel called `name`, or the channel at that position (``"body 3"``, ``"arm"``, ``"table"``)."""
+    """Return the channel called `name`, or the channel at that location (``"body 3"``, ``"arm"``, ``"table"``)."""
     channels = rec.channels
     if name in channels:
         return channels[name]
@@ -57,7 +57,7 @@ def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> lis
 
 
 def motion_channel_at(rec: Recording, location: str) -> ChannelInfo | None:
-    """Return the first motion channel at a position (``"body 1"``, ``"table"``), or None."""
+    """Return the first motion channel at a location (``"body 1"``, ``"table"``), or None."""
     return next((info for info in rec.channels.values() if info.at == location and info.quantity in MOTIONS), None)
 
 
@@ -180,6 +180,6 @@ def reject_zero_reference(rec: Recording, reference: str, amplitude: NDArray[np.
 
 
 def _places(rec: Recording) -> str:
-    """List the channels of a recording with their quantities and places, for messages."""
+    """List the channels of a recording with their quantities and locations, for messages."""
     channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
     return f"it has {', '.join(channels) or 'no channels'}"

@@ -33,7 +33,7 @@ def body_color(body: int) -> Color:
 
 
 def channel_color(at: str) -> Color:
-    """Return the color of a channel with a sensor at a position such as ``body 2``.
+    """Return the color of a channel with a sensor at a location such as ``body 2``.
 
     >>> channel_color("body 2") == body_color(2)
     True

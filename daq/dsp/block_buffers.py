@@ -22,7 +22,7 @@ class SharedScratch:
 
 
 class Overlap:
-    """Keeps the last `length` samples of the previous block before the next block, as a filter needs; zero at first.
+    """Keeps the last `length` samples of the previous block for a filter of the next block; at first they are zero.
 
     >>> overlap = Overlap(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):

@@ -163,7 +163,7 @@ def _propagate_first_order(pole: float, initial: float, inputs: Array, values: A
 def _propagate_second_order(
     transition: Array, begin: int, state: Array, inputs_x: Array, inputs_y: Array, values_x: Array, values_y: Array
 ) -> None:
-    """Propagate both states of a second-order section, x and y; fill in their values as `_propagate_first_order`.
+    """Propagate both states of a second-order section, x and y; write their values like `_propagate_first_order`.
 
     `begin`: index of x; `inputs_x`, `inputs_y`: contributions over each interval.
     """

@@ -94,7 +94,7 @@ class Station:
         return np.zeros((len(self.inputs), samples))
 
     def motion_row(self, place: str) -> int:
-        """Return the row of the first channel that measures motion at a place, such as ``body 1``."""
+        """Return the row of the first channel that measures motion at a location, such as ``body 1``."""
         for row, info in enumerate(self.channels):
             if info.at == place and info.derivative is not None:
                 return row

@@ -167,7 +167,7 @@ class SteadyTone(Tone):
     def settle_and_mark(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float, fields: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
-        """Settle as `settle`, and mark the interval in the recording; return the result of `settle`.
+        """Call `settle`, and mark the interval in the recording; return the result of `settle`.
 
         `fields`: further fields of the marker.
         """

@@ -31,7 +31,7 @@ class Expectation:
     limited_by: str = ""  # part that has this limit, such as "sensor"
     overloaded: bool = False  # whether the limit is exceeded in the test
     recorded: float = np.nan  # largest reading in the recording; only for a channel
-    driven: float | None = None  # largest value after the power-on transient; None: the same as `largest`
+    driven: float | None = None  # largest value after the power-on transient; None: equal to `largest`
 
     @property
     def driven_share(self) -> float:

@@ -120,7 +120,7 @@ class BackgroundTest:
             return
         n_samples = self._block_drive.shape[1]
         received = np.concatenate(self._readings, axis=1)[:, -n_samples:]
-        # With delay compensation, the first block has fewer samples; the missing ones are set to zero.
+        # With delay compensation, the first block has fewer samples; the missing samples are set to zero.
         readings = np.zeros((received.shape[0], n_samples))
         readings[:, n_samples - received.shape[1] :] = received
         self._station.now += n_samples

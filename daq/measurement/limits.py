@@ -137,7 +137,7 @@ class Limits:
 
 
 def controlled_places(scene: Scene) -> tuple[str, ...]:
-    """Return the places whose channels measure the controlled spring force; empty if no spring force is controlled."""
+    """Return the locations of the channels for the controlled spring force; empty if no force is controlled."""
     shaker = scene.driven_shaker
     if shaker is None or shaker.kind == "force" or getattr(scene.test, "force", None) is None:
         return ()

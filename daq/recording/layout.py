@@ -97,7 +97,7 @@ class Timebase:
         return self.start_ns + (doubled_interval * sample + numerator) // divisor
 
     def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
-        """Return the times of samples in nanoseconds, as exact as `time_ns`."""
+        """Return the times of samples in nanoseconds, with the accuracy of `time_ns`."""
         doubled_interval, numerator, divisor = self._ratio
         # Python's integers are used, because the products overflow 64 bits.
         times = (np.array([*samples], object) * doubled_interval + numerator) // divisor + self.start_ns

@@ -67,7 +67,7 @@ def varint(number: int) -> bytes:
 
 
 def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
-    """Encode numbers in `size` bytes each, at least as many as `varint` needs; shape (numbers, bytes).
+    """Encode each number in `size` bytes; shape (numbers, bytes). `varint` must not need more bytes.
 
     >>> varints(np.array([300, 1], np.uint64), 2).tolist()
     [[172, 2], [129, 0]]

@@ -192,8 +192,8 @@ class Recorder:
     def mark(self, kind: str, first_sample: int, last_sample: int | None = None, **fields: Any) -> None:
         """Mark an event at a sample, or over a range of samples, both ends inclusive.
 
-        `kind` is such as `settle`, `measure` or `hit`; `fields` are further data in SI units. For a reproducible file,
-        mark the event at the same `position` each time.
+        `kind`: kind of the marker, such as `settle`, `measure` or `hit`; `fields`: further data in SI units. For a
+        reproducible file, mark the event at the same `position` each time.
         """
         self._require_open()
         marker = Marker(kind, int(first_sample), None if last_sample is None else int(last_sample), fields)

@@ -61,7 +61,7 @@ class Info(Result):
         return self.lines[0]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Name, place, quantity, unit and sensitivity (V per unit) of each channel."""
+        """Name, location, quantity, unit and sensitivity (V per unit) of each channel."""
         infos = self.channels.values()
         return {
             "name": np.array(list(self.channels), dtype=np.str_),
@@ -170,7 +170,7 @@ def _duration(recording: Recording) -> str:
 
 
 def _position(recording: Recording, at: str) -> str:
-    """Return the position of a channel; a body has its name if the scene specifies it."""
+    """Return the location of a channel; a body has its name if the scene specifies the name."""
     try:
         return recording.outline.label(at)
     except ShotrigError:

@@ -34,7 +34,7 @@ MIN_CLEARANCE_RATIO = 0.03
 #: Default largest clearance, relative to the largest displacement without dampers at the largest level. Effective
 #: dampers reduce the displacement to a tenth to a third of that, and need about twice as much clearance.
 MAX_CLEARANCE_RATIO = 1.5
-#: Default limit of the added mass (`budget`), as a share of the structure's mass.
+#: By default, the added mass (`budget`) is at most this fraction of the mass of the structure.
 DEFAULT_MASS_RATIO = 0.05
 
 

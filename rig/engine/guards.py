@@ -109,7 +109,7 @@ def _gap_series(
 
 @inlined_kernel
 def _force_series(model: Model, state: State, workspace: Workspace, j: int, length: float) -> tuple[int, float]:
-    """Fill `workspace.guard_series` with a contact force per mass, m/s^2; return the same as `_gap_series`."""
+    """Fill `workspace.guard_series` with a contact force per mass, m/s^2; return the values of `_gap_series`."""
     series = workspace.guard_series
     row = model.velocity_index[j]
     sign = 1.0 if state.contact[j] == FLOOR else -1.0

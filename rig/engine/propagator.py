@@ -223,7 +223,7 @@ class Propagator:
         return Trajectory(*states, *self._take_log()) if self.log.counts[:2].any() else None
 
     def sample_motion(self, drive: Array, interval_steps: float, motion: MotionSamples, column: int) -> Trajectory:
-        """Propagate as `propagate_samples`, and store the motion in `motion` from a column on, but no states."""
+        """Propagate like `propagate_samples`; store the motion in `motion` from a column on, but store no states."""
         motion.first_column[0] = column
         rows = np.arange(column, column + drive.shape[1] - 1)
         return self._run(Segments(np.array([interval_steps]), _EVERY_SEGMENT, drive, rows), self._no_states, motion)

@@ -49,7 +49,7 @@ class CoupledState(NamedTuple):
 
 
 class CoupledPropagator:
-    """Propagates a system with beds of grains; otherwise as `rig.engine.propagator.Propagator`.
+    """Propagates a system with beds of grains; has the interface of `rig.engine.propagator.Propagator`.
 
     `interval`: sample interval of the drive, s.
 
@@ -186,7 +186,7 @@ class CoupledPropagator:
         )
 
     def sample_motion(self, drive: Array, interval_steps: float, samples: MotionSamples, column: int) -> Trajectory:
-        """Propagate as `Propagator.sample_motion`, whose interface requires `interval_steps`; it is not used here."""
+        """Propagate like `Propagator.sample_motion`; `interval_steps` is not used, but belongs to the interface."""
         trajectory, beds = self.propagate_steps(interpolate_drive(drive, self.substeps))
         self.fill_samples(samples, column, trajectory, beds)
         return self.at_samples(trajectory)

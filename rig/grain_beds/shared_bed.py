@@ -40,7 +40,7 @@ class PartOfBed(Bed):
     """The grains of a bed on one rank; forces and motion are those of all grains."""
 
     def state_bytes(self) -> bytes:
-        """Return the state as `Bed.state_bytes`, and continue from it.
+        """Return the state in the format of `Bed.state_bytes`, and continue from this state.
 
         This distributes the grains over the ranks in the same way as in a resumed bed, which then has the same motion.
         """

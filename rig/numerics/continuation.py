@@ -137,7 +137,7 @@ def solve_with_tangent(
 
 
 def solve_at(equations: Equations, x: Vector, parameter: float, scale: Vector, steps: Steps | None = None) -> Vector:
-    """Solve the equations for a given value of the parameter, as `solve_with_tangent`, and return the solution."""
+    """Solve the equations for a given value of the parameter by `solve_with_tangent`; return only the solution."""
     return solve_with_tangent(equations, x, parameter, scale, steps)[0]
 
 

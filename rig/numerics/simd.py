@@ -60,7 +60,7 @@ def load(context: Any, builder: Any, array_type: Any, array: Any, index: Any) ->
 
 
 def store(context: Any, builder: Any, array_type: Any, array: Any, index: Any, register: Any) -> None:
-    """Generate the code that stores eight lanes in an array, as `load`."""
+    """Generate the code that stores eight lanes in an array; parameters as in `load`."""
     builder.store(register, _register_pointer(context, builder, array_type, array, index)).align = 8
 
 

@@ -57,7 +57,7 @@ _DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 
 @dataclass(frozen=True)
 class Point:
-    """Output or input of a response: channel, quantity and place.
+    """Output or input of a response: channel, quantity and location.
 
     `quantity`: ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement),
     or ``"ratio"`` of two responses.
@@ -205,7 +205,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def input(self) -> str:
-        """Inputs and their places: ``force at body 1``."""
+        """Inputs and their locations: ``force at body 1``."""
         return " and ".join(
             f"{point.quantity} at {point.place}" if point.place else point.quantity for point in self.inputs
         )
@@ -217,7 +217,7 @@ class Response(Result, Sequence["Response"]):
 
     @property
     def is_driving_point(self) -> bool:
-        """Whether the output is at the place of the force (all directions are vertical)."""
+        """Whether the output is at the location of the force (all directions are vertical)."""
         return self.reference == "force" and bool(self.input_at) and self.output_at == self.input_at
 
     @property
@@ -282,7 +282,7 @@ class Response(Result, Sequence["Response"]):
         Parameters
         ----------
         output : str
-            Channel or place.
+            Channel or location.
         frequency : float or str
             Hz, or a text with a unit.
         force : str, optional
@@ -460,7 +460,7 @@ class Response(Result, Sequence["Response"]):
         Parameters
         ----------
         nodes : sequence of int, optional
-            Nodes of the outputs; omitted: from their places (``body 3`` is node 3), or numbered from 1.
+            Nodes of the outputs; omitted: from their locations (``body 3`` is node 3), or numbered from 1.
         driven : sequence of int
             Nodes of the inputs.
 
@@ -669,7 +669,7 @@ class Response(Result, Sequence["Response"]):
         return replace(self, uncertainty=self.uncertainty.without(*names))
 
     def placed(self, output: str, force: str) -> Response:
-        """Set the places of a curve's output and input."""
+        """Set the locations of output and input of a curve."""
         return replace(
             self, outputs=(replace(self.outputs[0], place=output),), inputs=(replace(self.inputs[0], place=force),)
         )
@@ -680,13 +680,13 @@ class Response(Result, Sequence["Response"]):
 
 
 def _node(place: str, number: int) -> int:
-    """Return the node of a place: 3 for ``body 3``, `number` for a body with a name."""
+    """Return the node of a location: 3 for ``body 3``, `number` for a body with a name."""
     last = place.rpartition(" ")[2]
     return int(last) if place.startswith("body ") and last.isdigit() else number
 
 
 def _index(points: Sequence[Point], name: str, kind: str) -> int:
-    """Return the index of the point with a name, or of the only point at a place."""
+    """Return the index of the point with a name, or of the only point at a location."""
     matches = [k for k, point in enumerate(points) if point.name == name]
     for place in (name.removeprefix("body "), name):
         matches = matches or [k for k, point in enumerate(points) if point.place == place]

@@ -78,7 +78,7 @@ def format_quantity(value: float, bound: float, unit: str) -> str:
 
 
 def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
-    """List the chosen frequencies in Hz, adjacent ones as ranges; more than 8 ranges are summarized by a count.
+    """List the chosen frequencies in Hz; adjacent frequencies form ranges. More than 8 ranges become a count.
 
     >>> format_frequencies([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
     '10 and 12.5 to 20 Hz'

@@ -63,7 +63,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
 def load_with_options(scene: str, settings: Iterable[str]) -> Scene:
     """Load a scene with changes ``KEY=VALUE`` from a command line, shown in messages as ``--set KEY=VALUE``.
 
-    Raises `SceneError` as `load`.
+    Raises the errors of `load`.
     """
     return _load(scene, parse_options(settings))
 

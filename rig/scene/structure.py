@@ -76,7 +76,7 @@ class Structure(Settings):
     springs: tuple[Annotated[float, Quantity(STIFFNESS, at_least=0.0)], ...] | None = Field(None, min_length=1)
     """Stiffness of spring j between body j and body j-1, ground for j = 1 [N/m]. 0: not connected."""
     damping: Damping | None = None
-    """Damping of the structure, in one of three forms. None: undamped."""
+    """Damping of the structure, in one of three forms. None: zero damping."""
     matrices: Matrices | None = None
     """Matrices instead of masses and springs."""
     names: tuple[str, ...] | None = Field(None, min_length=1, max_length=MAX_BODIES)

@@ -110,7 +110,7 @@ class GrainsRun:
         )
 
     def motion(self, state: GrainsState) -> tuple[Array, Array, Array, Array]:
-        """Return displacement, velocity, acceleration and gap so far, as `CoupledPropagator.motion_parts`."""
+        """Return displacement, velocity, acceleration and gap so far; shapes as in `CoupledPropagator.motion_parts`."""
         buffer = self.coupled.motion_samples(0)
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
@@ -130,5 +130,5 @@ class GrainsRun:
         return tone_between
 
     def _sampled(self, drive: Array) -> Callable[[int, int], Array]:
-        """Return a function as `_tone` for a sampled drive, shape (inputs, samples)."""
+        """Return the function that `_tone` returns, for a sampled drive of shape (inputs, samples)."""
         return lambda first, last: interpolate_drive(drive[:, first : last + 1], self.coupled.substeps)

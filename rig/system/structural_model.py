@@ -176,7 +176,8 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
 def transmissibility(scene: Scene, frequencies_hz: ArrayLike) -> ComplexArray:
     """Compute the ratio of each body's displacement to the table's, with the coil spring between table and body.
 
-    Returns X / X_0, complex, shape (bodies, frequencies). Errors as `receptance`, and if the scene has no coil spring.
+    Returns X / X_0, complex, shape (bodies, frequencies). Raises the errors of `receptance`, and `SceneError` if the
+    scene has no coil spring.
     """
     frequencies, driven, spring = _validated(frequencies_hz), driven_bodies(scene), coil_spring(scene)
     model = structural_model(scene).with_bed_masses().with_ground_springs(driven, spring)

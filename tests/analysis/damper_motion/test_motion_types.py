@@ -172,7 +172,7 @@ def test_pattern_of_two_periods_has_half_impacts() -> None:
 
 def test_reachable_ceiling_excludes_type_i() -> None:
     motion_type = motion_with(1, 0, may_reach_ceiling_unseen=True).name
-    assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak ones on the ceiling"
+    assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak impacts on the ceiling"
 
 
 def test_patterns_are_described_with_counts() -> None:
@@ -251,7 +251,7 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
         [motion] = damper_motion(rec, sweep, "b2")
-    assert motion.name == "II" or "uncertain" in motion.name or "perhaps weak ones" in motion.name
+    assert motion.name == "II" or "uncertain" in motion.name or "perhaps weak impacts" in motion.name
 
 
 def test_impact_energy_agrees_with_truth(fig9):

@@ -232,7 +232,7 @@ def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
 @pytest.mark.thorough
 def test_jump_is_reported_as_nonlinear(sweep):
     [curves] = analysis.frequency_responses(sweep)
-    # A jump between resonances, as of dampers that lift off.
+    # A jump between resonances, which dampers cause when they lift off.
     jump = np.where(curves[0].frequency > 24.3, 0.8 + 0.3j, 1.0)
     modes = analysis.identify([replace(curve, value=curve.value * jump) for curve in curves])
     assert np.all(modes.damping > 1e-4) and np.all(modes.damping_error < 0.5 * modes.damping)

@@ -1,4 +1,4 @@
-"""Motions in closed form, as `rig.simulation.motion.Motion`, and signal chains that measure them.
+"""Motions in closed form (objects of `rig.simulation.motion.Motion`), and signal chains that measure these motions.
 
 A break is an instant between samples at which an impact changes the velocity abruptly.
 """

@@ -11,7 +11,10 @@ from rig.engine import flow_tables
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])
 def each_table_size(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run a test with tables of series and steps, of steps alone, and without tables, as for ever larger structures."""
+    """Run a test three times: with tables of series and steps, with tables of steps, and without tables.
+
+    The engine uses these tables for small, medium and large structures.
+    """
     monkeypatch.setattr(flow_tables, "_CACHE", OrderedDict())
     if request.param != "series and steps":
         monkeypatch.setattr(flow_tables, "MAX_TABULATED_STATES", 0)

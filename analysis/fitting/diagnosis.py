@@ -103,7 +103,7 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     if len(contradicting) == 1:
         return True, (
             f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at another "
-            "location than in the scene. Without this channel, the scene fits. Check mounting and settings of the channel."
+            "location than in the scene. Without this channel, the scene fits. Check its mounting and settings."
         )
     return False, (
         "Corrections of a channel's sign, unit or delay, of two swapped channels, and of the form of damping do not "

@@ -117,7 +117,8 @@ def overwrite_error(path: Path) -> SceneError:
     if _mark_of(path):
         reason = "was made from another source"
     return SceneError(
-        f"{path} exists and {reason}. It is not replaced. Choose another name or folder with -o, or pass --overwrite."
+        f"{path} exists and {reason}. The file is not replaced. Choose another name or folder with -o, or pass "
+        "--overwrite."
     )
 
 

@@ -142,8 +142,8 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
     -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens.
 
-    The result is NaN for beds of grains, whose impacts are not recorded. It is also NaN if an instant impact acts on
-    other dampers, in the same body or through a full mass matrix.
+    The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instant impact
+    acts on other dampers, in the same body or through a full mass matrix.
     """
     from rig.system.assembly import assemble
     from rig.system.structural_model import structural_model

@@ -133,8 +133,8 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     to at most ``(1 + e) / (1 - e)``. The estimate is the middle of this range, and its error covers the range and all
     rebounds shorter than the resolution of the channel.
 
-    The result is None if too few flights are consistent with the impacts, or if the value is impossible. It is also
-    None for finite-duration contact, because the release is not observed and the pulse that detects the impact
+    The result is None if too few flights are consistent with the impacts, or if the value is impossible. The result is
+    also None for finite-duration contact, because the release is not observed and the pulse that detects the impact
     depends on the restitution.
     """
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
@@ -258,11 +258,11 @@ def _restitution_after_rebound(
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     """Return whether the only damper on a body may reach its ceiling between its floor impacts.
 
-    After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g. It is then in
-    free fall, so that its height above the floor follows from the motion of the body. For finite-duration
-    contact the release is unknown; the flight is then computed backward from the closing speed of the next impact.
-    The height is the largest that the sensor tolerance allows. Its median over the segment is compared with the
-    clearance of the scene.
+    After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g. The damper is
+    then in free fall, so that its height above the floor follows from the motion of the body. For finite-duration
+    contact the release is unknown; the flight is then computed backward from the closing speed of the next impact. The
+    height is the largest that the sensor tolerance allows. Its median over the segment is compared with the clearance
+    of the scene.
     """
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):
         return False

@@ -129,14 +129,15 @@ def detect_impacts(
     The channel's response to a velocity jump is computed from its data sheet, including sensor resonance, integrator,
     averaging and decimation. At every sample, four contributions are fitted by least squares: this response, a step and
     a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbors.
-    An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. It is subtracted and the search
-    is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration contact,
-    the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first contact.
+    An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. The impact is subtracted, and the
+    search is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration
+    contact, the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first
+    contact.
 
     `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
     sample; `samples`: samples of the segment, if already read. Raises `RecordingError` if the channel measures no
-    motion or does not respond to impacts, or if the segment is too short, damaged or zero. It is also raised if the
-    body contains grains, or dampers with different contact durations.
+    motion or does not respond to impacts, or if the segment is too short, damaged or zero. The error is also raised if
+    the body contains grains, or dampers with different contact durations.
     """
     info, pulse, decimation = _impact_channel(rec, channel)
     stop = rec.samples if stop is None else min(stop, rec.samples)

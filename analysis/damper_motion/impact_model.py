@@ -1,7 +1,7 @@
 """Response of a channel to a velocity jump of its body, and the matched filters that detect the jump.
 
 A damper's impact causes a *jump* of the body's velocity, and a *step* and a *kink* (change of slope) of its
-acceleration. The channel's responses to them follow from its data sheet. They are computed at *sub-sample times*,
+acceleration. The responses of a channel follow from its data sheet. The responses are computed at *sub-sample times*,
 because an impact occurs between samples.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:

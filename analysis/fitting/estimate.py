@@ -1,7 +1,8 @@
 """Estimation of a fit's unknowns by nonlinear least squares, and of their covariance.
 
-The *model error* is an assumed error of the model, relative to the local peak of a curve. It is reduced in steps,
-because without it the fit of a narrow resonance far from the solution has no gradient toward the measured resonance.
+The *model error* is an assumed error of the model, relative to the local peak of a curve. The model error is reduced in
+steps, because without it the fit of a narrow resonance far from the solution has no gradient toward the measured
+resonance.
 
 A *group* contains the curves of one sweep or test. An *orbit* is the periodic motion of moving dampers at one point of
 a group (see `problem`).

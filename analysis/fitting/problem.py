@@ -30,8 +30,8 @@ PRIOR_SD = 1.0
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6
-# Relative step of a parameter for derivatives of the matrices. These are linear in all parameters, except that modal
-# damping depends on masses and springs.
+# Relative step of a parameter for derivatives of the matrices. The matrices are linear in all parameters, except that
+# modal damping depends on masses and springs.
 _PARAMETER_STEP = 1e-6
 # Residual assigned to a point where the model has no periodic solution, in standard deviations.
 _FAILED_RESIDUAL = 30.0

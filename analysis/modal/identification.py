@@ -263,9 +263,9 @@ def _remove_spurious_poles(
 ) -> tuple[ModalModel, list[float]]:
     """Remove poles that are not modes; also return their frequencies, Hz.
 
-    A pole is not a mode if its damping is undetermined. It is not a mode either if its peak is small relative to the
-    systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct peak
-    that is narrower than the resolution is accepted although its damping is undetermined.
+    A pole is not a mode if its damping is undetermined. A pole is not a mode either if its peak is small relative to
+    the systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct
+    peak that is narrower than the resolution is accepted although its damping is undetermined.
     """
     rejected: list[float] = []
     while model.poles.size:

@@ -48,8 +48,8 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
 
     They are the largest of three estimates. The first assumes independent errors of all lines and responses. The second
     assumes errors common to responses and neighboring lines, due to force noise, transients or a nonlinear structure
-    (W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708). It is corrected for few data (J. G. MacKinnon, H. White,
-    Journal of Econometrics 29 (1985) 305-325, estimator HC3). The third assumes errors of the reference.
+    (W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708). The estimate is corrected for few data (J. G. MacKinnon,
+    H. White, Journal of Econometrics 29 (1985) 305-325, estimator HC3). The third assumes errors of the reference.
     """
     frequency_error, damping_error = propagate(model.poles, _covariance_factors(curves, model))
     # Errors of random phase shift a pole in any direction of the complex plane. With few lines the estimate in one

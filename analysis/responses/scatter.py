@@ -2,7 +2,7 @@
 
 Computed from the covariance C as ``w C w*``, a variance may be negative due to rounding if C is singular, such as the
 covariance of four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few
-degrees of freedom may be close to zero by chance. They are moderated by the variances of neighboring lines, as
+degrees of freedom may be close to zero by chance. The variances are moderated by the variances of neighboring lines, as
 empirical Bayes estimates [1]_.
 
 References

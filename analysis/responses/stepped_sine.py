@@ -1,8 +1,8 @@
 """Stepped sine and constant tones: lock-in detection of the tone in every measured window.
 
 A *window* is a measured interval of a tone. The tone, its harmonics, offset and slope are fitted to it by least
-squares. It is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a pass
-through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
+squares. The window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
+pass through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ from rig.numerics.fma import factored_sums, fused, weighted_sums
 from rig.numerics.jit import unfused_kernel
 from rig.numerics.simd import LANES, aligned_zeros
 
-# Number of intervals in a stretch, which is processed at once; a multiple of `SUM_BLOCK` (`rig.numerics.fma`). It is
-# long enough for vector instructions, and short enough for the first-level cache.
+# Number of intervals in a stretch, which is processed at once; a multiple of `SUM_BLOCK` (`rig.numerics.fma`). A
+# stretch is long enough for vector instructions, and short enough for the first-level cache.
 STRETCH = 128
 
 

@@ -9,8 +9,8 @@ from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. It is used instead of None, because None may change the number of states of
-# the device's model.
+# A limit that no test reaches, in any unit. This limit is used instead of None, because None may change the number of
+# states of the device's model.
 _NO_LIMIT = 1e8
 # Largest word length of a converter, bits.
 _MAX_BITS = 32

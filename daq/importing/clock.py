@@ -188,7 +188,7 @@ def rate_with_gaps(
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
         warn(
             f"{where} have gaps in {places}, the first before row {missing[0][0] + 1} of the data: {lost_total} "
-            f"samples are missing at {rate:.6g} Hz. They are imported as lost samples."
+            f"samples are missing at {rate:.6g} Hz, and are imported as lost samples."
         )
     return rate
 

@@ -105,7 +105,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
 
 
 def _decompressor() -> Any:
-    """Return the decompressor of this thread. It is cached: creating it takes as long as unpacking 10 kB."""
+    """Return the decompressor of this thread, which is cached: its creation takes as long as unpacking 10 kB."""
     if not hasattr(_thread_local, "zstd"):
         import zstandard
 

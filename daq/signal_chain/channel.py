@@ -24,7 +24,7 @@ class ChannelInfo:
     """A channel as its data sheets describe it: its location, its quantity and its frequency response.
 
     The reading is ``volts / sensitivity``, in `unit`. `response` is the complete linear response of sensor,
-    amplifier and converter. It does not include tolerances, noise, drift and clipping.
+    amplifier and converter. The response does not include tolerances, noise, drift and clipping.
 
     >>> ideal = ChannelInfo("body1", "body 1", "acceleration", sensitivity=1.0, rate=5120.0, average=True)
     >>> ideal.unit, f"{abs(ideal.response(512.0)):.6f}", f"{np.angle(ideal.response(512.0), deg=True):.1f}"

@@ -169,8 +169,7 @@ def format_table(response: BedResponse) -> str:
         [
             *lines,
             "m/N: of the body with the largest motion; other columns: of the first bed, per period of the drive",
-            "landing: mean phase of the floor force after the positive-going zero of the driving force",
-            "flight: share of the time",
+            "landing: mean phase of the floor force after the positive-going zero of the drive; flight: share of time",
             "",
             response.summary(),
         ]

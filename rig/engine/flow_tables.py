@@ -45,8 +45,8 @@ FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
 MAX_STEP_MATRIX_STATES = 400
 #: The matrix of a full step is tabulated up to this number of dampers.
 MAX_STEP_MATRIX_DAMPERS = 6
-#: Largest memory, in bytes, of the step matrices of all configurations of a system with more states. They are faster
-#: than the series if A is dense (modal damping, given matrices).
+#: Largest memory, in bytes, of the step matrices of all configurations of a system with more states. Step matrices are
+#: faster than the series if A is dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20

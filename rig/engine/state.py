@@ -36,7 +36,7 @@ class State(NamedTuple):
 
     The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` is the number of leading
     terms of the guard's power series in time that are exactly zero at this instant: 1 after a rebound, 2 after a
-    separation under tension, 3 after one at zero contact force. It is negative for the gap to the ceiling.
+    separation under tension, 3 after one at zero contact force. The value is negative for the gap to the ceiling.
     `recovering[j]` is the wall that has released damper j (finite-duration contact) while they still overlap.
     """
 

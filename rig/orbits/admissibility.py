@@ -2,7 +2,7 @@
 
 A solution of the orbit equations is a motion only if no other event occurs between its events. Dampers in flight must
 not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it. The distance to each border is its
-*margin*. It is negative beyond the border and smooth across it, so that borders can be located as roots.
+*margin*. The margin is negative beyond the border and smooth across it, so that borders can be located as roots.
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ def _finite_contact_margins(
 
     `length_unit`: g/w^2, m.
 
-    A released damper may still overlap a wall. It must not be pressed again before the overlap ends, which is not an
-    event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are examined
-    twice in order, and only the second round determines the margins.
+    A released damper may still overlap a wall. The damper must not be pressed again before the overlap ends, which is
+    not an event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are
+    examined twice in order, and only the second round determines the margins.
     """
     events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     clearance = equations.clearance[j]

@@ -2,8 +2,9 @@
 
 A *branch* is a curve of orbits with one sequence of events (*plan*). Continuation follows it through folds to the end
 of the range or to a *border*, where the sequence becomes impossible: a grazing impact, a release, a contact of zero
-duration, or two events that change order. Beyond the border another sequence is valid. It is identified by simulation
-from the border, and is then continued in the same way. A *setting* is an operating point: the values of all parameters.
+duration, or two events that change order. Beyond the border another sequence is valid. This sequence is identified by
+simulation from the border, and is then continued in the same way. A *setting* is an operating point: the values of all
+parameters.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The equations of an orbit (a periodic motion): equations of motion in each configuration, and sequence of events.
 
-The state is (coordinates, velocities, further states such as the coil current). It is extended by cos wt, sin wt and 1,
-so that the equations of motion are x' = A x with the *generator* A. Quantities are in SI units.
+The state is (coordinates, velocities, further states such as the coil current). The state is extended by cos wt, sin wt
+and 1, so that the equations of motion are x' = A x with the *generator* A. Quantities are in SI units.
 """
 
 from __future__ import annotations

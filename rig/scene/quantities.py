@@ -135,7 +135,7 @@ def parse(value: Any, kind: Kind) -> float:
     """Read a quantity.
 
     `value`: a number in SI (frequencies in Hz), or text with a number and a unit. `kind`: required kind of quantity.
-    Returns the double nearest to the written value, in the SI unit of its kind. It may be infinite. Raises
+    Returns the double nearest to the written value, in the SI unit of its kind. The result may be infinite. Raises
     `ValueError` if the text is not a number, the unit is unknown or of another kind, or the value is NaN.
 
     >>> parse("0.98 mm", LENGTH)
@@ -285,7 +285,8 @@ def si_text(value: float, kind: Kind) -> str:
 def shortest_notation(value: float, kind: Kind, previous: str | None = None) -> str:
     """Write a quantity with the fewest digits from which `parse` returns the identical double.
 
-    `previous`: the user's notation. It is returned unchanged if its value is the same; otherwise its unit is used.
+    `previous`: the user's notation. This notation is returned unchanged if its value is the same; otherwise its unit is
+    used.
 
     >>> shortest_notation(0.000133, LENGTH), shortest_notation(0.00125, LENGTH, "5e-4 m")
     ('0.133 mm', '0.00125 m')

@@ -1,6 +1,6 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
-Power and dissipation are quadratic forms of the state. They are integrated over every interval between samples and
+Power and dissipation are quadratic forms of the state. Both are integrated over every interval between samples and
 breaks (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
 energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
 

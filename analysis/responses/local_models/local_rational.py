@@ -96,8 +96,8 @@ def local_fit(
 
     `reference`: true spectra of the input, shape (segments, bins). `end_phases`, shape (segments, bins), states how the
     transients of a segment are modeled. It is the phase factor of the segment's first sample if the transients at its
-    beginning and end are separate terms. It is 1 if they are a single term, and 0 if the rig was at rest before the
-    segment. `measured_share`: measured share of the samples; the other samples are zero padding, which correlates
+    beginning and end are separate terms. The value is 1 if they are a single term, and 0 if the rig was at rest before
+    the segment. `measured_share`: measured share of the samples; the other samples are zero padding, which correlates
     neighboring bins. `other_inputs`, shape (inputs, segments, bins): true spectra of other inputs, each with its own
     numerator and the common denominator.
 

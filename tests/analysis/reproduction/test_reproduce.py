@@ -254,7 +254,7 @@ def test_workers_store_all_parts_longest_first(tmp_path: Path) -> None:
 def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
     invalid = PaperPart("wrong", "wrong", exact_orbits, {"scene": rig.load("fig9"), "band": (50.0, 40.0)}, "a part")
 
-    with pytest.raises(SceneError, match="two rising values"):
+    with pytest.raises(SceneError, match="two ascending values"):
         list(compute([invalid], tmp_path))
 
     assert not multiprocessing.active_children()
@@ -294,5 +294,5 @@ def test_sweep_direction_differences_are_reported() -> None:
     upward = {"frequency": frequency, "compliance": magnitude}
     equal = {"frequency": frequency[::-1], "compliance": 1.01 * magnitude[:, ::-1]}
     different = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
-    assert "at most 1.0 %: no branch depends on the direction" in compare_directions(upward, equal)
+    assert "at most 1.0 %, so no branch depends on the direction" in compare_directions(upward, equal)
     assert "more than 5 % at 49.00 Hz" in compare_directions(upward, different)

@@ -188,7 +188,7 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
         ({"dampers": 4}, "expected 1 to 3, at most one for each body listed in bodies"),
         ({"band": (2.0, 3.0)}, "without a natural frequency"),
         ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
-        ({"clearance": (2e-3, 1e-3)}, "the smaller one first"),
+        ({"clearance": (2e-3, 1e-3)}, "the smaller value first"),
         ({"band": 49.0}, "band: got 49 Hz; expected two values"),
         ({"uncertain": (2.0, 0.0)}, "relative uncertainties of damping and stiffness"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),

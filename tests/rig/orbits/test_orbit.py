@@ -329,7 +329,7 @@ def test_error_names_an_invalid_frequency_or_range() -> None:
         periodic_orbit(rig.load("fig9"), -1.0)
     with pytest.raises(SceneError, match="frequency: got 2 values; expected one"):
         periodic_orbit(rig.load("fig9"), [49.0, 50.0])
-    with pytest.raises(SceneError, match="two rising values"):
+    with pytest.raises(SceneError, match="two ascending values"):
         follow_orbits(rig.load("fig9"), "frequency", (50.0, 40.0))
     with pytest.raises(SceneError, match="Give the frequency at which the force is varied"):
         follow_orbits(rig.load("fig9"), "force", (1.0, 2.0))

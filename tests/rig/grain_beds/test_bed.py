@@ -102,6 +102,24 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
     assert separation == pytest.approx(grains.restitution * approach, rel=0.01)
 
 
+def test_mean_restitution_of_grains_is_exact_at_long_steps() -> None:
+    grains = Grains(diameter=2e-3, cavity=2e-2, restitution=0.05, friction=0.0, modulus=1e7, time_step=2e-5)
+    columns = 3e-3 * np.array([(i, j) for i in range(-2, 2) for j in range(-2, 2)])
+    # The upper grain of each pair falls at 0.3 m/s. Contacts begin at different instants of a time step.
+    lower = np.full(16, 0.1)
+    upper = lower + grains.diameter + 0.3 * grains.time_step * (3.0 + np.arange(16) / 16)
+    positions = np.concatenate([np.column_stack([columns, heights]) for heights in (lower, upper)])
+    bed = Bed(Spheres(grains, 32 * GRAIN_MASS, np.inf, 32, 1), positions, np.inf, 0.0, grains.time_step)
+    bed._velocity[16:, 2] = -0.3
+
+    bed.advance(100)
+    before = bed.positions[:, 2].copy()
+    bed.advance()
+    speed = (bed.positions[:, 2] - before) / grains.time_step
+
+    assert np.mean(speed[16:] - speed[:16]) / 0.3 == pytest.approx(grains.restitution, rel=0.01)
+
+
 def test_settled_packing_is_at_rest_and_stored() -> None:
     spheres = spheres_of(with_grains(grains={"spread": "10 %"}))[0]
     positions = settled_positions(spheres)

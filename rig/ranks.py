@@ -116,10 +116,10 @@ class Shared:
         weakref.finalize(self, _released.append, self._number).atexit = False
 
     def __getattr__(self, name: str) -> Any:
-        number = self._number
-        if callable(getattr(type(_parts[number]), name, None)):
-            return lambda *arguments: _execute_on_all_ranks(number, name, arguments)
-        return _execute_on_all_ranks(number, name, None)
+        if callable(getattr(type(_parts[self._number]), name, None)):
+            # The function refers to this object, so that its parts exist until the call.
+            return lambda *arguments: _execute_on_all_ranks(self._number, name, arguments)
+        return _execute_on_all_ranks(self._number, name, None)
 
 
 def _execute_on_all_ranks(number: int, name: str | None, arguments: tuple[Any, ...] | None) -> Any:

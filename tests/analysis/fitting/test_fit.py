@@ -139,11 +139,12 @@ def test_error_above_tolerance_gives_misfit(noisy_sweep):
     with daq.open(noisy_sweep("0.01")) as recording:
         del recording.channels["body3"]
         recording.channels["body2"] = replace(recording.channels["body2"], gain=1 / 1.3)
-        misfit = analysis.fit(recording, scene_with_wrong_masses(), free=["structure.masses"]).misfit
+        result = analysis.fit(recording, scene_with_wrong_masses(), free=["structure.masses"])
+    assert {parameter.status for parameter in result.parameters} == {"roughly"}
     for text in (
         "would need an error of", "its data sheet allows 1 %", "body2 reads 1.3 times", "may also differ from the scene"
     ):  # fmt: skip
-        assert text in misfit
+        assert text in result.misfit
 
 
 @pytest.mark.thorough

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import threading
+from types import SimpleNamespace
 
 import nidaqmx
 import numpy as np
@@ -53,6 +55,22 @@ def pass_time(bench, seconds):
     for _ in range(round(seconds / 0.1)):
         bench.chassis.clock.advance(0.1)
         bench.monitor.catch_up()
+
+
+@pytest.mark.parametrize("bench", ["shaker"], indirect=True)
+def test_stuck_display_does_not_delay_the_bench(bench, monkeypatch):
+    released, monitor = threading.Event(), bench.monitor
+    monkeypatch.setattr(monitor, "_process", lambda *_: released.wait())
+    block = SimpleNamespace(first=0, samples=np.zeros((3, 0)))
+    sends_blocks = threading.Thread(target=lambda: [monitor.on_block(bench.chassis.bench, block) for _ in range(300)])
+    sends_blocks.start()
+    sends_blocks.join(10.0)
+    is_delayed = sends_blocks.is_alive()
+    released.set()
+    sends_blocks.join()
+    monitor.catch_up()
+    # 256 blocks wait, and one may be in the display.
+    assert not is_delayed and monitor.skipped_blocks in (43, 44)
 
 
 def set_controls(bench, **settings):

@@ -3,6 +3,8 @@
 import contextlib
 import socket
 import subprocess
+import threading
+from types import SimpleNamespace
 
 import grpc
 import nidaqmx
@@ -50,6 +52,23 @@ def test_viewer_shows_channels(tmp_path):
         # The viewer displays the quantity in a unit that differs by a power of ten.
         scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
         np.testing.assert_allclose(np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12)
+
+
+def test_stuck_viewer_does_not_delay_the_bench(monkeypatch):
+    released = threading.Event()
+    screen = SimpleNamespace(show_block=lambda block, values: released.wait())
+    monkeypatch.setattr("daq.live_scope.screen.Screen", lambda *_: screen)
+    bench = SimpleNamespace(scene=None, channels=(), rate=1.0, to_units=lambda samples: samples)
+    chassis = SimpleNamespace(bench=bench, listeners=[], changed=threading.Lock())
+    view, block = LiveView(chassis, None), SimpleNamespace(samples=np.zeros((3, 0)))
+    sends_blocks = threading.Thread(target=lambda: [chassis.listeners[0](bench, block) for _ in range(200)])
+    sends_blocks.start()
+    sends_blocks.join(10.0)
+    is_delayed = sends_blocks.is_alive()
+    released.set()
+    sends_blocks.join()
+    view.close()
+    assert not is_delayed
 
 
 @pytest.fixture

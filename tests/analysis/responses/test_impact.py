@@ -10,6 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.responses.hits import Hits
 from daq.importing.channel_table import Column
 from daq.recording.markers import Marker
 from daq.signal_chain.channel import ChannelInfo
@@ -66,6 +67,18 @@ def test_uncertainty_of_single_hit_contains_truth(tmp_path):
         is_within_bound = abs(frf.value - exact[body]) < frf.bound(0.95) + 0.005 * abs(exact[body])
         assert np.mean(is_within_bound[band]) > 0.9
         assert np.isfinite(frf.error).all()
+
+
+def test_force_noise_of_hits_is_its_relative_variance(tmp_path):
+    noise, frequency = 0.3, np.array([5.0, 20.0, 40.0])
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=2, interval=1.0, noise=noise)) as rec:
+        hits = Hits.of(rec)
+        variance = hits.force_noise(rec, [(0, rec.samples)], frequency)
+    samples = np.mean([end - begin + 1 for begin, end in hits.arrivals])
+    pulse = 50.0 * np.sin(np.pi * np.arange(16) / 16)
+    spectrum = np.exp(-2j * np.pi * frequency[:, None] * np.arange(16) / synthetic.RATE) @ pulse
+    # White noise is divided equally between the two quadrature components.
+    np.testing.assert_allclose(variance, 0.5 * samples * noise**2 / (2.0 * abs(spectrum) ** 2), rtol=0.2)
 
 
 def test_measured_rebound_causes_no_error(tmp_path):

@@ -13,6 +13,8 @@ import rig
 from analysis.exporting.results import export_results
 from analysis.presentation.comparison import compare_peaks
 from analysis.presentation.mode_findings import present_modes
+from analysis.modal.modes import Modes
+from analysis.modal.several_references import separate
 from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
 from daq.recording.markers import Marker
 from rig.errors import RecordingError, SceneError
@@ -138,6 +140,20 @@ def test_missing_experiment_omits_realisation(multisine_path):
         rec.markers.remove(last)
         (response,) = analysis.frequency_responses(rec)
     assert "Realization 2 left out: only 1 of its 2 experiments was recorded." in response.warnings
+
+
+def test_shapes_are_of_the_input_that_excites_every_mode():
+    shapes, participation = np.array([[1.0, 1.0], [2.0, -1.0]]), np.array([[1.0, 0.0], [0.7, 0.8]])
+    zeros, residue = np.zeros(2), np.einsum("am,km->akm", shapes, participation).reshape(4, 2) + 0j
+    modes = Modes(
+        frequency=np.array([10.0, 20.0]), frequency_error=zeros, damping=zeros, damping_error=zeros,
+        shape_error=np.zeros((4, 2)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
+        lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=0.0, label="", warnings=(),
+    )  # fmt: skip
+    separated = separate(modes, ("a", "b"), ("f1", "f3"), ("body 1", "body 3"))
+    # The force f1 does not excite the second mode.
+    assert separated.input == "f3"
+    np.testing.assert_allclose(separated.residue, shapes * participation[1], atol=1e-12)
 
 
 @pytest.mark.thorough

@@ -11,10 +11,10 @@ import analysis
 import daq
 import rig
 from analysis.exporting.results import export_results
-from analysis.presentation.comparison import compare_peaks
-from analysis.presentation.mode_findings import present_modes
 from analysis.modal.modes import Modes
 from analysis.modal.several_references import separate
+from analysis.presentation.comparison import compare_peaks
+from analysis.presentation.mode_findings import present_modes
 from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
 from daq.recording.markers import Marker
 from rig.errors import RecordingError, SceneError

@@ -59,7 +59,7 @@ def add_path(path: Path | str) -> Iterator[None]:
 
 
 def suggestion(name: str, names: Iterable[str], otherwise: str = "", n: int = 1, cutoff: float = 0.6) -> str:
-    """Return the question whether one of the nearest names is meant; if none is similar, another text.
+    """Return a question with the names that resemble `name`; without a similar name, return `otherwise`.
 
     >>> suggestion("clearence", ["mass", "clearance"]), suggestion("x", ["mass"], "Give mass.")
     ("Did you mean 'clearance'?", 'Give mass.')

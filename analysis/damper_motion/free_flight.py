@@ -124,10 +124,10 @@ class _WallContact(NamedTuple):
 def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     """Estimate the restitution of the only damper on a body from the impacts in a segment of its channel.
 
-    Between two impacts the damper is in free fall inside a cavity whose motion is measured. The times at which it
-    leaves one wall and meets the next determine its speeds, and so its closing speed w. The flight begins either from
-    rest, when the body falls away from the damper, or with a rebound. The velocity jump of the body is
-    ``(1 + e) w m / (m + M)`` with the masses of damper and body. Masses and clearance are those of the scene.
+    Between two impacts the damper is in free fall inside a cavity whose motion is measured. The times at which the
+    damper leaves a wall and meets the next wall determine the closing speed w. The flight begins either from rest, when
+    the body falls away from the damper, or with a rebound. The velocity jump of the body is ``(1 + e) w m / (m + M)``
+    with the masses m of the damper and M of the body. Masses and clearance are taken from the scene.
 
     Unresolved rebounds, which end before the channel resolves them from their impact, increase the apparent ``1 + e``
     to at most ``(1 + e) / (1 - e)``. The estimate is the middle of this range, and its error covers the range and all

@@ -29,7 +29,7 @@ _ROUNDING = 1e-20
 class Curves:
     """Curves to which a modal model is fitted."""
 
-    frequency: Array  # Hz, rising, shape (n,)
+    frequency: Array  # Hz, ascending, shape (n,)
     value: ComplexArray  # receptances, m/N, shape (responses, n)
     weight: Array  # inverse standard deviations of either quadrature component, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error

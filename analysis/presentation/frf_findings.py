@@ -60,7 +60,7 @@ def present_frf(
     """Draw and tabulate frequency responses; several files are overlaid in one figure for each response.
 
     `output`: folder, by default the folder of the first file; `theory`: add the linear theory; `unit`: unit of files
-    that state none; the other options are as in `frequency_responses`.
+    that give none; the other options are as in `frequency_responses`.
     """
     from analysis.presentation.tables import frf_table
 

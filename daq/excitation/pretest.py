@@ -47,8 +47,8 @@ class ShakerLaw:
     table with a servo has P = (1 + s / w)^2 and Q = 0. P and Q are independent of the structure.
     """
 
-    motion: Array  # coefficients of P, drive/m, rising powers of s
-    force: Array  # coefficients of Q, drive/N, rising powers of s
+    motion: Array  # coefficients of P, drive/m, ascending powers of s
+    force: Array  # coefficients of Q, drive/N, ascending powers of s
     spring: float  # stiffness of the coil spring, N/m
     delay: float  # of the channels relative to the drive, s
     misfit: float  # relative RMS residual of the drive in the pretest

@@ -70,7 +70,7 @@ DRIVER_TEXTS: Mapping[int, str] = {
 
 
 def driver_text(code: int) -> str:
-    """Return the driver's text of a code, its name if the text is not known, or an empty text for an unknown code.
+    """Return the driver's text of a code, its name if the text is not known, or an empty string for an unknown code.
 
     >>> driver_text(-200220), driver_text(-200709), driver_text(-12345)
     ('Device identifier is invalid.', 'Teds sensor not detected.', '')

@@ -102,7 +102,7 @@ class Marker:
 
     kind: str  # `settle`, `measure`, `hit`, `overload`, `gap`, `lost`, ...
     first_sample: int  # index of the first sample
-    last_sample: int | None = None  # index of the last sample, included; None for an instant
+    last_sample: int | None = None  # index of the last sample, inclusive; None for an instant
     fields: Mapping[str, Any] = field(default_factory=dict)  # further fields of this kind of marker, in SI units
 
     @property

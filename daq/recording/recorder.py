@@ -60,8 +60,8 @@ class Recorder:
     path : str or Path
         File to create, in an existing folder.
     scene : Scene, str, Path or mapping
-        Scene to store in the file, or an argument of `rig.load`; its `recording` states how samples are stored and what
-        else is recorded.
+        Scene to store in the file, or an argument of `rig.load`; its `recording` specifies how samples are stored and
+        what else is recorded.
     channels : sequence of ChannelInfo
         Description of each row of the samples.
     rate : float

@@ -65,7 +65,7 @@ class ServedInstrument:
         self._latest_messages[peer, error.code] = format_error(error, task)
 
     def latest_message(self, peer: str, code: int) -> str:
-        """Return the message of the client's latest error with this code, or else the driver's text of the code."""
+        """Return the message of the client's latest error with this code; without one, the text of NI's driver."""
         return self._latest_messages.get((peer, code)) or driver_text(code)
 
 

@@ -46,7 +46,7 @@ class ChannelInfo:
     filter: Mapping[str, float] = field(default_factory=dict)  # fields of `DecimationFilter`; its delay is in `delay`
     volts_per_count: float | None = None  # None if samples are in volts
     range: float | None = None  # full scale of the converter, ± V
-    sensor: Mapping[str, str] = field(default_factory=dict)  # settings of all devices, as text with units
+    sensor: Mapping[str, str] = field(default_factory=dict)  # settings of all devices, as strings with units
 
     @property
     def unit(self) -> str:

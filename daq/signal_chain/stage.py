@@ -65,7 +65,7 @@ def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
 
 
 def data_sheet(device: str, settings: Settings) -> dict[str, str]:
-    """Return the settings of a device that differ from their defaults, as text with units.
+    """Return the settings of a device that differ from their defaults, as strings with units.
 
     >>> from rig.scene.measurement_chain import Accelerometer
     >>> data_sheet("accelerometer", Accelerometer(resonance="30 kHz"))

@@ -154,7 +154,7 @@ def _count_segments(count: int) -> str:
 
 
 def _lost_range_note(recording: Recording) -> str:
-    """Return the error of a recording that lacks almost all samples; an empty text for others."""
+    """Return the error of a recording that lacks almost all samples; an empty string for others."""
     try:
         recording.reject_mostly_lost(0, recording.samples)
     except RecordingError as error:

@@ -49,9 +49,9 @@ class Design(Result):
     Attributes
     ----------
     scene : Scene
-        With these dampers, and a stepped-sine test around the peaks at all levels, for the check.
+        Scene with these dampers. Its test checks the design: a stepped sine around the peaks at all levels.
     added_channels : tuple of str
-        Channels that this test needs and the scene lacked.
+        Channels that this test needs and that the given scene lacked.
     expected : tuple of Expected
         Expected results of that test at each level.
     best : Trial

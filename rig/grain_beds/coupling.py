@@ -1,9 +1,9 @@
 """Beds of grains coupled to the structure: force and motion are exchanged at every time step.
 
-A *bed* is the particles of one damper, here as grains that LAMMPS moves in the frame of their cavity. The structure and
-its other dampers are propagated exactly over a step h under the beds' forces, which are interpolated linearly from F to
-F' over the step. The body therefore receives the impulse (F + F') h / 2. Within rounding error, the walls exert the
-same impulse on the grains in LAMMPS's velocity Verlet scheme.
+A *bed* is the material of one damper, here simulated as grains. LAMMPS moves the grains in the frame of their cavity.
+The structure and its other dampers are propagated exactly over a step h under the forces of the beds. These forces are
+interpolated linearly from F to F' over the step, so the body receives the impulse (F + F') h / 2. In the velocity
+Verlet scheme of LAMMPS, the walls exert the same impulse on the grains, within rounding error.
 
 In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
 step times the body's acceleration is applied at the beginning of the step, and the remainder of the exact change at

@@ -63,7 +63,7 @@ class MotionMap(Result):
     value : ndarray, shape (rows,)
         Level, or clearance of every damper.
     frequency : ndarray, shape (frequencies,)
-        Hz, rising; each motion is continued from the previous frequency of its row.
+        Hz, ascending; each motion is continued from the previous frequency of its row.
     kind : ndarray of int, shape (rows, frequencies)
         Index in `KINDS` of the most complex motion type of the dampers.
     motion : ndarray of str, shape (rows, frequencies)

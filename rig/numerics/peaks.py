@@ -22,7 +22,7 @@ def local_maxima(values: Array) -> NDArray[np.int64]:
 
 
 def distant_maxima(values: Array, distance: int) -> NDArray[np.int64]:
-    """Return the local maxima without those closer than `distance` to a higher one, the highest first considered.
+    """Return the local maxima that are at least `distance` apart; the higher of two close maxima is kept.
 
     >>> distant_maxima(np.array([0.0, 2.0, 1.0, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0]), 3).tolist()
     [3, 7]

@@ -20,7 +20,8 @@ from rig.orbits.track import Track, track_orbit, turning_value
 # Shortest flight, in radians of the drive. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
 MIN_FLIGHT_RAD = 0.02
 
-# Kinds of borders: the first three belong to an event, the others to a damper. Their texts are in `Plan.borders`.
+# Kinds of borders: the first three belong to an event, the others to a damper. Their descriptions are in
+# `Plan.borders`.
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
 FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
 N_BORDER_KINDS = 9  # number of these kinds

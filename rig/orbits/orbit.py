@@ -61,7 +61,7 @@ class Orbit(Result):
     repetition : int
         Length in periods of the drive.
     compliance : ndarray of complex, shape (bodies,)
-        First harmonic of each displacement divided by that of the force [m/N].
+        First harmonic of each displacement, divided by the first harmonic of the force [m/N].
     peak : ndarray, shape (bodies,)
         Half the peak-to-peak value of each displacement [m].
     margin : float

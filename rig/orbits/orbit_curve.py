@@ -51,7 +51,7 @@ class OrbitBranch(Result):
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
-        """First harmonic of each displacement divided by that of the force [m/N], shape (bodies, points)."""
+        """First harmonics of displacements, divided by the first harmonic of the force [m/N]; (bodies, points)."""
         return np.array([orbit.compliance for orbit in self.orbits]).T
 
     @property

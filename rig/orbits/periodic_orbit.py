@@ -36,11 +36,12 @@ MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)
 # Limits of Newton's iteration in an early attempt. The values were tuned on designs of dampers for the bundled scenes.
-# Iterations from a motion that settles to an orbit needed at most 5 corrections. The first was at most 0.5 scales of
-# the unknowns, each of the others less than half the previous one. An iteration that does not converge is expensive.
+# Iterations from a motion that settles to an orbit needed at most 5 corrections. The first correction was at most 0.5
+# scales of the unknowns, and each further correction less than half of the previous correction. An iteration that does
+# not converge is expensive.
 EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
-# Largest change over a cycle, relative to the motion, before an early attempt. A motion that settles to an orbit within
-# `MAX_ORBIT_DISTANCE` changes less; in designs of dampers for the bundled scenes it was at most 0.15.
+# An early attempt is made if the motion changes by at most this fraction over a cycle. A motion that settles to an
+# orbit within `MAX_ORBIT_DISTANCE` changes less: by at most 0.15 in designs of dampers for the bundled scenes.
 MAX_EARLY_CHANGE = 0.2
 # A motion is in steady state if it changes by at most this fraction from period to period.
 MAX_STEADY_CHANGE = 1e-7

@@ -79,7 +79,7 @@ class OrbitResponse(Result):
     value : ndarray, shape (values,)
         Values of the parameter (Hz, N, m, or factor on the mass ratios).
     compliance : complex ndarray, shape (bodies, values)
-        First harmonic of each displacement divided by that of the force [m/N].
+        First harmonic of each displacement, divided by the first harmonic of the force [m/N].
     peak : ndarray, shape (bodies, values)
         Half the peak-to-peak value of each displacement [m].
     orbits : tuple of Orbit or None, length values
@@ -191,7 +191,7 @@ def orbit_response(
     scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
     values : array_like, shape (values,)
-        Values of the parameter, in SI or as text with units, in the order of computation: each starts from the
+        Values of the parameter, in SI or as strings with units, in the order of computation: each starts from the
         motion at the previous value.
     parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
         Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.

@@ -284,7 +284,7 @@ class Response(Result, Sequence["Response"]):
         output : str
             Channel or location.
         frequency : float or str
-            Hz, or a text with a unit.
+            Hz, or a string with a unit.
         force : str, optional
             Input, if there are several.
 

@@ -91,7 +91,7 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
     """Read changes from the `--set` options of a command line.
 
     `settings`: texts ``KEY=VALUE``, with the value as in a scene file; an empty value or `null` removes the key.
-    Raises `SceneError` if a text does not have this form.
+    Raises `SceneError` if a string does not have this form.
 
     >>> [change.value for change in parse_options(["test.force=5N", "structure.masses=[1 kg, 2 kg]", "dampers="])]
     ['5N', ['1 kg', '2 kg'], None]

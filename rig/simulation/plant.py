@@ -35,7 +35,7 @@ class Plant:
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     rate : float or str
-        Samples per second, in Hz or as a text such as ``"5120 Hz"``.
+        Samples per second, in Hz or as a string such as ``"5120 Hz"``.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ class SteadyResponse(Result):
     frequency : ndarray, shape (frequencies,)
         Hz.
     compliance : complex ndarray, shape (bodies, frequencies)
-        First harmonic of each displacement divided by that of the force, m/N; x(t) = Re(X e^{i w t}).
+        First harmonic of each displacement, divided by the first harmonic of the force, m/N; x(t) = Re(X e^{i w t}).
     peak : ndarray, shape (bodies, frequencies)
         Half the peak-to-peak displacement, m.
     force : ndarray, shape (frequencies,)

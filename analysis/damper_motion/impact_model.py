@@ -279,7 +279,7 @@ def _impact_models(
     decay_samples = max((-rate / pole.real for pole in fast_poles), default=0.0)
     contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
     stride = _RESONANCE_STRIDE if phase_per_sample else _FILTER_STRIDE if info.filter and decimation == 1 else 1
-    instants = max(_MIN_INSTANTS_PER_SAMPLE, int(np.ceil(phase_per_sample / _MAX_PHASE_STEP))) * stride
+    instants_per_sample = max(_MIN_INSTANTS_PER_SAMPLE, int(np.ceil(phase_per_sample / _MAX_PHASE_STEP))) * stride
     side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME_S * rate))
     filter_samples = int(np.ceil(_FILTER_WINDOW_SAMPLES / decimation)) if info.filter else 0
     # Samples of the window before and after its sample 0.
@@ -289,14 +289,16 @@ def _impact_models(
     # Additional samples in which the response of the filter decays.
     margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
     until_decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
-    responses = _acceleration_responses(info, integrations, instants, before + margin, until_decayed, pulse, decimation)
+    responses = _acceleration_responses(
+        info, integrations, instants_per_sample, before + margin, until_decayed, pulse, decimation
+    )
     unit_differences = np.diff(responses, 2, axis=-1) / rate**integrations
     in_window = responses[..., margin : margin + before + after]
     filters_of_orders = _filters(in_window, integrations, rate)
     return tuple(
         ImpactModel(
             difference_order=integrations + 2,
-            instants_per_sample=instants,
+            instants_per_sample=instants_per_sample,
             search_stride=stride,
             filters=filters,
             r_factors=r_factors,

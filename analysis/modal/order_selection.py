@@ -167,12 +167,12 @@ def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> flo
     """Compute the misfit around poles, relative to its expected value for noise."""
     bandwidth = 2.0 * half_width(poles)
     frequency = poles.imag / (2 * np.pi)
-    lines = (curves.frequency > np.min(frequency - 2 * bandwidth)) & (
+    is_near = (curves.frequency > np.min(frequency - 2 * bandwidth)) & (
         curves.frequency < np.max(frequency + 2 * bandwidth)
     )
-    n_values = 2 * lines.sum() * curves.value.shape[0]
+    n_values = 2 * is_near.sum() * curves.value.shape[0]
     degrees_of_freedom = max(n_values - curves.unknowns(poles.size), 0.3 * n_values, 1.0)
-    return float(np.sum(abs(model.residual[:, lines]) ** 2) / degrees_of_freedom)
+    return float(np.sum(abs(model.residual[:, is_near]) ** 2) / degrees_of_freedom)
 
 
 def _prune(curves: Curves, model: ModalModel) -> ModalModel:

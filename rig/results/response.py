@@ -704,8 +704,8 @@ def stack(curves: Sequence[Response]) -> Response:
     """Join responses to the same inputs to a response of all outputs; NaN at lines that a response does not have."""
     first = curves[0]
     if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
-        lines = np.unique(np.concatenate([curve.frequency for curve in curves]))
-        curves = [_with_added_lines(curve, lines) for curve in curves]
+        frequency = np.unique(np.concatenate([curve.frequency for curve in curves]))
+        curves = [_with_added_lines(curve, frequency) for curve in curves]
     shape = (curves[0].frequency.size, len(curves), len(first.inputs))
     amplitudes = [curve.amplitude for curve in curves if curve.amplitude is not None]
     return replace(
@@ -723,7 +723,7 @@ def stack(curves: Sequence[Response]) -> Response:
 
 
 def _any_unsteady(curves: Sequence[Response]) -> NDArray[np.bool_] | None:
-    """Return the lines at which a curve is not steady; None if no curve states it."""
+    """Return the lines at which a curve is not steady; None if no curve contains this information."""
     flags = [curve.unsteady for curve in curves if curve.unsteady is not None]
     return np.any(flags, axis=0) if flags else None
 

@@ -35,7 +35,7 @@ FIRST_CALLS = {
     ),
     "periodic orbit": "import rig; rig.periodic_orbit('fig9', 49.6)",
 }
-# Longest elapsed time of the first of these calls, and of all of them, s.
+# The first of these calls takes at most the first of these elapsed times, and all calls together at most the second, s.
 MAX_FIRST_CALL_S = 15.0
 MAX_FIRST_CALLS_S = 45.0
 

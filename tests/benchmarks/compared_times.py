@@ -39,7 +39,7 @@ PARTS_WITH_ALL_EFFECTS = {
         "overload_recovery": "10 ms",
     },
 }  # fmt: skip
-# Largest acceptable processor times of studies, summed over all cores, s.
+# Studies may take at most these processor times, summed over all cores, s.
 MAX_STUDY_SECONDS = {
     "rig map fig9 --points 60 --rows 40": 20.0,
     "rig cost fig9": 20.0,

@@ -35,7 +35,7 @@ SETTINGS = (
 PACKINGS = (1, 2, 3)
 #: Time step in Rayleigh times.
 STEP_RAYLEIGH_TIMES = 0.1
-#: Largest gap between neighboring spheres, in radii: the skin of the neighbor list.
+#: Two spheres are neighbors if the gap between them is at most this, in radii (the skin of the neighbor list).
 SKIN_RADII = 0.3
 #: Indices of the walls.
 FLOOR, CEILING, SIDE = range(3)

@@ -19,7 +19,7 @@ _EXACT_DAMPING_RATIO = 0.002
 # The same for recorded tests, whose curves have noise.
 _NOISY_DISTANCE = 0.01
 _NOISY_DAMPING_RATIO = 0.005
-# Smallest ratio of the contributions of the two modes to a response: a smaller one would hide a mode.
+# The contributions of the two modes to a response have at least this ratio: a smaller ratio would hide a mode.
 _MIN_CONTRIBUTION_RATIO = 0.25
 
 

@@ -33,15 +33,15 @@ from rig.damper_design.worst_peak import Peak
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
-# Number of frequency responses that brute force simulates, as a multiple of the number in the search.
+# Brute force simulates this multiple of the number of frequency responses in the search.
 COST_FACTOR = 20
-# Largest relative excess of the design's peak over the best peak of brute force.
+# The peak of the design may exceed the best peak of brute force by at most this fraction.
 MAX_EXCESS = 0.01
-# Largest difference between the designed and the recorded reduction, dB.
+# The designed and the recorded reduction may differ by at most this, dB.
 MAX_DIFFERENCE_DB = 0.3
 # Fractions of the mass budget that brute force tries.
 _MASS_FRACTIONS = (1.0, 0.7)
-# Number of the best choices of brute force that are computed again on the design's final frequency grid.
+# This number of the best choices of brute force is computed again on the final frequency grid of the design.
 _FINALISTS = 8
 # Distance of the seeds from the seeds of the other random scenes.
 _SEED_OFFSET = 80_000

@@ -23,7 +23,7 @@ TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT = "tone_finite_contact", "steps_finite
 
 
 def draw_finite_contact(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a tone or steps near a mode of the paper's rig with one to three dampers; record the exact motion, too."""
+    """Draw a tone or steps near a mode of the rig with one to three dampers; record the exact motion, too."""
     random = Draw(seed, number)
     damper_bodies = sorted({random.integer(1, 3) for _ in range(random.integer(1, 3))})
     natural_frequency = random.choice(_NATURAL_FREQUENCIES_HZ)

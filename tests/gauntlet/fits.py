@@ -34,13 +34,13 @@ from rig.errors import ShotrigError
 from rig.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
-# Largest relative error of a determined value, by the last part of its key in the scene file.
+# A determined parameter has at most this relative error, by the last part of its key in the scene file.
 MAX_ERRORS = {"modal": 0.03, "alpha": 0.03, "beta": 0.03, "clearance": 0.02, "mass": 0.02, "mass_ratio": 0.02}
-# Largest relative error of a determined natural frequency.
+# A determined natural frequency has at most this relative error.
 MAX_FREQUENCY_ERROR = 1e-4
-# Smallest fraction of the determined values within their 95 % intervals.
+# At least this fraction of the determined parameters must lie within their 95 % intervals.
 MIN_COVERAGE = 0.90
-# Largest relative error of a value in the guess.
+# A parameter in the guess has at most this relative error.
 _GUESS_ERROR = 0.2
 # Distances of the seeds from the seeds of the other random scenes.
 _SEED_OFFSET = 50_000

@@ -42,7 +42,7 @@ KINDS = (
     "random_two_shakers",
     "multisine_two_shakers",
 )
-# Largest time constant of the first mode: transients must decay within seconds.
+# The first mode has at most this time constant, because transients must decay within seconds.
 _MAX_TIME_CONSTANT_S = 1.6
 # Fractions of the scenes with a fault of the measurement.
 _TIGHT_RANGE_FRACTION = 0.2

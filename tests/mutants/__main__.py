@@ -20,7 +20,7 @@ from rich.table import Table
 from tests.mutants.groups import GROUPS
 from tests.mutants.trial import Trial, try_group
 
-# Smallest fraction of the mutations of a group that its tests must detect; equivalent mutations do not count.
+# The tests of a group must detect at least this fraction of its mutations; equivalent mutations do not count.
 MIN_SCORE = 0.85
 
 

@@ -20,13 +20,14 @@ from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
 from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.result import Case, CheckResult
 
-# Largest time between a detected impact and its true impact, samples.
+# A detected impact matches a true impact if their times differ by at most this, samples.
 MAX_DISTANCE_SAMPLES = 2.0
-# Margin at both ends of a window in which impacts are not compared: ringing of earlier impacts decays there.
+# Impacts are not compared within this time of the ends of a window, because the ringing of earlier impacts decays
+# there.
 _MARGIN_S = 0.05
-# Largest plausible error, in standard uncertainties.
+# An error is plausible up to this number of standard uncertainties.
 MAX_ERROR_SIGMAS = 4.0
-# Smallest F1 score: 2 matched / (detected + true).
+# The result is correct if the F1 score, 2 matched / (detected + true), is at least this.
 MIN_F1_SCORE = 0.8
 
 

@@ -19,7 +19,7 @@ from tests.gauntlet.result import Case, CheckResult, Outcome
 
 # Coverage factor of the 95 % interval.
 COVERAGE_FACTOR = 1.96
-# Largest plausible error, in standard uncertainties.
+# An error is plausible up to this number of standard uncertainties.
 MAX_ERROR_SIGMAS = 4.5
 # Warning that the points are too far apart to determine the modes.
 _EXTRAPOLATED = "the damping is extrapolated from the flanks"

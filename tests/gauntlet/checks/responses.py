@@ -33,18 +33,18 @@ from tests.gauntlet.two_shakers import exact_receptance
 # Function from frequencies [Hz] to the receptances of all bodies (bodies, frequencies), m/N.
 ReceptanceFunction = Callable[[NDArray[np.float64]], NDArray[np.complex128]]
 
-# Smallest fraction of the lines of a scene within their intervals.
+# At least this fraction of the lines of a scene must lie within their intervals.
 MIN_COVERAGE = 0.7
 # With few lines, chance alone can violate `MIN_COVERAGE`. A scene is also correct if the joint probability of its
 # errors under correct intervals exceeds this.
 MIN_PROBABILITY = 1e-4
 # A line is misleading if its error exceeds both this multiple of its bound and `MISLEADING_ERROR`.
 MISLEADING_BOUNDS = 3.0
-# Error of a misleading line relative to the true value.
+# A misleading line has at least this error, relative to the true value.
 MISLEADING_ERROR = 0.05
-# Largest fraction of misleading lines.
+# At most this fraction of the lines may be misleading.
 MAX_MISLEADING_FRACTION = 0.02
-# Largest fraction of lines without a value, without a finite bound, or marked as unsteady.
+# At most this fraction of the lines may have no value, no finite bound, or the mark of an unsteady point.
 MAX_UNRESOLVED_FRACTION = 0.3
 # Warnings that the complete curve is not a response to steady tones. No other warning excuses a wrong line.
 _NOT_TONES = (LIFTED, NONLINEAR, ONE_REALIZATION, "was measured before steady state", "too fast to reach steady state")
@@ -54,19 +54,19 @@ _NOT_TONES = (LIFTED, NONLINEAR, ONE_REALIZATION, "was measured before steady st
 _IMAGE_SENSITIVITY = 5.0
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
-# Relative change of the force for the derivative of a response with respect to it.
+# The derivative of a response with respect to the force is computed with this relative change of the force.
 _FORCE_STEP = 2e-3
-# Largest relative derivative: larger values indicate a change to another type of motion.
+# A larger relative derivative than this indicates a change to another type of motion.
 _MAX_RELATIVE_SLOPE = 20.0
 # The true motion is regular if the amplitudes in parts of a measurement have at most this relative standard deviation.
 _MAX_AMPLITUDE_DEVIATION = 0.02
-# Largest relative change of the true amplitude from the first to the second half of a steady measurement. A transient
-# as large as `_MIN_DIFFERENCE_OF_MOTIONS` decays by more.
+# In steady state, the true amplitude changes from the first to the second half of a measurement by at most this
+# fraction. A transient as large as `_MIN_DIFFERENCE_OF_MOTIONS` decays by more.
 _MAX_STEADY_DRIFT = 1e-3
-# Relative difference of the amplitudes above which a steady-state motion is not the computed periodic orbit, but a
-# coexisting stable motion.
+# A steady-state motion is not the computed periodic orbit, but a coexisting stable motion, if the amplitudes differ by
+# more than this fraction.
 _MIN_DIFFERENCE_OF_MOTIONS = 0.01
-# Largest relative difference between an orbit and a simulation to steady state of the same motion.
+# An orbit and a simulation to steady state of the same motion differ by at most this fraction.
 _MAX_DIFFERENCE_OF_METHODS = 1e-3
 # Number of parts of a measurement, each of whole periods, whose amplitudes are compared.
 _COMPARED_PARTS = 10

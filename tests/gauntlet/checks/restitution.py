@@ -8,7 +8,7 @@ from tests.gauntlet.result import Case, CheckResult
 
 # Coverage factor of the 95 % interval.
 COVERAGE_FACTOR = 2.0
-# Largest plausible error, in standard uncertainties.
+# An error is plausible up to this number of standard uncertainties.
 MAX_ERROR_SIGMAS = 4.0
 
 

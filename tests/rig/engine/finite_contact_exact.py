@@ -22,9 +22,9 @@ from rig.scene.damper import TimedContact, Walls
 from rig.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
-#: Largest omitted term of a Taylor series.
+#: The terms of a Taylor series that are smaller than this are omitted.
 MAX_OMITTED_TERM = Decimal(10) ** -45
-#: Largest product of the largest eigenvalue and the step.
+#: The product of the largest eigenvalue and the step is at most this.
 MAX_RATE_TIMES_STEP = 1.0
 #: Number of times in a step at which contacts are checked.
 CHECKS_PER_STEP = 8

@@ -29,7 +29,7 @@ from rig.system.assembly import assemble
 TAU = np.linspace(0.0, 1.0, 201)[1:]
 VALUES = st.floats(-3.0, 3.0)
 CLEARANCE = 1e-3  # m
-#: Largest error of a cubic Hermite interpolant over a step of length 1, relative to the fourth derivative.
+#: Over a step of length 1, a cubic Hermite interpolant has at most this error, relative to the fourth derivative.
 HERMITE_ERROR = 1.0 / 384.0
 
 

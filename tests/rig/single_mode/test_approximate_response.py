@@ -1,4 +1,4 @@
-"""The paper's single-mode method, compared with numerical integration, known limits and the laws of mechanics.
+"""The method of Inoue, Yokomichi, Hiraki (2011), compared with integration, known limits and laws of mechanics.
 
 A branch is a curve of periodic motions of type I, II or III over frequency. ``tau`` is the phase of the force from the
 floor impact: take-off from the floor at tau_0, ceiling impact at tau_1, take-off from the ceiling at tau_2.

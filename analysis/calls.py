@@ -246,14 +246,14 @@ def export(
     """
     from analysis.exporting.export import export as export_segment
     from analysis.exporting.results import export_results
-    from analysis.recordings.names import opened
+    from analysis.recordings.names import open_existing
     from analysis.recordings.slices import Slice
 
     path, target = _path(recording), Path(output)
     if what != "samples":
         export_results(path, target, what, overwrite, progress)
         return target
-    with opened(path) as rec:
+    with open_existing(path) as rec:
         export_segment(Slice.of(rec, channel, start, stop), target, speed, overwrite, progress)
     return target
 

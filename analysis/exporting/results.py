@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from analysis.exporting import mat, uff
 from analysis.modal.identification import identify
-from analysis.recordings.names import opened
+from analysis.recordings.names import open_existing
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from rig.errors import SceneError
@@ -61,7 +61,7 @@ def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, 
     if is_frf_file(file):
         response = read_frfs(file)
         return [(response, list(range(1, len(response) + 1)), [0])]
-    with opened(file) as rec:
+    with open_existing(file) as rec:
         return [
             (
                 response,

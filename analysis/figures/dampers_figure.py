@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Texts in the legend for the names of motions (`DamperMotion.name`), in the order of the legend.
+# Legend entries of the motions by name (`DamperMotion.name`), in the order of the legend.
 _LEGEND_TEXTS = {
     "riding": "at rest on the floor",
     "I": "type I: flies, hits the floor once a period",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
 
 
-# Largest relative frequency difference of modes of different recordings that share a panel.
+# Modes of different recordings share a panel if their frequencies differ by less than this fraction.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
 # Maximum number of frequencies in the title of a panel; more are replaced with their range.
 _MAX_LISTED_FREQUENCIES = 3

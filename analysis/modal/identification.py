@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.modal.line_choice import in_gaps, is_peak, reduce_lines, scatter
+from analysis.modal.line_choice import are_in_gaps, is_peak, reduce_lines, scatter
 from analysis.modal.lscf import merge_charts, stabilization_chart
 from analysis.modal.mode_warnings import mode_warnings
 from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
@@ -116,7 +116,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     is_unbounded = accepted & (2.0 * frequency_error >= frequency)
-    is_in_gap = accepted & ~is_unbounded & in_gaps(weighted.frequency, model.poles)
+    is_in_gap = accepted & ~is_unbounded & are_in_gaps(weighted.frequency, model.poles)
     accepted &= ~(is_unbounded | is_in_gap)
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
     if not accepted.any() and unmeasured.size:

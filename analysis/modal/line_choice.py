@@ -16,7 +16,8 @@ from rig.results.response import Response
 MAX_LINES = 2000
 # Number of the highest peaks around which all lines are selected.
 _MAX_PEAKS = 24
-# Number of adjacent lines that are selected around each peak, and of lines at equal distances between its flanks.
+# Around each peak, this number of adjacent lines is selected, and this number of lines at equal distances between the
+# flanks.
 _LINES_PER_PEAK = 41
 # The flanks of a peak end where the magnitude is this fraction of the peak.
 _FLANK_RATIO = 0.1
@@ -29,7 +30,7 @@ _SCATTER_LINES = 31
 
 
 def reduce_lines(curves: Sequence[Response]) -> list[Response]:
-    """Remove lines that a fit does not need: most of those far from peaks and within wide peaks.
+    """Remove lines that a fit does not need: most lines far from peaks, and most lines within wide peaks.
 
     `curves`: curves at equal frequencies, in ascending order.
     """
@@ -73,13 +74,13 @@ def scatter(value: ComplexArray) -> Array:
     return np.asarray(scipy.ndimage.median_filter(deviation, min(_SCATTER_LINES, value.size), mode="nearest"))
 
 
-def in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
+def are_in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
     """Return whether poles, rad/s, lie in gaps between lines and no line is within their half-power bandwidths.
 
     The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
     >>> lines = np.r_[10.0:12.0:0.1, 15.0:20.0:0.1]
-    >>> in_gaps(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
+    >>> are_in_gaps(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))
     array([False,  True, False, False])
     """
     steps = np.diff(frequency)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Largest relative standard uncertainty of a determined damping ratio: a third, so that the ratio differs from zero by
-# three standard deviations. Otherwise only its upper bound is stated, and its pole counts as a mode only if it has a
-# distinct peak.
+# A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
+# zero by three standard deviations. Otherwise only the upper bound is given, and the pole counts as a mode only if it
+# has a distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
@@ -64,9 +64,9 @@ class Modes(Result):
     warnings : tuple of str
         Warnings about the results, in full sentences.
     input : str
-        Excitation and its position, such as ``force at body 1``.
+        Excitation and its location, such as ``force at body 1``.
     places : tuple of str
-        Position of each channel: name of its body, or ``body 1``; empty if unknown.
+        Location of each channel: name of its body, or ``body 1``; empty if unknown.
     """
 
     frequency: Array
@@ -126,17 +126,17 @@ class Modes(Result):
     def of_bodies(self) -> BodyShapes:
         """Return an element of each shape for each body: the weighted mean of the sensors on the same body."""
         places = self.places or ("",) * len(self.responses)
-        # A channel with an unknown position is a separate point.
+        # A channel with an unknown location is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         names, shapes, errors = [], [], []
-        # The largest element, which scales a shape, has zero error and gets the weight of the most precise of the
-        # others.
+        # The largest element, which scales a shape, has zero error and gets the weight of the most precise
+        # other element.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
         for key in dict.fromkeys(keys):
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)
-            # A single sensor on a body without a name, or at an unknown position, is named by its channel.
+            # A single sensor on a body without a name, or at an unknown location, is named by its channel.
             is_unnamed = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
             names.append(self.responses[rows[0]] if is_unnamed else key)
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))

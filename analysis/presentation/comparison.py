@@ -26,7 +26,7 @@ from analysis.modal.modes import Modes
 from analysis.presentation.inputs import check_recording, duplicate_warnings
 from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
 from analysis.presentation.tables import write_table
-from analysis.recordings.names import opened, relabel, scene_labels
+from analysis.recordings.names import open_existing, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of, response_channels
 from rig.errors import SceneError
@@ -109,7 +109,7 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
     sweeps: list[list[list[Response]]] = []
     measured_points: list[MeasurementPoints] = []
     for path, label in zip(paths, scene_labels(paths), strict=True):
-        with opened(path) as rec:
+        with open_existing(path) as rec:
             check_recording(rec, path, "frf")
             measured_points.append(MeasurementPoints.of(path, rec))
             measured_points[-1].comparable_with(measured_points[0])

@@ -14,14 +14,14 @@ from analysis.damper_motion.motion_types import DamperMotion
 from analysis.presentation.inputs import check_recording
 from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
 from analysis.presentation.tables import write_table
-from analysis.recordings.names import opened, scene_labels
+from analysis.recordings.names import open_existing, scene_labels
 from rig.progress import CountProgress
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
 
 # Number of frequencies in the printed energy table; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
-# Printed texts for the names of motions (`DamperMotion.name`).
+# Printed descriptions of the motions by name (`DamperMotion.name`).
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
 _IRREGULAR = "irregular, or impacts missed"
@@ -54,7 +54,7 @@ def present_dampers(
     for path in paths:
         check_outputs([path], output, "dampers", "csv")
     for path, label in zip(paths, scene_labels(paths), strict=True):
-        with opened(path) as rec:
+        with open_existing(path) as rec:
             check_recording(rec, path, "dampers")
             results = dampers_in(rec, label, progress)
         warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])

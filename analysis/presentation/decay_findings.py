@@ -11,7 +11,7 @@ import numpy as np
 from analysis.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.presentation.inputs import check_recording, duplicate_warnings
 from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_recording_name
-from analysis.recordings.names import opened, relabel, scene_labels
+from analysis.recordings.names import open_existing, relabel, scene_labels
 from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
 
@@ -47,7 +47,7 @@ def present_decay(
     warnings = duplicate_warnings(paths)
     check_outputs(paths, output, "decay", "png", "svg")
     for path, label in zip(paths, scene_labels(paths), strict=True):
-        with opened(path) as rec:
+        with open_existing(path) as rec:
             check_recording(rec, path, "decay")
             decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
             has_hits = rec.test.kind is not TestKind.FREE

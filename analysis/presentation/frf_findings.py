@@ -20,7 +20,7 @@ from analysis.presentation.outputs import (
     with_ending,
     with_recording_name,
 )
-from analysis.recordings.names import opened, relabel
+from analysis.recordings.names import open_existing, relabel
 from analysis.responses.curve_checks import find_jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
@@ -76,7 +76,7 @@ def present_frf(
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
-        with opened(path) as rec:
+        with open_existing(path) as rec:
             options = vars(blocks.for_kind(rec.test.kind))
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
             curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]

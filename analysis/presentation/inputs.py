@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.recordings.names import opened, scene_labels
+from analysis.recordings.names import open_existing, scene_labels
 from analysis.responses.frequency_responses import BY_KIND, Blocks
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from daq.recording.recorded_test import TestKind
@@ -90,7 +90,7 @@ def check_inputs(
         if is_frf_file(path):
             effective, reason = ("unit",), "it contains frequency responses, not samples"
         else:
-            with opened(path) as rec:
+            with open_existing(path) as rec:
                 check_recording(rec, path, command)
                 kind = rec.test.kind
             effective, reason = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method

@@ -14,7 +14,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
-from analysis.recordings.names import opened, relabel
+from analysis.recordings.names import open_existing, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.progress import CountProgress
@@ -65,7 +65,7 @@ def present_modes(
             curves = read_curves(path, reference, None, unit)
             identified = [(curves, replace(identify(curves, count), label=label), None)]
         else:
-            with opened(path) as rec:
+            with open_existing(path) as rec:
                 options = vars(Blocks(block=block).for_kind(rec.test.kind))
                 for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
                     modes = relabel(identify(sweep, count), rec.scene.name, label)

@@ -27,7 +27,7 @@ Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 
 
-def opened(path: Path) -> Recording:
+def open_existing(path: Path) -> Recording:
     """Open a recording that must exist."""
     import daq
 
@@ -44,7 +44,7 @@ def opened(path: Path) -> Recording:
 
 def as_context(recording: Recording | str | Path) -> AbstractContextManager[Recording]:
     """Return a context with a recording: a path is open inside the context; an open recording stays open."""
-    return opened(Path(recording)) if isinstance(recording, str | Path) else nullcontext(recording)
+    return open_existing(Path(recording)) if isinstance(recording, str | Path) else nullcontext(recording)
 
 
 def require_recording(recording: object, name: str) -> None:
@@ -93,7 +93,7 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
     """Name recordings after their scenes."""
     names = []
     for path in paths:
-        with opened(path) as rec:
+        with open_existing(path) as rec:
             names.append(rec.scene.name)
     return distinct_names(names, paths)
 

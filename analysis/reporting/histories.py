@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Recordings up to this number of samples, summed over the channels, are drawn sample by sample. A longer recording is
-# drawn as the smallest and largest value of each interval.
+# Every sample of a recording is drawn up to this number of samples, summed over the channels. A longer recording is
+# divided into intervals, and the smallest and largest value of each interval are drawn.
 _MAX_SAMPLES = 300_000
-# Number of these intervals.
+# A long recording is divided into this number of intervals.
 _INTERVALS = 1500
 # Maximum number of spectra in a spectrogram.
 _SPECTRA = 300
 # Number of spectral lines in each spectrum.
 _LINES = 160
-# Highest frequency of a spectrogram, as a multiple of the highest natural frequency of the structure.
+# A spectrogram ends at this multiple of the highest natural frequency of the structure.
 _MAX_FREQUENCY_RATIO = 3.0
-# Minimum block length in samples: shorter blocks have too little frequency resolution.
+# A block has at least this number of samples; a shorter block has too little frequency resolution.
 _MIN_BLOCK = 64
 
 

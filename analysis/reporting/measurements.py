@@ -18,7 +18,7 @@ from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import MeasurementPoints
 from analysis.presentation.outputs import with_recording_name
-from analysis.recordings.names import opened, relabel, scene_labels
+from analysis.recordings.names import open_existing, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
@@ -80,7 +80,7 @@ class Measurements:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             for path, label in zip(self.paths, scene_labels(self.paths), strict=True):
-                self.results.append(self._measure(path, label, stack.enter_context(opened(path))))
+                self.results.append(self._measure(path, label, stack.enter_context(open_existing(path))))
             self._open = stack.pop_all()
         return self
 

@@ -93,7 +93,7 @@ def _resonance_sentences(measurement: Measurement) -> list[str]:
 
 
 def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
-    """State the frequencies with detected impacts, and the largest dissipated share of the supplied energy."""
+    """Report the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
     if not result.bodies:
         return []
     frequency = result.sweep.lines.frequency
@@ -117,7 +117,7 @@ def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
 
 
 def _decay_sentences(measurements: Sequence[Measurement]) -> list[str]:
-    """State in one sentence, for each free decay, the time to fall below 1 g and the time of a fall by 6 dB."""
+    """Return one sentence with the time to fall below 1 g and the time of a fall by 6 dB, for each free decay."""
     parts = []
     for measurement in measurements:
         result = measurement.decay

@@ -1,10 +1,10 @@
 """Study of one mass with contacts of finite duration (`analysis contacts`): the contact that fits beds of grains best.
 
-At the settings of `bed_study` at 50 Hz, one mass is simulated with several restitutions and durations of its contact
-with floor and ceiling. A share of the bed's mass moves, and the rest is fixed to the body; the dissipated energy is
-proportional to this share. The fitted contact minimizes the deviation of the body's compliance from the compliance with
-grains, over all settings with a ceiling. Without a ceiling, instantaneous contact is closer. The deviation is
-cross-validated: each acceleration is compared with the contact fitted to the other accelerations.
+At the settings of `bed_study` at 50 Hz, one mass is simulated with several restitutions and contact durations. A
+fraction of the mass of the bed moves, and the rest is fixed to the body. The dissipated energy is proportional to this
+fraction. Over all settings with a ceiling, the fitted contact minimizes the deviation of the compliance of the body
+from the compliance with grains. Without a ceiling, instantaneous contact is closer. The deviation is cross-validated:
+for each acceleration, the contact is fitted to the other accelerations.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def follow(path: Path, print_line: Callable[[str], None], cluster: str | None = 
 def simulate_contact(contact: Contact) -> Row:
     """Simulate one mass on a contact; return a row of the table.
 
-    Energy dissipated in a period is relative to the bed's weight times 1 mm, the ceiling impulse to the bed's weight
-    times a period.
+    The energy that is dissipated in a period is relative to the weight of the bed times 1 mm. The ceiling impulse is
+    relative to the weight of the bed times a period.
     """
     scene = scene_on_contact(contact)
     mass = scene.dampers[0].mass
@@ -126,7 +126,7 @@ def table(path: Path | None = None) -> Arrays:
 
 
 def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]) -> FittedContact:
-    """Fit a contact to beds: smallest mean magnitude of the logarithmic ratio of the compliances.
+    """Fit a contact to beds; minimize the mean magnitude of the logarithmic ratio of the compliances.
 
     `beds`: as returned by `analysis.reproduction.bed_study.table`, or a selection of its settings; `contacts`: as
     returned by `table`.

@@ -12,7 +12,7 @@ Code = DAQmxErrors
 STOPPED_BEFORE_DONE = int(DAQmxWarnings.STOPPED_BEFORE_DONE)
 
 
-# The driver's texts of the errors that the instrument reports; scripts and users recognize errors by these texts.
+# Error messages of NI's driver for the errors of the instrument. Scripts and users recognize errors by these messages.
 DRIVER_TEXTS: Mapping[int, str] = {
     STOPPED_BEFORE_DONE: "Finite acquisition or generation has been stopped before the requested number of "
     "samples were acquired or generated.",
@@ -70,7 +70,7 @@ DRIVER_TEXTS: Mapping[int, str] = {
 
 
 def driver_text(code: int) -> str:
-    """Return the driver's text of a code, its name if the text is not known, or an empty string for an unknown code.
+    """Return the message of NI's driver for a code; without a message the name of the code; empty for an unknown code.
 
     >>> driver_text(-200220), driver_text(-200709), driver_text(-12345)
     ('Device identifier is invalid.', 'Teds sensor not detected.', '')

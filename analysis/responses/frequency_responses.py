@@ -237,7 +237,7 @@ def frequency_responses(
 
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
-    """Add positions to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
+    """Add locations to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
     curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves

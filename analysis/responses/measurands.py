@@ -159,7 +159,7 @@ def input_location(rec: Recording, reference: str) -> str:
 
 
 def location_of(rec: Recording, channel: str) -> str:
-    """Return the name of the body on which a channel is mounted, or its other position."""
+    """Return the name of the body on which a channel is mounted, or another location."""
     return rec.scene.structure.label(rec.channels[channel].at)
 
 

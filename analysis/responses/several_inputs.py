@@ -475,7 +475,7 @@ def _add_warnings(response: Response) -> Response:
     notes += [
         f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by {pair.deviation:.1%} "
         f"(median), more than their uncertainties at {1.0 - pair.within:.0%} of the lines. Check the "
-        "sensors' directions, gains and positions."
+        "sensors' directions, gains and locations."
         for pair in reciprocity(response)
         if pair.within < _MIN_RECIPROCAL_LINES
     ]

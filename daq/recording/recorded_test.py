@@ -136,7 +136,7 @@ class SceneOutline:
         return {"scene": self.scene_name, "test": self.test_kind, "dampers": str(self.n_dampers)} | lists
 
     def label(self, position: str) -> str:
-        """Return the name of the body at a position such as ``body 2``, or the position if it has no name."""
+        """Return the name of the body at a location such as ``body 2``, or the location if the body has no name."""
         if not self.body_names or not position.startswith("body "):
             return position
         number = int(position.removeprefix("body "))

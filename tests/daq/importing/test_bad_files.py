@@ -58,7 +58,7 @@ def write_compressed_zeros(path: Path, numbers: int) -> None:
 
 @pytest.fixture(autouse=True, scope="module")
 def earlier_objects() -> None:
-    """Exclude objects of earlier tests from the garbage collection after each import, which would take twice the time."""
+    """Exclude objects of earlier tests from the garbage collection after each import, which would take longer."""
     gc.collect()
     gc.freeze()
 

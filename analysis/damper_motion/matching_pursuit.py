@@ -167,7 +167,7 @@ class MatchingPursuit:
             if not self._subtract_jumps():
                 break
         for jump in sorted(self.jumps, key=lambda jump: abs(jump.velocity_jump)):
-            # An earlier refinement may have replaced the jump by a new fit of it.
+            # An earlier refinement may have replaced the jump with a new fit.
             current = min(self.jumps, key=lambda other: abs(other.time - jump.time))
             self._refine(current, self.noise(self.noise_quantile))
         lowest_order, smallest_variance = self.model.polynomial_order, np.inf

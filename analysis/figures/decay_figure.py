@@ -147,6 +147,6 @@ def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
 
 
 def _relevant_duration(decay: Decay) -> float:
-    """Return the time after which the acceleration stays below 2 % of its maximum, or else the duration, s."""
+    """Return the time after which the acceleration stays below 2 % of its maximum, otherwise the duration, s."""
     end = decay.time_below(0.02 * float(abs(decay.acceleration).max()))
     return float(decay.time[-1]) if np.isnan(end) or end <= 0 else end

@@ -80,7 +80,7 @@ class Group:
         self.orbits.failed.clear()
 
     def replace_outlier_orbits(self, problem: Problem, x: Array, scene: Scene) -> bool:
-        """Replace the orbit at each outlier by a better one, and exclude the remaining outliers.
+        """Replace the orbit at each outlier with a better orbit, and exclude the remaining outliers.
 
         `x`: unknowns; `scene`: the model with their values. Returns whether an orbit or a fitted point changed.
         """

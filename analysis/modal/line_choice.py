@@ -1,4 +1,4 @@
-"""Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not state it."""
+"""Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not give it."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[C
     Clusters with the most stable poles are first.
     """
     spacing = float(np.median(np.diff(frequency)))
-    clusters: list[tuple[complex, int]] = []  # last stable pole, or else first pole, and number of stable poles
+    clusters: list[tuple[complex, int]] = []  # last stable pole, otherwise first pole, and number of stable poles
     for chart_pole in itertools.chain(*charts):
         pole = chart_pole.pole
         same = [k for k, (other, _) in enumerate(clusters) if _is_same_pole(pole, other, spacing)]

@@ -99,5 +99,5 @@ def scene_labels(paths: Sequence[Path]) -> list[str]:
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:
-    """Replace the scene's name by the recording's label."""
+    """Replace the name of the scene with the recording's label."""
     return replace(curve, label=label + curve.label.removeprefix(scene))  # type: ignore[type-var]

@@ -244,7 +244,7 @@ class _Assessment:
             landing_peak = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
             is_overload_marked = any(part.overloaded[names.index(channel.name)] for part in self.rehearsed_test.parts)
             largest = max(motion_peak, landing_peak)
-            # The mark does not state whether the sensor or the input was overloaded.
+            # The mark does not distinguish an overload of the sensor from an overload of the input.
             is_overloaded = is_overload_marked and largest > sensor.saturation
             name, limit = f"{channel.name} sensor", sensor.saturation
             yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)

@@ -67,7 +67,7 @@ class DrivingPower:
         self._power_sums += _power_sums(power)
 
     def warning(self) -> str:
-        """Return a warning if the structure supplies energy; else an empty string."""
+        """Return a warning if the structure supplies energy; otherwise an empty string."""
         if not _is_returned(self._power_sums):
             return ""
         return (

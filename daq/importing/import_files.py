@@ -163,7 +163,7 @@ import_ = import_files
 
 
 def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
-    """Return the sample rate of all signals, Hz: the rate in the table, or else in the files, or else in the scene."""
+    """Return the sample rate of all signals, Hz, from the channel table, otherwise the files, otherwise the scene."""
 
     def rate_list(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))

@@ -33,7 +33,7 @@ class StepDetector:
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         assert isinstance(scene.test, Sine | SteppedSine)
         self._test, self._rate = scene.test, rate
-        # The reference is a force, the drive, the motion of the table, or else the first channel.
+        # The reference is a force, the drive, the motion of the table, otherwise the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
         reference_rows = [
             *(row for row, info in enumerate(channels) if info.quantity == "force"),

@@ -46,7 +46,7 @@ def uff_signals(path: Path, _stack: ExitStack) -> list[Signal]:
 
 
 def functions(path: Path) -> list[dict[str, Any]]:
-    """Read all functions (data sets 58) of a Universal File; ``si`` in each states whether the file is in SI.
+    """Read all functions (data sets 58) of a Universal File; ``si`` in each specifies whether the file is in SI.
 
     Raises `RecordingError` for a damaged file or a file without functions, `RunError` without pyuff.
     """
@@ -99,7 +99,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
 
 
 def title(data_set: Mapping[str, Any]) -> str:
-    """Return the name of a function: the beginning of its first line, or else its node and direction."""
+    """Return the name of a function: the beginning of its first line, otherwise its node and direction."""
     first = str(data_set["id1"]).partition(":")[0].strip()
     return first if first and first.upper() != "NONE" else point(data_set, "rsp")
 
@@ -112,7 +112,7 @@ def point(data_set: Mapping[str, Any], end: str) -> str:
 
 
 def label(data_set: Mapping[str, Any], axis: str) -> str:
-    """Return the unit of an axis from its label, or in an SI file from its data type; empty if neither states it."""
+    """Return the unit of an axis from its label, or in an SI file from its data type; empty without a unit."""
     text = str(data_set.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
         # Windows programs do not write UTF-8. The character that the reader cannot decode is the square of a unit.
@@ -144,7 +144,7 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
 
 
 def _time_unit(data_set: Mapping[str, Any]) -> float:
-    """Return the unit of the times, s; 1 if the label of their axis does not state a unit of time."""
+    """Return the unit of the times, s; 1 if the label of their axis does not give a unit of time."""
     try:
         return parse(f"1 {label(data_set, 'abscissa')}", TIME)
     except ValueError:

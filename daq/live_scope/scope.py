@@ -107,7 +107,7 @@ def record_live(
 
 
 def initial_controls(scene: Scene, frequency: float | None, force: float) -> ToneControls:
-    """Return the initial controls, at this frequency in Hz, or else at that of the scene's test or lowest mode.
+    """Return the initial controls, at this frequency in Hz, by default the frequency of the test or the lowest mode.
 
     `force`: amplitude, N.
     """

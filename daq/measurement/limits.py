@@ -170,9 +170,9 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Simulate the bench at rest; return a message if a sensor's bias overloads its input after `seconds`, else None.
+    """Simulate the bench at rest; return a message if the bias of a sensor overloads the input after `seconds`.
 
-    `row`: row of the channel in the scene.
+    `row`: row of the channel in the scene. Returns None without such an overload.
     """
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:

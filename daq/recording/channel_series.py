@@ -84,7 +84,7 @@ class Series:
 
     @cached_property
     def clock(self) -> Timebase:
-        """The sample clock that the metadata of the topic state, or else the first block."""
+        """The sample clock from the metadata of the topic, otherwise from the first block."""
         if "rate" in self.metadata and "start_ns" in self.metadata:
             try:
                 rate, start_ns = float(self.metadata["rate"]), int(self.metadata["start_ns"])

@@ -41,7 +41,7 @@ class MotionSource:
 
 
 def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_truth: bool) -> tuple[MotionSource, ...]:
-    """Return the source of each point: a displacement channel, or else the truth, or else a channel to integrate."""
+    """Return the source of each point: a displacement channel, otherwise the truth, otherwise another channel."""
     sources = []
     for point in points:
         channel_of_quantity = {info.quantity: info.name for info in channels if info.at == point}

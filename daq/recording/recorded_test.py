@@ -79,7 +79,7 @@ def kind_of_settings(test: Test | None) -> TestKind:
 
 
 def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
-    """Return the kind of a test from its markers, for a recording that does not state it.
+    """Return the kind of a test from its markers, for a recording that does not give it.
 
     >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>

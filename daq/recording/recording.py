@@ -348,7 +348,7 @@ class Recording(Result):
 
     @cached_property
     def test_kind(self) -> TestKind:
-        """Kind of the recorded test; the scene is loaded only if the recording does not state the kind."""
+        """Kind of the recorded test; the scene is loaded only if the recording does not give the kind."""
         stated = self.metadata.get("run", {}).get("kind", "")
         return TestKind(stated) if stated in set(TestKind) else kind_from_markers(self.markers, self._settings)
 

@@ -235,7 +235,7 @@ class FlowTables:
         )
 
     def _double_capacity(self) -> None:
-        """Replace the tables by tables with the same content and room for twice the number of configurations."""
+        """Replace the tables with tables with the same content and room for twice the number of configurations."""
         old = self.flow
         self.flow = self._allocate(2 * len(old.after_toggle))
         for name in (*self._table_shapes(), "after_toggle"):

@@ -330,7 +330,7 @@ class Propagator:
                 return
 
     def _double_log(self) -> None:
-        """Replace the log by one with the same content and twice the number of rows."""
+        """Replace the log with a log that has the same content and twice the number of rows."""
         old = self.log
         self.log = empty_log(2 * len(old.event_segment), self.state.z.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):

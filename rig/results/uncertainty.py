@@ -321,5 +321,5 @@ def coverage_factor(confidence: float, degrees: Array) -> Array:
 
 
 def known_degrees(degrees: Array) -> Array:
-    """Replace unknown degrees of freedom (0) by a number for which the distribution is normal (GUM G.3.4)."""
+    """Replace unknown degrees of freedom (0) with a number for which the distribution is normal (GUM G.3.4)."""
     return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)

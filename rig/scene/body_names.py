@@ -51,7 +51,7 @@ def body_number(body: int | str, names: Sequence[str] | None, n_bodies: int) -> 
 
 
 def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
-    """Replace each name of a body in a scene by its number, and check the number.
+    """Replace each name of a body in a scene with its number, and check the number.
 
     Returns the scene with body numbers, and a problem for each name or number that matches no body.
     """

@@ -109,7 +109,7 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
 
 
 def _use_body_name(steps: KeyPath, names: list[str]) -> KeyPath:
-    """Replace the position of a named body, the first of the steps, by its name."""
+    """Replace the position of a named body, the first of the steps, with its name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 

@@ -51,7 +51,7 @@ class Scene(Settings):
 
     @classmethod
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
-        """Replace names of bodies by their numbers."""
+        """Replace names of bodies with their numbers."""
         return replace_names(content)
 
     @classmethod

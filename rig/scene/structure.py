@@ -119,7 +119,7 @@ class Structure(Settings):
         return ", ".join(self.label(number) for number in numbers)
 
     def relabel(self, text: str) -> str:
-        """Replace body numbers in a message by the names of the bodies."""
+        """Replace body numbers in a message with the names of the bodies."""
         return text if self.names is None else re.sub(r"\bbody \d+\b", lambda match: self.label(match[0]), text)
 
     @property

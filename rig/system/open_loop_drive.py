@@ -121,7 +121,7 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 
 
 def with_ideal_force(scene: Scene) -> Scene:
-    """Replace the driven shaker by an ideal force on its body, and omit the channels.
+    """Replace the driven shaker with an ideal force on its body, and omit the channels.
 
     Then the spring force needs no controller. A scene does not change if its test has no force, or its shaker is an
     ideal force.

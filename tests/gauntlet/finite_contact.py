@@ -44,7 +44,7 @@ def draw_finite_contact(seed: int, number: int, kind: str) -> rig.Scene:
         },
         "dampers": [_damper(random, body) for body in damper_bodies],
         "shaker": {"kind": "force", "body": random.integer(1, 3)},
-        "test": {**test, "force": 1.0},  # replaced below by a force with which a damper flies
+        "test": {**test, "force": 1.0},  # replaced below with a force with which a damper flies
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in damper_bodies),
             {"name": "force", "at": "shaker"},

@@ -147,7 +147,7 @@ class RunningTime:
         self.last_time, self.last_cpu_time = time.monotonic(), 0.0
 
     def since_last_call(self) -> float:
-        """Return the time since the previous call, s: the CPU time of a computing command, else the elapsed time."""
+        """Return the CPU time of a computing command since the previous call, s, otherwise the elapsed time."""
         now = time.monotonic()
         elapsed, self.last_time = now - self.last_time, now
         total_cpu_time, is_ready = 0.0, False

@@ -91,7 +91,7 @@ class TedsMemory:
         self._virtual: dict[str, bytes] = {}  # by lower-case name of the terminal
 
     def configure(self, port: Port, path: str) -> None:
-        """Replace a sensor's TEDS by a file; with an empty path, use the TEDS of the sensor."""
+        """Replace the TEDS of a sensor with a file; with an empty path, use the TEDS of the sensor."""
         if not path:
             self._virtual.pop(port.name.lower(), None)
             self.data(port)  # Raises an error for a sensor without TEDS.

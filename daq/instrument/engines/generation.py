@@ -157,7 +157,7 @@ class Generation:
         return out
 
     def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
-        """Return the tick of the start if it is among the `count` ticks from `tick` on, else None."""
+        """Return the tick of the start if it is among the `count` ticks from `tick` on, otherwise None."""
         source = self.plan.start
         if isinstance(source, SyncPulse | AtTime):
             start_tick: int | None = source.next_instant(max(self.armed_tick, tick), self.plan.tick_rate)

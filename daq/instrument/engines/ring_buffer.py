@@ -61,7 +61,7 @@ class RingBuffer:
 
     @property
     def oldest(self) -> int:
-        """Number of the oldest stored sample."""
+        """Index of the oldest stored sample."""
         return max(0, self.written - self.size)
 
     def write(self, samples: NDArray[Any]) -> None:

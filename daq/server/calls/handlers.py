@@ -32,7 +32,7 @@ def handler_of(name: str) -> Handler | None:
 
 
 def script_function(method: str) -> str:
-    """Return the name by which users know a call: the function in the package nidaqmx, or else in NI's driver.
+    """Return the name by which users know a call: a function of the package nidaqmx, otherwise of the driver.
 
     >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
     ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')

@@ -64,7 +64,7 @@ class ReverseOrderWorkers(Workers):
 
 @pytest.fixture
 def computed(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
-    """Replace the computation by synthetic rows; return the list of the computed settings."""
+    """Replace the computation with synthetic rows; return the list of the computed settings."""
     computed_settings: list[Setting] = []
     monkeypatch.setattr("rig.study.Workers", ReverseOrderWorkers)
     monkeypatch.setattr(

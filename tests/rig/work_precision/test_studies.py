@@ -65,7 +65,7 @@ def test_reference_agrees_to_thirty_digits(case: CaseB) -> None:
     _, exact, run = case
     scene = run.scene
     on_floor = Segment(scene, (0,))
-    # Replace the rounded w of the segment by the exact 2 pi f of the reference.
+    # Replace the rounded w of the segment with the exact 2 pi f of the reference.
     omega = 2 * mp.pi * mpf(scene.test.frequency)
     size = 2 * on_floor.n
     on_floor.generator[size, size + 1], on_floor.generator[size + 1, size] = -omega, omega

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -68,8 +67,6 @@ _STYLE: Any = {
 @contextmanager
 def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
     """Provide an empty figure in the common style; draw inside the `with` block."""
-    if not hasattr(sys, "ps1"):
-        _omit_docstrings()
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -78,13 +75,6 @@ def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
-
-
-def _omit_docstrings() -> None:
-    """Omit the signature and docstring of `set` that matplotlib composes for each artist: a fifth of its import."""
-    from matplotlib.artist import Artist
-
-    Artist._update_set_signature_and_docstring = classmethod(lambda cls: None)  # type: ignore[attr-defined]  # noqa: SLF001
 
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:

@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 #: Number of times that the workers are restarted after one of them ended unexpectedly.
 MAX_RESTARTS = 2
-# Longest wait for the pool's thread to read the exit code of a killed worker.
+# A killed worker's exit code is awaited for at most this time, s.
 _EXIT_CODE_TIMEOUT_S = 1.0
 # The workers of a cluster are counted after this time without a result.
 _WORKER_CHECK_INTERVAL_S = 5.0

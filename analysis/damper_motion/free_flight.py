@@ -42,8 +42,8 @@ _MAX_UNCERTAINTY = 0.1
 # For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
 # of median and mean.
 _MEDIAN_ERROR = 1.4826 * 1.2533
-# Largest distance from the ceiling of a flight that may reach it, relative to the clearance. The accuracy of the height
-# is limited by the motion between samples and by the band limit, which blurs the impact.
+# A flight may reach the ceiling if its distance from the ceiling is at most this fraction of the clearance. The
+# accuracy of the height is limited by the motion between samples and by the band limit, which blurs the impact.
 _CEILING_DISTANCE_RATIO = 0.03
 # The band limit blurs this number of samples around an impact.
 _BLURRED_SAMPLES = 2

@@ -20,7 +20,7 @@ _BEAM_WIDTH = 3
 _EXTENSIONS = 4
 # Maximum number of jumps in a set.
 MAX_GROUP = 8
-# Factor by which an additional jump must reduce the residual sum of squares.
+# An additional jump must reduce the residual sum of squares by this factor.
 _MIN_REDUCTION = 5.0
 # Spacing of the times that are tried for the next jump.
 _TIME_STEP_SAMPLES = 2.0

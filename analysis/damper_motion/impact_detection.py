@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 # At least this fraction of the samples in a segment must be valid.
 _MIN_VALID_RATIO = 0.5
-# Longest time from first contact to release, in nominal contact durations; gravity on the bed delays the release.
+# A contact is released at most this number of nominal contact durations after the first contact; gravity on the bed
+# delays the release.
 RELEASE_DURATIONS = 1.6
 # A jump after an impact may be its release if it is below this fraction of the impact.
 _MAX_RELEASE_RATIO = 0.5

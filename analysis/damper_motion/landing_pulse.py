@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # An impact is treated as instant up to this duration, in sample intervals.
 _MAX_INSTANT_RATIO = 0.25
-# Largest difference of equal pulses, relative to the velocity change.
+# Two pulses are equal if they differ by at most this fraction of the velocity change.
 _MAX_PULSE_DIFFERENCE = 0.02
 # Offset from critical damping, at which both roots coincide and the closed form is singular.
 _CRITICAL_OFFSET = 1e-6

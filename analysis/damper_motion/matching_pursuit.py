@@ -72,7 +72,7 @@ _UNRESOLVED_LIMIT_RATIO = 10.0
 _UNRESOLVED_JUMP_RATIO = 0.5
 # Additional polynomial orders for the smooth motion.
 _HIGHER_ORDERS = (2, 4, 6)
-# Factor by which a higher order must reduce the residual variance.
+# A higher order must reduce the residual variance by this factor.
 _MIN_VARIANCE_REDUCTION = 2.0
 # A filter of higher order is used if it reduces the noise of the jumps below this fraction.
 NOISE_REDUCTION = 0.7

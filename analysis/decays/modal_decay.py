@@ -16,7 +16,7 @@ from rig.results import Result, complete_style, format_quantity
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Relative frequency difference below which two spectral peaks are considered the same mode.
+# Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction.
 _SAME_MODE_RATIO = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
 MAX_RELATIVE_ERROR = 0.05

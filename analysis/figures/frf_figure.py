@@ -24,7 +24,7 @@ _ROUGHNESS_POINTS = 25
 _MIN_COHERENCE = 0.5
 # A systematic error below this fraction of the magnitude is not visible, and is not drawn.
 _MIN_VISIBLE_RATIO = 3e-3
-# Ratio to the magnitude that replaces zero on a logarithmic axis; its inverse replaces infinity.
+# On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
 # A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude.
 _MAX_ERROR_RATIO = 0.5

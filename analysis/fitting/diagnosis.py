@@ -43,7 +43,7 @@ _UNIT_ERRORS = {
     39.3701: "inches instead of metres",
     0.0254: "metres instead of inches",
 }
-# The same for a force.
+# Common errors of a force sensor: the ratio of its reading to the true value, and the cause.
 _FORCE_UNIT_ERRORS = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 # A value is roughly determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5
-# Smallest clearance (free height above the damper at rest) without ceiling impacts, as a multiple of the largest gap
-# between damper and floor.
+# A damper does not reach its ceiling if the clearance (free height above the damper at rest) is at least this multiple
+# of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
 # The errors of the curves explain the residuals if the mean square of the normalized residuals is at most this.
 _MAX_NOISE_VARIANCE = 4.0

@@ -18,7 +18,7 @@ PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 FORCE_C3_N = 2.6
 # Simulation and experiment differ if their relative difference at antiresonances is at least this.
 MIN_DIFFERENCE = 0.1
-# Smallest ratio of the difference at antiresonances to the difference at peaks.
+# The difference at antiresonances must be at least this multiple of the difference at peaks.
 MIN_DIFFERENCE_RATIO = 5.0
 # Mode shapes of the paper, shape (bodies, modes).
 PAPER_SHAPES = np.array([[0.415, 0.783, 1], [1, 0.498, -0.91], [-0.848, 1, -0.465]]).T

@@ -48,7 +48,7 @@ _CREST_FACTOR = 4.0
 _MIN_DISTORTED_LINES = 0.2
 # A line is distorted if the scatter of its realizations is at least this multiple of the scatter due to noise.
 _NOISE_RATIO = 3.0
-# Smallest scatter of realizations at a distorted line, relative to the mean.
+# At a distorted line, the scatter of realizations is at least this fraction of the mean.
 _MEAN_RATIO = 2e-3
 
 

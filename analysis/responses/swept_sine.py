@@ -48,7 +48,7 @@ _MAX_FLOOR_ACCELERATION = 0.7
 _MAX_SWEEP_ERROR_RATIO = 0.3
 # A sweep that is too fast causes a warning if it is so at more than this share of the lines with dampers in flight.
 _MAX_FAST_SHARE = 0.05
-# Factor by which a warning recommends to lengthen the sweep.
+# A warning recommends a sweep that is longer by this factor.
 _RECOMMENDED_SLOWDOWN = 10
 # Minimum number of periods over which the amplitude of a reading is evaluated.
 _MIN_PERIODS = 3.0

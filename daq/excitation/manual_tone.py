@@ -14,8 +14,8 @@ from daq.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.arrays import Array
 from rig.errors import SceneError
 
-# Relative tolerance of the steady state. The tolerance is coarse, because an operator does not wait for a smaller
-# transient.
+# The steady state is reached within this fraction of the amplitude. The tolerance is coarse, because an operator does
+# not wait for a smaller transient.
 _TOLERANCE = 0.01
 # Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0

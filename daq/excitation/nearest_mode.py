@@ -31,7 +31,7 @@ _MAX_STEP = 0.03
 _STEP_DECREASE = 0.6
 # The frequency step is multiplied by this factor if another frequency is better.
 _STEP_INCREASE = 1.5
-# Relative step of the damping ratio.
+# The search changes the damping ratio by this fraction in a step.
 _DAMPING_STEP = 0.2
 # Limits of the damping ratio.
 _DAMPING_LIMITS = (0.002, 0.2)

@@ -35,7 +35,7 @@ _SPECTRUM_EXPONENT = 1.0
 _MOTION_TERMS = 4
 # Number of coefficients of the polynomial Q for the spring force (see `ShakerLaw`).
 _FORCE_TERMS = 2
-# Longest delay between drive and channels in the search, s.
+# Delays between drive and channels are searched up to this delay, s.
 _MAX_DELAY_S = 0.05
 
 

@@ -13,7 +13,7 @@ from rig.results.text import format_decimals
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
 
-# Relative tolerance of the steady state.
+# The steady state is reached when the transient is at most this fraction of the amplitude.
 _TOLERANCE = 1e-3
 # Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0

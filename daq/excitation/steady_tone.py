@@ -21,9 +21,9 @@ from rig.scene.excitation import FORCE_TOLERANCE
 
 # Duration of a transition to a new frequency, s: so slow that it does not excite modes more than a few hertz away.
 TRANSITION_S = 0.4
-# Longest duration of a transition to a new amplitude, s.
+# A transition to a new amplitude lasts at most this time, s.
 _MAX_TRANSITION_S = 3.0
-# Shortest window of an amplitude estimate, s.
+# An amplitude is estimated from a window of at least this duration, s.
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0

@@ -22,9 +22,10 @@ _MIN_BEATS = 1.5
 # The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. The
 # memory is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
 _MEMORY_FACTOR = 0.5
-# Shortest memory, periods.
+# The memory is at least this number of periods.
 _MIN_MEMORY_PERIODS = 6.0
-# Longest memory, periods. A longer memory does not improve a slow sweep, and the motion with dampers may change.
+# The memory is at most this number of periods. A longer memory does not improve a slow sweep, and the motion with
+# dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
 # Number of integration steps from the middle of an observation to its end, which compensate its delay.
 _STEPS = 6

@@ -32,7 +32,7 @@ _WINDOW_PERIODS = 0.5
 _MIN_WINDOW_SAMPLES = 4
 # Length of the windows in open loop, s.
 _WINDOW_S = 0.1
-# Relative tolerance of the steady state at the first frequency, before the sweep.
+# The sweep begins when the transient at the first frequency is at most this fraction of the amplitude.
 _TOLERANCE = 0.01
 # Maximum wait for this steady state, s.
 _MAX_WAIT_S = 60.0

@@ -40,7 +40,7 @@ _STATE_CPU_S = 6e-9
 _CHANNEL_CPU_S = 130e-9
 # CPU time of each period of a sweep with controlled force, s.
 _CONTROLLED_PERIOD_CPU_S = 1.2e-3
-# Ratio of the CPU times of a channel with a decimation filter and a channel without.
+# A channel with a decimation filter needs this multiple of the CPU time of a channel without.
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_CPU_S = 0.6e-9
@@ -48,7 +48,7 @@ _ELEMENT_CPU_S = 0.6e-9
 _FIXED_WAIT_S = 1.4
 # In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
-# Longest wait for steady state in a rehearsal of parts, s.
+# A rehearsal of parts waits at most this time for the steady state, s.
 _LONGEST_WAIT_S = 10.0
 # Peaks of a channel's linear response below this ratio to its largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15

@@ -46,7 +46,7 @@ _STEADY_SIGMAS = 3.0
 _SETTLED_TOLERANCE_SHARE = 0.1
 # The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)
-# Relative difference of frequency below which two tones are the same.
+# Two tones are the same if their frequencies differ by less than this fraction.
 _SAME_FREQUENCY = 2e-4
 
 

@@ -35,7 +35,7 @@ from rig.scene.scene import Scene
 
 # Number of samples of each channel that are in memory at a time.
 _BLOCK_SAMPLES = 1 << 16
-# Relative difference below which two sample rates are equal, because files round them.
+# Two sample rates are equal if they differ by less than this fraction, because files round sample rates.
 _RATE_TOLERANCE = 2e-5
 # Frequency band of a test if its scene specifies none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4

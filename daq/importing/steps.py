@@ -23,7 +23,7 @@ _BAND_RATIO = 1.5
 _BLOCKS_PER_TONE = 8
 # Maximum number of samples of a block.
 _MAX_BLOCK = 1 << 16
-# Relative difference of frequency below which two steps are the same.
+# Two steps are the same if their frequencies differ by less than this fraction.
 _SAME_FREQUENCY = 1e-5
 
 

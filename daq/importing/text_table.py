@@ -43,9 +43,9 @@ from rig.errors import RecordingError
 from rig.numerics.memory import require_memory_with_program
 from rig.scene.quantities import TIME, parse
 
-# Longest readable line, characters.
+# A longer line than this number of characters is not read.
 _MAX_LINE = 1 << 20
-# Relative uncertainty of a sample rate above which it is reported.
+# The uncertainty of a sample rate is reported above this fraction of the rate.
 _MAX_RATE_UNCERTAINTY = 2e-5
 # Number of lines at the beginning that are examined for the digits of times.
 _MAX_EXAMINED_LINES = 50

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-# Largest unpacked chunk, bytes. The recorder's chunks are a thousand times smaller.
+# A chunk is read up to this unpacked size, bytes. The recorder's chunks are a thousand times smaller.
 LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes.
 # Unpacked size up to which any compression ratio is accepted.
 _UNLIMITED_RATIO_BYTES = 1 << 21
-# Largest compression ratio above this size.
+# Above this size, the compression ratio is at most this.
 _MAX_RATIO = 1000
 # Maximum number of records of a chunk minus its size in the file in bytes.
 _MAX_EXCESS_RECORDS = 1 << 10

@@ -18,9 +18,9 @@ from daq.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, Store
 from daq.mcap_file.summary import Summary, parse_record, read_summary
 from rig.errors import RecordingError
 
-# Largest readable record outside the chunks, bytes.
+# A record outside the chunks is read up to this size, bytes.
 LARGEST_RECORD = 1 << 24
-# Largest readable summary, bytes.
+# A summary is read up to this size, bytes.
 LARGEST_SUMMARY = 1 << 28
 
 FOOTER_RECORD = struct.Struct("<BQQQI")

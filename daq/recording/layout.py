@@ -43,7 +43,8 @@ MIN_BLOCK_SAMPLES = 256
 FLUSH_S = 0.5
 # Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More hardly reduce the cost.
 MAX_DISPLAY_GROUPS = 4
-# Largest product of channels and groups that are converted at once; it limits the memory for samples not yet displayed.
+# At most this product of channels and groups is converted at once, which limits the memory for samples that are not yet
+# displayed.
 MAX_DISPLAY_CHANNELS = 64
 
 

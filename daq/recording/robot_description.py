@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 # Name of the fixed part.
 WORLD = "world"
-# Largest exaggeration. Displacements near a resonance are millimeters; a millimeter is drawn as two centimeters.
+# The motion is exaggerated at most by this factor. Displacements near a resonance are millimeters; a millimeter is
+# drawn as two centimeters.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(

@@ -33,7 +33,7 @@ SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCH
 # field), and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
-# Largest number of blocks that are decoded together; the recorder writes a few to a chunk.
+# At most this number of blocks is decoded together; the recorder writes a few blocks to a chunk.
 _MAX_JOINED_BLOCKS = 64
 
 

@@ -14,7 +14,7 @@ from daq.instrument.chassis import Chassis
 
 # Bench time for which a prompt waits if the run of the script has no time limit.
 PROMPT_TIMEOUT_S = 10.0
-# Longest step of a wait. After each step, the wait ends if the client has disconnected.
+# A wait is divided into steps of at most this time, s. After each step, the wait ends if the client has disconnected.
 _MAX_STEP_S = 100.0
 
 

@@ -13,7 +13,8 @@ from daq.instrument.settings.channels import Channel
 from daq.signal_chain.channel import ChannelInfo
 from rig.scene.scene import STANDARD_GRAVITY
 
-# Ratio of limits to full scale, slightly below 1 so that rounded limits do not exceed full scale.
+# The limits of a channel are this fraction of full scale: slightly less than 1, so that rounded limits do not exceed
+# full scale.
 _LIMIT_RATIO = 1 - 1e-5
 # By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to the unit of sensitivity (mV/g, mV/N).
 _SENSORS = {

@@ -22,7 +22,7 @@ MIN_BAND_HZ = 1000.0
 # Cubic interpolation (`daq.dsp.interpolation`) is accurate to 0.0001 dB up to this ratio of frequency to oversampled
 # rate.
 MAX_RESOLVED_RATIO = 0.1
-# Largest oversampled rate, Hz. Oscillations too fast for it are aliased, as in the modulator of a real converter.
+# The oversampled rate is at most this, Hz. Faster oscillations are aliased, as in the modulator of a real converter.
 MAX_RATE = 1.024e6
 
 

@@ -40,7 +40,8 @@ _MIN_UNCHANGED_S = 2.0
 _MIN_UNCHANGED_DRAWINGS = 5
 # Size of the pictures that are compared for changes, points.
 _COMPARED_POINTS = 800
-# Largest difference between the duration that the viewer reports and the duration of the recording, s.
+# The recording is loaded when the duration that the viewer reports differs from the duration of the recording by at
+# most this, s.
 _END_TOLERANCE_S = 0.02
 _SHOW_PART = "Show a part of it with --from and --to."
 

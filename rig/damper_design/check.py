@@ -27,7 +27,7 @@ STEADY_TOLERANCE = 1e-4
 MAX_WAIT_PERIODS = 2000
 #: Number of test frequencies around each peak.
 POINTS_PER_PEAK = 25
-#: Relative distance of the outermost points from the peak.
+#: The outermost test frequencies differ from the peak by this fraction.
 PEAK_HALF_WIDTH = 0.04
 
 

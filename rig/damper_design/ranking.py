@@ -15,7 +15,7 @@ EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 #: Peaks within this ratio count as equal if part of the motion is irregular. Averages of irregular motion scatter: a
 #: change of the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
-#: Smallest machinable clearance, m: the depth of a bed of shot is uncertain by about as much.
+#: A smaller clearance cannot be built, m: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
 #: In the objective of the search, the mean over the levels has this weight relative to the worst level.
 _MEAN_WEIGHT = 0.01

@@ -40,7 +40,7 @@ MAX_SIMPLEX_LOCATIONS = 2
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
-#: The same limit for the smaller masses, and for locations with several different dampers.
+#: The limit for the smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
 #: Maximum number of locations refined for each smaller mass.
 MAX_REFINED_LOCATIONS = 2

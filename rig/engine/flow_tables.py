@@ -34,19 +34,20 @@ from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.system.hybrid_system import Drive, HybridSystem
 
-#: Largest product of step length (s) and rate (rad/s); 0.7^16 / 16! is below the rounding of float64.
+#: The product of step length (s) and largest rate (rad/s) is at most this; 0.7^16 / 16! is below the rounding of
+#: float64.
 MAX_RATE_TIMES_STEP = 0.7
 #: Matrix powers are tabulated up to this number of states, including the drive.
 MAX_TABULATED_STATES = 16
-#: The same limit for systems with at most `FEW_DAMPERS` dampers.
+#: Matrix powers are tabulated up to this number of states if there are at most `FEW_DAMPERS` dampers.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40
 FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
 #: The matrix of a full step is always tabulated up to this number of states.
 MAX_STEP_MATRIX_STATES = 400
 #: The matrix of a full step is tabulated up to this number of dampers.
 MAX_STEP_MATRIX_DAMPERS = 6
-#: Largest memory, in bytes, of the step matrices of all configurations of a system with more states. Step matrices are
-#: faster than the series if A is dense (modal damping, given matrices).
+#: For a system with more states, the step matrices of all configurations are tabulated up to this memory, in bytes.
+#: Step matrices are faster than the series if A is dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20

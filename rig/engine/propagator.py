@@ -123,7 +123,7 @@ def _store_accelerations(flow: Any, model: Any, states: Array, table_indices: ND
         store_accelerations(flow, model, table_indices[k], states[k], work, STATE_ONLY)
 
 
-#: Largest displacement. A motion with a larger displacement has diverged, because no length in a scene is larger.
+#: A motion with a larger displacement has diverged, because no length in a scene is larger.
 MAX_DISPLACEMENT_M = LENGTH.maximum
 
 

@@ -25,14 +25,15 @@ from rig.numerics.simd import affine_product
 
 #: Kinds of guard of a damper.
 CONTACT_FORCE, FLOOR_GAP, CEILING_GAP = 0, 1, 2
-#: Largest ratio of the fifth derivative with respect to tau to the bound of the fourth. Both are sums over the terms
-#: tau^k up to k = TERMS - 1; for one term the ratio at tau = 1 is k - 4, at most TERMS - 5.
+#: The fifth derivative with respect to tau is at most this multiple of the bound of the fourth. Both are sums over the
+#: terms tau^k up to k = TERMS - 1; for one term the ratio at tau = 1 is k - 4, at most TERMS - 5.
 FIFTH_DERIVATIVE_FACTOR = TERMS - 5
 #: A new envelope is this multiple of the magnitudes of the state.
 ENVELOPE_FACTOR = 2.0
 # A factor, because divisions take longer than multiplications.
 _THIRD = 1.0 / 3.0
-# Largest error of the cubic Hermite interpolant, tau^2 (1 - tau)^2 / 24, relative to the fourth derivative's bound.
+# The error of the cubic Hermite interpolant, tau^2 (1 - tau)^2 / 24, is at most this fraction of the bound of the
+# fourth derivative.
 _HERMITE_ERROR = 1.0 / 384.0
 # After division by tau^2, it is at most (1 - tau) / 24, and the cubic is 3 c_2 (1 - tau) + c_3 tau with its last two
 # Bernstein coefficients c_2 and c_3. So c_2 must exceed 1/72 of the fourth derivative's bound.

@@ -20,7 +20,7 @@ STEP_RATIO = 0.03
 _REDUCED_STEP_RESTITUTION = 0.2
 #: Restitution below which the default time step is constant again, because the rebound is negligible.
 _MIN_STEP_RESTITUTION = 0.1
-#: Longest permitted time step, relative to Rayleigh's time: with a longer step a contact has too few steps.
+#: The time step is at most this multiple of Rayleigh's time: with a longer step a contact has too few steps.
 MAX_STEP_RATIO = 0.2
 
 

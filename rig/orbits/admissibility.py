@@ -17,7 +17,7 @@ from rig.orbits.orbit_equations import Equations, Sequence
 from rig.orbits.shooting import ShootingResult
 from rig.orbits.track import Track, track_orbit, turning_value
 
-# Shortest flight, in radians of the drive. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
+# A flight lasts at least this phase of the drive, rad. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
 MIN_FLIGHT_RAD = 0.02
 
 # Kinds of borders: the first three belong to an event, the others to a damper. Their descriptions are in

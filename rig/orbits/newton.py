@@ -11,7 +11,7 @@ from rig.numerics.jit import cached_njit
 from rig.orbits.orbit_equations import EquationDerivatives, Equations, Sequence
 from rig.orbits.shooting import ShootingResult, shoot
 
-# Largest correction and residual, relative to the motion, of an accepted solution.
+# A solution is accepted if the last correction and the residual are at most this fraction of the motion.
 CONVERGENCE_TOLERANCE = 3e-13
 
 

@@ -51,7 +51,7 @@ MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 MAX_ORBIT_DISTANCE = 0.05
 # The distance from the orbit must decrease over this number of periods.
 CONFIRMATION_PERIODS = 16
-# Relative distance below which the motion has reached the orbit, so that the distance need not decrease further.
+# The motion has reached the orbit if the relative distance is below this; the distance need not decrease further.
 CLOSE_DISTANCE = 1e-6
 
 

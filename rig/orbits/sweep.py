@@ -51,14 +51,15 @@ if TYPE_CHECKING:
 MAX_STEPS = 6
 # Maximum number of Newton corrections after a prediction.
 MAX_CORRECTIONS = 6
-# Largest first correction after a prediction, relative to the predicted change from the previous point, and largest
-# ratio of successive corrections. In designs of dampers for the bundled scenes, 0.4 % of the predictions that converged
-# exceeded these limits, and 97 % of the predictions that did not converge in six corrections.
+# Newton's iteration is stopped if the first correction after a prediction exceeds this fraction of the predicted change
+# from the previous point, or if a correction exceeds this fraction of the previous correction. In designs of dampers
+# for the bundled scenes, 0.4 % of the predictions that converged exceeded these limits, and 97 % of the predictions
+# that did not converge in six corrections.
 MAX_CORRECTION_RATIO = 0.5
 # A prediction is rejected if its error exceeds this fraction of the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
-# Largest change of an unknown by a prediction, relative to the scale of the unknown. Without this limit, closely spaced
-# points could predict event instants millions of periods ahead, and the propagation would not finish.
+# A prediction changes an unknown by at most this multiple of the scale of the unknown. Without this limit, closely
+# spaced points could predict event instants millions of periods ahead, and the propagation would not finish.
 MAX_PREDICTION_RATIO = 10.0
 # Number of points used for extrapolation.
 EXTRAPOLATION_POINTS = 4

@@ -16,10 +16,10 @@ from rig.orbits import event_kinds as kinds
 from rig.orbits.matrix_exponential import exponential
 from rig.orbits.orbit_equations import Equations, Sequence
 
-# Largest product of the step between instants and the norm of the state matrix. The relative error of the extremes
-# of quintics is then 1e-9, and the harmonic is exact to rounding error.
+# The product of the step between instants and the norm of the state matrix is at most this. The relative error of the
+# extremes of quintics is then 1e-9, and the harmonic is exact to rounding error.
 MAX_RATE_TIMES_STEP = 0.25
-# The same product for the harmonic alone, which then has a relative error of 1e-11.
+# The limit of this product for the harmonic alone, which then has a relative error of 1e-11.
 _MAX_RATE_TIMES_HARMONIC_STEP = 0.7
 # Maximum number of steps in a segment; it limits the memory for long flights in stiff structures.
 MAX_STEPS = 1500

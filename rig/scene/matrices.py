@@ -16,7 +16,8 @@ from rig.scene.settings import Problem, Settings
 
 # Maximum number of bodies of a structure.
 MAX_BODIES = 2000
-# Largest asymmetry relative to the largest element: matrices from other programs are symmetric up to rounding error.
+# Matrices from other programs are symmetric up to rounding error: the asymmetry may be at most this fraction of the
+# largest element.
 MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.single_mode.periodic_motion import PERIOD, ModeState, MotionParameters, MotionPhase, MotionType, PeriodicMotion
 
-# Largest rounding error of a gap in units of g/w^2, and of an acceleration in g.
+# A gap in units of g/w^2, or an acceleration in g, may be a rounding error of zero up to this value.
 MAX_ROUNDING_ERROR = 1e-9
 
 

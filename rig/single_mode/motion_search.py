@@ -21,8 +21,9 @@ from rig.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, 
 # fold. Continuation from the other side of the fold, or from another frequency, then reaches both.
 _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
-# Shortest flight of the search [rad]: for a shorter one take-off and landing nearly coincide, and the conditions are
-# nearly singular. It corresponds to an acceleration amplitude G of 1 + 3e-6 g, from t = 4 sqrt(G^2 - 1).
+# The search finds flights that last at least this phase of the drive, rad: for a shorter flight, take-off and landing
+# nearly coincide, and the conditions are nearly singular. The limit corresponds to an acceleration amplitude G of 1 +
+# 3e-6 g, from t = 4 sqrt(G^2 - 1).
 MIN_FLIGHT_RAD = 0.01
 # Reasons for the end of a branch, in the order of `ordering_margins`.
 END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from rig.results.response import Response
 
-#: Relative tolerance of the controlled spring force.
+#: The controlled spring force agrees with its level within this fraction.
 LEVEL_TOLERANCE = 1e-6
 #: Maximum number of drive levels tried for one point.
 MAX_LEVEL_TRIALS = 25

@@ -22,7 +22,7 @@ from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
 from rig.numerics.jit import cached_njit
 
-#: Longest detectable repetition, in periods of the drive.
+#: A repetition is detected up to this number of periods of the drive.
 MAX_REPETITION = 8
 #: Number of periods in a comparison, which must exceed four times the longest repetition.
 COMPARED_PERIODS = 40

@@ -22,7 +22,7 @@ from rig.system.structural_model import StructuralModel, structural_model
 
 #: Maximum number of free dampers: contact configurations are bits of a 64-bit integer.
 MAX_DAMPERS = 62
-#: Largest condition number of a stiffness matrix that has an inverse; rounding limits it to about 1e16.
+#: A stiffness matrix has an inverse if its condition number is at most this; rounding limits it to about 1e16.
 MAX_CONDITION = 1e13
 
 

@@ -25,7 +25,7 @@ from rig.work_precision.motion_study import MIN_REFERENCE_MARGIN, Point, failure
 OTHER_PACKING = "grains, other packing"
 #: Tolerances of time integration to steady state.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-#: Relative frequency offsets at which periodic motion is searched if the motion is irregular.
+#: If the motion is irregular, periodic motion is searched at frequencies with these relative offsets.
 FREQUENCY_OFFSETS = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
 #: Relative half-width of the band of the approximate method around the frequency.
 BAND_HALF_WIDTH = 0.04

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Largest frequency of the result, relative to the decimated sample rate.
+# The result extends up to this fraction of the decimated sample rate.
 _MAX_FREQUENCY_RATIO = 0.15
 # Length of the low-pass filter in samples of the decimated rate.
 _FILTER_LENGTH = 24

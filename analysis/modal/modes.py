@@ -93,11 +93,10 @@ class Modes(Result):
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
         ratio, expanded = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
-        return (
-            format_quantity(ratio, expanded, "%")
-            if expanded < 2.0 * MAX_RELATIVE_UNCERTAINTY * ratio
-            else f"below {ratio + expanded:.2g} %"
-        )
+        if expanded < 2.0 * MAX_RELATIVE_UNCERTAINTY * ratio:
+            return format_quantity(ratio, expanded, "%")
+        # A mode of any damping ratio below 100 % would fit.
+        return f"below {ratio + expanded:.2g} %" if ratio + expanded < 100.0 else "not determined"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with their standard deviations."""

@@ -226,6 +226,7 @@ def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     assert np.all(abs(modes.damping - half_widths / natural) < 2.0 * modes.damping_error)
     assert np.all(modes.damping + 2.0 * modes.damping_error < 2.0 * spacing / natural)
     assert modes.damping_text(0).startswith("below")
+    assert replace(modes, damping_error=modes.damping + 1.0).damping_text(0) == "not determined"
     assert sum("narrower than the resolution" in warning for warning in modes.warnings) == 1
 
 

@@ -46,7 +46,8 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
 _MAX_SECANT_STEPS = 3
-# The search for the largest permissible level ends when its relative error is below this.
+# The search for the largest permissible level ends when the largest reading differs from its limit by less than this
+# fraction.
 _LEVEL_TOLERANCE = 0.02
 # If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
 # proportion.

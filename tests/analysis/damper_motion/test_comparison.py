@@ -110,7 +110,7 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
     assert step > 0.05 or estimate.bound < 0.02 * exact
 
 
-def test_warning_of_coarse_points_states_required_step() -> None:
+def test_warning_of_coarse_points_gives_required_step() -> None:
     resolved, coarse = (Peak(1e-3, 1e-4, 18.5, 18.4, 18.6, 0.0, ratio * 1e-3, 0.33) for ratio in (0.005, 0.09))
     [warning] = coarse_step_warnings([(19.0, "a3", resolved), (19.0, "a4", coarse), (44.0, "a4", resolved)])
     assert warning.startswith("a4, near 18.50 Hz: the points are 0.33 Hz apart")

@@ -125,7 +125,7 @@ def test_wrong_fixed_masses_give_misfit(noisy_sweep):
 
 @pytest.mark.thorough
 @pytest.mark.usefixtures("one_random_start")
-def test_reversed_channel_is_the_stated_misfit(noisy_sweep):
+def test_reversed_channel_is_named_as_cause_of_misfit(noisy_sweep):
     with daq.open(noisy_sweep("0.02")) as recording:
         recording.channels["body2"] = replace(recording.channels["body2"], gain=-1.0)
         result = analysis.fit(recording, initial_scene())

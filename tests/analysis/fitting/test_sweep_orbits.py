@@ -61,7 +61,7 @@ def test_continued_motions_have_correct_derivatives():
         )
 
 
-def test_infinite_rebounds_are_a_stated_reason():
+def test_infinite_rebounds_are_reported_as_reason():
     curves, frequency, level = nearest_points(49.0)
     dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
     rebounding_scene = curves.scene.replace(dampers=dampers)

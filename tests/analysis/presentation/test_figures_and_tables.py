@@ -124,7 +124,7 @@ def test_file_that_is_not_a_recording_is_rejected(tmp_path):
     ("natural", "remarks"), [(20.8, ["body1: the peak between"]), (21.0, []), (40.0, ["body1: highest at"])]
 )
 @pytest.mark.parametrize("motion", ["displacement", "acceleration"])
-def test_peak_between_points_is_stated(natural, motion, remarks):
+def test_peak_between_points_is_reported(natural, motion, remarks):
     f, ratio = np.arange(15.0, 30.0, 0.5), 0.005
     value = 1e-6 / (1.0 - (f / natural) ** 2 + 2j * ratio * f / natural)
     curve = Response.curve(f, value, "body1", error=1e-3 * abs(value), degrees=100.0 * np.ones(f.size)).to(motion)

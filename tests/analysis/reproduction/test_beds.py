@@ -135,7 +135,7 @@ def test_verdict_follows_compliance_deviations(deviations: list[float], beginnin
     assert f"within 10 % in {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
 
 
-def test_claim_c7_states_the_bundled_table() -> None:
+def test_claim_c7_agrees_with_the_bundled_table() -> None:
     beds = table()
     parts = {
         "beds": beds,
@@ -203,7 +203,7 @@ def test_repeated_setting_agrees_within_10_percent(monkeypatch: pytest.MonkeyPat
     assert float(recomputed["mass_compliance"]) == pytest.approx(float(row["mass_compliance"]), rel=1e-4)
 
 
-def test_design_states_counts_of_the_bundled_table() -> None:
+def test_design_reports_counts_of_the_bundled_table() -> None:
     beds = table()
     deviations, without_ceiling = deviation(beds, "compliance"), np.isinf(beds["clearance"])
     for quoted, selected in ((WITHOUT_CEILING, without_ceiling), (BELOW_CEILING, ~without_ceiling)):

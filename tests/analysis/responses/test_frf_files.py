@@ -76,7 +76,7 @@ def test_universal_file_contains_lines_and_modes(binary, tmp_path):
          lambda v: (abs(v) * 9.80665, np.angle(v, deg=True))),
     ],
 )  # fmt: skip
-def test_table_headings_state_components_and_units(heading, columns, tmp_path):
+def test_table_headings_give_components_and_units(heading, columns, tmp_path):
     value = accelerance() / 9.80665
     rows = np.vstack([FREQUENCY, *columns(value[0]), *columns(value[1])]).T
     np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=heading, comments="")

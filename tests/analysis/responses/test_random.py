@@ -161,7 +161,7 @@ def test_uncertainty_of_multisine_contains_truth(multisine_file):
     np.testing.assert_allclose(modes.damping, 0.005, rtol=0.02)
 
 
-def test_note_on_missing_periods_states_the_reason(tmp_path):
+def test_note_on_missing_periods_gives_the_reason(tmp_path):
     with daq.open(multisine(tmp_path / "a.mcap", realisations=1)) as rec:
         [marker] = [marker for marker in rec.markers if marker.kind == "measure"]
         marker.fields["periods"] += 1

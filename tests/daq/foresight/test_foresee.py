@@ -110,7 +110,7 @@ def test_largest_level_is_the_limit() -> None:
     assert "input range 0.1 V" in above.summary()
 
 
-def test_overloaded_input_states_true_maximum() -> None:
+def test_overloaded_input_has_true_maximum() -> None:
     scene = one_body(TONE, channels=accelerometer())
     maximum = daq.foresee(scene)["a1"].largest
     clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": maximum * VOLTS_PER_UNIT / 2}))["a1"]

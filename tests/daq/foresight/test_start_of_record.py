@@ -52,7 +52,7 @@ def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:
         ("reference-A", "force on body 1, 1 N/V"),
     ],
 )
-def test_explain_and_server_state_effect_of_volt(name: str, effect: str) -> None:
+def test_explain_and_server_describe_effect_of_volt(name: str, effect: str) -> None:
     assert f"ao0                      -  {effect}" in str(rig.explain(name)) or effect in str(rig.explain(name))
     chassis = connect_scene(name, "fast")
     assert f"ao0: {effect}" in announcement(chassis, "127.0.0.1", 1, False)

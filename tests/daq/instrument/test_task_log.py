@@ -150,7 +150,7 @@ def test_log_contains_record_of_reference_trigger(tmp_path):
 
 @pytest.mark.parametrize("mode", [LoggingMode.LOG, LoggingMode.LOG_AND_READ])
 @pytest.mark.parametrize("name", ["dropped.mcap", "dropped.tdms"])
-def test_log_states_where_samples_were_lost(tmp_path, mode, name):
+def test_log_marks_lost_samples(tmp_path, mode, name):
     scene = rig.load("fig8-three-dampers")
     dropped = {"at": "0.1 s", "samples": 256}  # from sample 512 at 5120 S/s
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))

@@ -84,14 +84,14 @@ def test_unknown_compression_is_named(name):
 
 @pytest.mark.parametrize("size", [len(MESSAGE) - 1, len(MESSAGE) + 1])
 @pytest.mark.parametrize("compression", COMPRESSORS)
-def test_wrong_stated_size_is_rejected(compression, size):
+def test_wrong_size_in_header_is_rejected(compression, size):
     with pytest.raises(Damage, match="unpack"):
         unpack_chunk(memoryview(chunk(compression, MESSAGE, size=size)))
 
 
 @pytest.mark.parametrize("excess", [-20, -1, 1, 20])
 @pytest.mark.parametrize("compression", COMPRESSORS)
-def test_chunk_length_error_states_both_sizes(compression, excess):
+def test_chunk_length_error_gives_both_sizes(compression, excess):
     content = chunk(compression, MESSAGE)
     packed_size = len(content) - CHUNK_HEAD.size - len(compression) - 8
     wrong_content = content + bytes(excess) if excess > 0 else content[:excess]

@@ -147,7 +147,7 @@ def test_damaged_byte_affects_only_its_record(tmp_path, damage):
             assert unreadable[0].reason
 
 
-def test_cut_file_keeps_all_records_before_cut(tmp_path):
+def test_truncated_file_keeps_all_complete_records(tmp_path):
     # Around the beginning of each record, every third byte.
     cuts = {
         boundary + offset

@@ -62,7 +62,7 @@ def test_writer_equals_the_package_writer(compression, monkeypatch):
 
 
 @pytest.mark.parametrize("channels_first", [True, False])
-def test_batched_messages_equal_single_ones(channels_first):
+def test_batched_messages_equal_single_messages(channels_first):
     times, sequence, channels = np.array([7, 9, 2**63], np.uint64), np.arange(3), np.array([2, 1])
     data = np.random.default_rng(0).integers(0, 256, (2, 3, 28)).astype(np.uint8)
     if channels_first:

@@ -70,7 +70,7 @@ def test_seed_determines_noise(tmp_path: Path) -> None:
         assert not np.array_equal(first.read("body1"), second.read("body1"))
 
 
-def test_markers_state_every_point(tmp_path: Path) -> None:
+def test_markers_describe_every_point(tmp_path: Path) -> None:
     reports: list[tuple[float, str]] = []
     path = daq.record(steps_scene(), tmp_path / "new" / "s.mcap", progress=lambda *report: reports.append(report))
     with daq.open(path) as rec:
@@ -347,7 +347,7 @@ def test_command_names_file_and_next_step(
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 
-def test_several_scenes_have_own_files(
+def test_each_scene_has_a_separate_file(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = scene_file.parent

@@ -27,7 +27,7 @@ SHORT_TESTS = {
 
 @pytest.mark.filterwarnings("ignore::daq.RunWarning")
 @pytest.mark.parametrize("kind", SHORT_TESTS)
-def test_recording_states_the_kind_of_its_test(kind, tmp_path):
+def test_recording_contains_the_kind_of_its_test(kind, tmp_path):
     scene = rig.load("bare-structure", {"test": yaml.safe_load(SHORT_TESTS[kind])})
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as recording:
         assert recording.metadata["run"]["kind"] == kind == recording.test.kind

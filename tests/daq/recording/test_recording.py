@@ -135,7 +135,7 @@ def test_unacquired_samples_read_as_nan(tmp_path):
 
 
 @pytest.mark.parametrize(("start", "stop"), [(-1, 5), (0, SAMPLES + 1), (10, 9)])
-def test_missing_samples_error_states_the_range(recorded, start, stop):
+def test_missing_samples_error_gives_the_range(recorded, start, stop):
     with daq.open(recorded) as recording, pytest.raises(RecordingError, match=f"a range from 0 to {SAMPLES - 1}"):
         recording.read("body1", start, stop)
 

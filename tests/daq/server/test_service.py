@@ -102,7 +102,7 @@ def test_terminal_may_be_used_twice():
     assert first == second
 
 
-def test_inputs_and_output_have_own_rates():
+def test_inputs_and_output_have_separate_rates():
     with (
         daq.connect("bare-structure", clock="fast") as rig,
         input_task_of(rig, "cDAQ1Mod1/ai3") as input_task,

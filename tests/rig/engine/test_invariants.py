@@ -289,7 +289,7 @@ def test_dampers_settle_at_static_deflection() -> None:
 
 
 @pytest.mark.parametrize(("body", "clearance"), [(1, 0.5e-3), (2, 0.98e-3), (3, float("inf"))])
-def test_two_half_dampers_move_like_one(body: int, clearance: float) -> None:
+def test_two_half_dampers_move_like_one_damper(body: int, clearance: float) -> None:
     whole_damper = {"body": body, "mass_ratio": 0.1, "clearance": clearance}
     half_damper = whole_damper | {"mass_ratio": 0.05}
     scene = rig.load("fig8-three-dampers").replace(

@@ -123,7 +123,7 @@ def test_bed_of_grains_is_rejected_without_workers(monkeypatch: pytest.MonkeyPat
         rig.map_motion(with_grains(), values=[1.0], frequencies=[30.0])
 
 
-def test_errors_state_the_invalid_range() -> None:
+def test_errors_name_the_invalid_range() -> None:
     scene = rig.load("fig9")
     with pytest.raises(SceneError, match="50 to 40 Hz"):
         select_frequencies(scene, 50.0, 40.0)

@@ -178,7 +178,7 @@ def test_unwritable_cache_is_reported(kernels: Path) -> None:
     assert float(result.stdout) == 112.0 and "NUMBA_CACHE_DIR" in result.stderr
 
 
-def test_compiling_is_logged_for_own_kernels(kernels: Path) -> None:
+def test_compilation_of_program_kernels_is_logged(kernels: Path) -> None:
     code = "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
     # The interval of the garbage collector is the user's again afterwards.
     code = f"import gc\nthresholds = gc.get_threshold()\n{code}\nassert gc.get_threshold() == thresholds"

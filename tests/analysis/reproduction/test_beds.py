@@ -170,8 +170,8 @@ def test_other_resonances_are_drawn_for_each_setting() -> None:
     )
 
 
-def test_compliance_is_that_of_a_driven_body() -> None:
-    """A body ten times as heavy as the damper, driven by the force that the compliance states, has this peak."""
+def test_compliance_equals_simulation_of_driven_body() -> None:
+    """A body ten times as heavy as the damper has this peak under the force that follows from the compliance."""
     scene = scene_of_bed(Setting(2.2, np.inf, 2, 1))
     summary = summary_row(scene, steady_mass(scene, FREQUENCY))
 

@@ -123,17 +123,17 @@ def test_unusable_file_is_rejected_with_message(name, tmp_path):
     # Each import of a MATLAB file starts a process.
     [(form, fraction) for form in WRITERS for fraction in ([0.5] if "mat" in form else [0.02, 0.5, 0.97])],
 )
-def test_cut_file_is_rejected_or_partly_imported(form, fraction, tmp_path):
+def test_truncated_file_is_rejected_or_partly_imported(form, fraction, tmp_path):
     ending, write_file, _ = WRITERS[form]
     rows = random_samples(600)
     write_file(tmp_path / f"whole{ending}", rows)
     data = (tmp_path / f"whole{ending}").read_bytes()
-    path = tmp_path / f"cut{ending}"
+    path = tmp_path / f"truncated{ending}"
     path.write_bytes(data[: int(fraction * len(data))])
     try:
         daq.import_files(path, make_scene(), tmp_path / "r.mcap", table=TABLE)
     except (RecordingError, SceneError) as error:
-        assert "cut" in str(error) and not (tmp_path / "r.mcap").exists()
+        assert path.name in str(error) and not (tmp_path / "r.mcap").exists()
         return
     with daq.open(tmp_path / "r.mcap") as recording:
         count = recording.samples
@@ -301,12 +301,14 @@ def test_modules_in_current_folder_are_not_imported(tmp_path, monkeypatch):
         assert recording.samples == 600
 
 
-def test_cut_tdms_file_gives_one_warning(tmp_path, caplog):
+def test_truncated_tdms_file_gives_one_warning(tmp_path, caplog):
     WRITERS["tdms"][1](tmp_path / "whole.tdms", random_samples(600))
     data = (tmp_path / "whole.tdms").read_bytes()
-    (tmp_path / "cut.tdms").write_bytes(data[: len(data) - 1000])
+    (tmp_path / "truncated.tdms").write_bytes(data[: len(data) - 1000])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
-        daq.import_files(tmp_path / "cut.tdms", make_scene(), tmp_path / "r.mcap")
-    assert [str(warning.message) for warning in caught if "cut.tdms is truncated or damaged" in str(warning.message)]
+        daq.import_files(tmp_path / "truncated.tdms", make_scene(), tmp_path / "r.mcap")
+    assert [
+        str(warning.message) for warning in caught if "truncated.tdms is truncated or damaged" in str(warning.message)
+    ]
     assert not caplog.records

@@ -238,7 +238,7 @@ def _object(data: memoryview, topic: str) -> dict[str, Any]:
     try:
         content = json.loads(bytes(data))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{topic}: a message cannot be read: it is not JSON ({error}). {_REMEDY}") from error
+        raise RecordingError(f"{topic}: a message is not JSON ({error}). {_REMEDY}") from error
     if not isinstance(content, dict):
         raise RecordingError(f"{topic}: a message is not a JSON object (named fields in braces). {_REMEDY}")
     return content

@@ -106,15 +106,17 @@ class SteppedSine(Settings):
         """Check the range or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
-                yield Problem((), "frequencies and from/to given together. Remove one of the two.")
+                yield Problem((), "frequencies and from or to are given together. Remove one of the two.")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
                 yield Problem(
-                    ("frequencies",), "not ascending. List them from low to high; direction: down reverses them."
+                    ("frequencies",),
+                    "the frequencies do not ascend. List them from low to high; direction: down reverses their order.",
                 )
         elif self.from_ is None or self.to is None:
             yield Problem((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
         elif self.from_ >= self.to:
-            yield Problem(("from",), "not below to. Give the lower end first; direction: down sweeps downward.")
+            message = f"got {self.from_:g} Hz, which is not below to, {self.to:g} Hz. Give the lower end first"
+            yield Problem(("from",), f"{message}; direction: down sweeps downward.")
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -170,7 +172,7 @@ class SweptSine(Settings):
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
-            yield Problem(("to",), "equal to from. Use kind: sine for a constant frequency.")
+            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
 
 
 class Random(Settings):
@@ -238,13 +240,14 @@ class Multisine(Settings):
         """Check the band."""
         yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
-            yield Problem(("period",), "no multiple of its reciprocal lies between from and to. Give a longer period.")
+            message = f"no line of the multisine (multiple of {1.0 / self.period:g} Hz) lies between from and to"
+            yield Problem(("period",), f"{message}. Give a longer period.")
 
 
 def check_band(low: float, high: float) -> Iterable[Problem]:
     """Check that a frequency band is given with its lower end first."""
     if low >= high:
-        yield Problem(("from",), "not below to. Give the lower end of the band first.")
+        yield Problem(("from",), f"got {low:g} Hz, which is not below to, {high:g} Hz. Give the lower end first.")
 
 
 class DoubleHit(Settings):
@@ -280,15 +283,18 @@ class Impulse(Settings):
         """Check that pulses do not overlap."""
         if self.width >= self.interval:
             yield Problem(
-                ("width",), "not shorter than the interval between hits. Give a shorter width or a longer interval."
+                ("width",),
+                f"got {self.width:g} s, which is not shorter than the interval between hits, {self.interval:g} s. Give "
+                "a shorter width or a longer interval.",
             )
         if self.double_hit is None:
             return
         if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
             yield Problem(
                 ("double_hit", "after"),
-                "does not lie between the end of the first pulse and the next hit. Give at least "
-                f"{self.width:g} s and less than {self.interval - self.width:g} s, or a longer interval.",
+                f"got {self.double_hit.after:g} s, but the second pulse must lie between the first pulse and the next "
+                f"hit. Give at least {self.width:g} s and less than {self.interval - self.width:g} s, or a longer "
+                "interval.",
             )
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:

@@ -117,14 +117,14 @@ class Damper(Settings):
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the restitution is given once, and that the bed is either one mass or grains."""
         if self.grains is not None and self.restitution:
-            yield Problem(("restitution",), "given together with grains. Move it into grains.")
+            yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:
-            yield Problem(
-                ("contact",), "given together with grains, which have their own contact. Remove one of the two."
-            )
+            message = "contact and grains are given together, but grains have a contact law. Remove one of the two."
+            yield Problem(("contact",), message)
         has_duration = any(isinstance(wall, TimedContact) for wall in walls_of(self.contact))
         if self.restitution and self.contact is not None and not has_duration:
             yield Problem(
                 ("restitution",),
-                "given together with stiffness and damping, which determine it. Remove it, or give contact: duration.",
+                "stiffness and damping of the contact determine the restitution. Remove restitution, or give contact: "
+                "duration.",
             )

@@ -326,7 +326,7 @@ class Free(Settings):
             given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
             yield Problem((given_key,), f"given without {missing_key}. Add {missing_key}, or remove {given_key}.")
         if self.mode is not None and (self.displacement is not None or self.velocity is not None):
-            yield Problem(("mode",), "given together with displacement or velocity. Remove one of the two.")
+            yield Problem(("mode",), "mode is given together with displacement or velocity. Remove one of the two.")
         if self.mode is None and self.displacement is None and self.velocity is None:
             yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")
 

@@ -195,13 +195,16 @@ class Channel(Settings):
         if self.measures_voltage:
             for key in ("accelerometer", "integrator", "hammer"):
                 if getattr(self, key) is not None:
-                    yield Problem((key,), "given at the drive, where the signal is a voltage. Remove it.")
+                    yield Problem((key,), f"the drive is a voltage and needs no {key}. Remove {key}.")
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
-                    yield Problem((key,), f"given at the {self.at}; expected hammer: with the keys of its force sensor")
+                    message = (
+                        f"the channel measures force at the {self.at}; expected hammer: with the keys of its sensor"
+                    )
+                    yield Problem((key,), message)
         elif self.hammer is not None:
-            yield Problem(("hammer",), f"given at {self.at}; expected it at: hammer or at: shaker")
+            yield Problem(("hammer",), f"a force sensor cannot measure at {self.at}; expected at: hammer or at: shaker")
 
     @property
     def place_kind(self) -> str:

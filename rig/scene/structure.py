@@ -89,7 +89,9 @@ class Structure(Settings):
         if not isinstance(masses, Mapping):
             return content, []
         has_names = content.get("names") is not None
-        problems = [Problem(("names",), "given together with masses that have names. Remove names.")] * has_names
+        problems = [
+            Problem(("names",), "names are given together with masses that have names. Remove names.")
+        ] * has_names
         return {**content, "masses": list(masses.values()), "names": list(map(str, masses))}, problems
 
     @classmethod
@@ -145,11 +147,9 @@ class Structure(Settings):
             yield Problem(("springs",), f"got {len(self.springs)} springs; expected {n_bodies}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
-                yield Problem(
-                    ("springs",), "given together with matrices, which contain the stiffness. Remove springs."
-                )
+                yield Problem(("springs",), "springs and matrices are given together. Remove one of the two.")
             if self.damping is not None and self.matrices.damping is not None:
-                yield Problem(("damping",), "given together with the damping matrix. Remove one of the two.")
+                yield Problem(("damping",), "damping is given together with a damping matrix. Remove one of the two.")
             if isinstance(self.damping, Dashpots):
                 yield Problem(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
         damping_values = {

@@ -111,9 +111,10 @@ def verdict(beds: Columns) -> str:
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
-        f"the body's compliance agrees with that of one mass within {100 * GOOD_DEVIATION:g} % in "
-        f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in {acceptable} of {count} "
-        "simulated settings of frequency, acceleration, clearance and depth"
+        "the compliance of the body with grains agrees with the compliance with one mass within "
+        f"{100 * GOOD_DEVIATION:g} % in {_count_within(deviations, GOOD_DEVIATION)}, and within "
+        f"{100 * MAX_DEVIATION:g} % in {acceptable}, of {count} simulated settings of frequency, acceleration, "
+        "clearance and depth"
     )
     setting_count = len({point_of(setting) for setting in settings()})
     if count < setting_count:

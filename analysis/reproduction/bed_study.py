@@ -265,5 +265,5 @@ def _describe_row(row: Row) -> str:
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
     return (
         f"{level:g} g at {frequency:g} Hz, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance "
-        f"of grains {100 * (ratio - 1.0):+.1f} % relative to that of one mass"
+        f"of grains {100 * (ratio - 1.0):+.1f} % relative to one mass"
     )

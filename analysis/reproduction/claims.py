@@ -131,10 +131,10 @@ def _describe_type_iii(single: Columns) -> str:
         if is_type_iii.any() and not is_type_iii.all():
             factors.append(np.median(peak[is_type_iii]) / np.median(peak[~is_type_iii]))
     if not factors:
-        return "No force shows peaks of Type III and others."
+        return "At no force do peaks of Type III and of other types occur."
     return (
-        "With one damper, at the same force, the median peak of Type III is "
-        f"{min(factors):.1f} to {max(factors):.1f} times that of the other motions: Type III "
+        f"With one damper, at the same force, the median peak of Type III is {min(factors):.1f} to "
+        f"{max(factors):.1f} times the median peak of the other types: Type III "
         + ("enhances the motion, as the paper says." if min(factors) > 1.0 else "does not always enhance the motion.")
     )
 

@@ -68,7 +68,7 @@ class BedResponse(Result):
         n_steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
             f"{len(deviation)} frequencies; steady state at {n_steady[0]} with grains, at {n_steady[1]} as one mass. "
-            f"Largest deviation of the compliance as one mass from that with grains: {100 * deviation[k, body]:+.3g} % "
+            f"Largest deviation of the compliance with one mass from grains: {100 * deviation[k, body]:+.3g} % "
             f"(body {body + 1}, {self.frequency[k]:.6g} Hz)"
         )
 

@@ -321,8 +321,9 @@ def summarize_map(map_: MotionMap) -> str:
             )
     lines += [
         "",
-        f"CPU us a period: time to compute a period. CPU ms a motion: time to compute it from the previous frequency "
-        f"until it is steady\nwithin {STEADY_TOLERANCE:.0e}, or irregular. This time is not a time on a bench.",
+        "CPU us a period: time to compute a period. CPU ms a motion: time to compute a motion, from the previous "
+        f"frequency\nuntil the motion is in steady state within {STEADY_TOLERANCE:.0e} or irregular; not a time on a "
+        "bench.",
         f"total CPU time: {map_.cpu.sum():.3g} s",
     ]
     return "\n".join(lines)

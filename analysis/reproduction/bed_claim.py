@@ -113,8 +113,8 @@ def verdict(beds: Columns) -> str:
     agreement = (
         "the compliance of the body with grains agrees with the compliance with one mass within "
         f"{100 * GOOD_DEVIATION:g} % in {_count_within(deviations, GOOD_DEVIATION)}, and within "
-        f"{100 * MAX_DEVIATION:g} % in {acceptable} of {count} simulated settings of frequency, acceleration, clearance "
-        "and depth"
+        f"{100 * MAX_DEVIATION:g} % in {acceptable} of {count} simulated settings of frequency, acceleration, "
+        "clearance and depth"
     )
     setting_count = len({point_of(setting) for setting in settings()})
     if count < setting_count:

@@ -13,7 +13,13 @@ from analysis.modal.line_choice import are_in_gaps, is_peak, reduce_lines, scatt
 from analysis.modal.lscf import merge_charts, stabilization_chart
 from analysis.modal.mode_warnings import mode_warnings
 from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
-from analysis.modal.order_selection import MAX_MODES, better_model, in_band, narrower_than_resolution, select_model
+from analysis.modal.order_selection import (
+    MAX_MODES,
+    are_in_band,
+    are_narrower_than_resolution,
+    better_model,
+    select_model,
+)
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.modal.pole_residue import Curves, ModalModel, fit, residual_terms
 from analysis.modal.refinement import Refinement, refine
@@ -97,7 +103,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     refinement = None if model_error else _refine(weighted, model, curves)
     if refinement is not None:
         model = refinement.model
-    accepted = in_band(weighted, model.poles)
+    accepted = are_in_band(weighted, model.poles)
     if not accepted.any():
         raise RecordingError(
             f"{curves[0].label}: no resonance exceeds the noise and the resolution of the curves. Measure for longer, "
@@ -245,7 +251,7 @@ def _best_model(
     # A model error relative to neighboring peaks may exceed a peak of one or two lines and hide its mode. The model
     # with the most modes of this kind is therefore used if the last model has fewer.
     n_narrow_modes = [
-        int((in_band(curves, model.poles) & narrower_than_resolution(curves, model.poles)).sum())
+        int((are_in_band(curves, model.poles) & are_narrower_than_resolution(curves, model.poles)).sum())
         for curves, model in models
     ]
     curves, model = models[int(np.argmax(n_narrow_modes)) if max(n_narrow_modes) > n_narrow_modes[-1] else -1]
@@ -272,11 +278,11 @@ def _remove_spurious_poles(
         _, damping_error = pole_errors(curves, model)
         relative_damping_error = damping_error * abs(model.poles) / -model.poles.real
         relative_uncertainty = np.where(
-            in_band(curves, model.poles),
+            are_in_band(curves, model.poles),
             np.maximum(relative_damping_error, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),
             0.0,
         )
-        for k in np.flatnonzero(narrower_than_resolution(curves, model.poles)):
+        for k in np.flatnonzero(are_narrower_than_resolution(curves, model.poles)):
             line = int(np.argmin(abs(curves.frequency - abs(model.poles[k]) / (2 * np.pi))))
             relative_uncertainty[k] = 0.0 if any(is_peak(abs(row), line) for row in curves.value) else np.inf
         worst = int(np.argmax(relative_uncertainty))

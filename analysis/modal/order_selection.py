@@ -43,13 +43,13 @@ def half_width(poles: ComplexArray) -> Array:
     return np.asarray(-poles.real / (2 * np.pi))
 
 
-def in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
+def are_in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
     """Return whether poles are inside the measured band."""
     frequency = poles.imag / (2 * np.pi)
     return np.asarray((frequency > curves.frequency[0]) & (frequency < curves.frequency[-1]))
 
 
-def narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
+def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
     """Return whether the peaks of poles are narrower than the resolution, so that their widths are undetermined."""
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
@@ -71,7 +71,7 @@ def select_model(
     low, high = curves.frequency[0], curves.frequency[-1]
     frequency = np.array([0.5 * low, 0.8 * low, 0.95 * low, 1.05 * high, 1.25 * high, 2.0 * high])
     outside = np.asarray(2 * np.pi * frequency * (-0.01 + 1j), dtype=complex)
-    while in_band(curves, current.poles).sum() < max_modes:
+    while are_in_band(curves, current.poles).sum() < max_modes:
         if curves.degrees_of_freedom(current.poles.size + 1) < _MIN_DEGREES:
             break
         all_candidates = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
@@ -94,14 +94,14 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
         tried.append(pole)
         model = fit(curves, np.append(current.poles, pole))
         better = best is None or model.misfit < best.misfit
-        if better and significant(curves, current, model) and not spurious_poles(curves, model).size:
+        if better and is_significant(curves, current, model) and not spurious_poles(curves, model).size:
             best = model
         if len(tried) == _FITTED_CANDIDATES:
             break
     return best
 
 
-def significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
+def is_significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
     """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
     return _net_misfit_reduction(curves, smaller.misfit, larger, smaller.poles.size) > 0
 
@@ -114,7 +114,7 @@ def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> Modal
     smaller, larger = sorted((first, second), key=lambda model: model.poles.size)
     if smaller.poles.size == larger.poles.size:
         return min(first, second, key=lambda model: model.misfit)
-    return larger if significant(curves, smaller, larger) else smaller
+    return larger if is_significant(curves, smaller, larger) else smaller
 
 
 def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, n_poles: int) -> float:
@@ -144,7 +144,7 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     A pole is spurious if its damping ratio exceeds `MAX_DAMPING`, or if it and its neighbor are fitted to one peak.
     """
     poles, width = model.poles, half_width(model.poles)
-    is_inside = in_band(curves, poles)
+    is_inside = are_in_band(curves, poles)
     spurious = {int(i) for i in np.flatnonzero(is_inside & (-poles.real > MAX_DAMPING * abs(poles)))}
     order = [int(i) for i in np.argsort(poles.imag) if is_inside[i]]
     for low, high in pairwise(order):
@@ -192,7 +192,7 @@ def _prune(curves: Curves, model: ModalModel) -> ModalModel:
             model = fit(curves, poles)
             continue
         smaller = fit(curves, fewer)
-        if significant(curves, smaller, model):
+        if is_significant(curves, smaller, model):
             return model
         model = smaller
     return model

@@ -122,10 +122,10 @@ class Hits:
             largest = max(largest, _amplitude(before) / (visible_ratio * response) if response else 0.0)
         return largest
 
-    def at_rest(self, motion: float, start: int, stop: int, samples: int) -> bool:
+    def is_response_to_hits_alone(self, motion: float, start: int, stop: int, samples: int) -> bool:
         """Return whether a segment, zero-padded to `samples`, is treated as the response to its hits alone.
 
-        This is the case if `motion`, the result of `prior_motion`, is small. It is also the case for a single hit close
+        This is true if `motion`, the result of `prior_motion`, is small. It is also true for a single hit close
         to the beginning: the spectra of earlier motion and of the response are then too similar for separate terms.
         """
         if motion < _MAX_REST_RATIO:

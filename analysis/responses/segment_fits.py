@@ -193,7 +193,8 @@ class SegmentFits:
             gain_error = np.repeat(noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
             at_rest = [
-                self.hits.at_rest(motion, *bounds, size) for bounds, motion in zip(segments, prior_motion, strict=True)
+                self.hits.is_response_to_hits_alone(motion, *bounds, size)
+                for bounds, motion in zip(segments, prior_motion, strict=True)
             ]
             blocks = []
             for (start, stop), is_at_rest in zip(segments, at_rest, strict=True):

@@ -180,7 +180,7 @@ class _Explorer:
 
     def _contains(self, branch: OrbitBranch, orbit: Orbit) -> bool:
         """Return whether an orbit lies on a branch: same events, and same response after interpolation."""
-        if not branch.plan.same_cycle(orbit.plan):
+        if not branch.plan.has_same_cycle(orbit.plan):
             return False
         offset = branch.value - getattr(orbit.setting, self.parameter)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
@@ -239,7 +239,7 @@ class _Explorer:
                     np.abs(candidate.compliance - orbit.compliance).max()
                     < NEIGHBOR_RESPONSE * np.abs(orbit.compliance).max()
                 )
-                if is_close and not candidate.flaw and not candidate.plan.same_cycle(orbit.plan):
+                if is_close and not candidate.flaw and not candidate.plan.has_same_cycle(orbit.plan):
                     return candidate
         # Close to the border, the new event may be too weak to be detected in a motion that has settled to 1e-7.
         for step in SIMULATED_BORDER_STEPS[:-1]:

@@ -103,7 +103,7 @@ class Plan:
             names.append([template.format(number) for number in range(1, count + 1)])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
 
-    def same_cycle(self, other: Plan) -> bool:
+    def has_same_cycle(self, other: Plan) -> bool:
         """Return whether the events are the same in the same cyclic order."""
         events, others = self.label.split(), other.label.split()
         return len(events) == len(others) and (events == others or " ".join(events) in " ".join(others + others))

@@ -88,7 +88,7 @@ class Matrices(Settings):
                 values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
                 location = f"rows and columns {row + 1} and {column + 1}"
                 yield Problem((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
-        if not positive_definite(mass):
+        if not is_positive_definite(mass):
             yield Problem(
                 ("mass",), "not positive definite; expected a mass matrix with kinetic energy in every motion"
             )
@@ -121,7 +121,7 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
     return int(row), int(column)
 
 
-def positive_definite(matrix: NDArray[np.float64]) -> bool:
+def is_positive_definite(matrix: NDArray[np.float64]) -> bool:
     """Return whether a symmetric matrix (n, n) is positive definite beyond rounding, in any units."""
     diagonal = np.diag(matrix)
     if (diagonal <= 0.0).any():

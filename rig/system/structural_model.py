@@ -18,7 +18,7 @@ from scipy.linalg import lapack, solve_triangular
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.scene.matrices import positive_definite
+from rig.scene.matrices import is_positive_definite
 from rig.scene.scene import Scene
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 
@@ -270,7 +270,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
             f"structure: the stiffness is not positive semidefinite (squared frequency {squared_omega[0]:.3g} "
             "1/s^2), so there are no natural modes. Add springs that stabilize it."
         )
-    if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and positive_definite(stiffness):
+    if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and is_positive_definite(stiffness):
         squared_omega, shapes = _modes_of_extreme_masses(mass, stiffness)
         rounding = 0.0
     # The computed eigenvalue of a rigid-body motion is a rounding error of either sign.

@@ -33,4 +33,4 @@ def warm_up(*parts: Part) -> None:
         elif part == "orbits":
             orbit_response(scene, [49.0])
         else:
-            raise SceneError(f"warm_up: unknown part {part!r}. Give engine or orbits.")
+            raise SceneError(f"warm_up: got {part!r}; expected engine or orbits")

@@ -53,7 +53,7 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
         return sxx / sxf.conj()
     if estimator == "Hv":
         return sxf / abs(sxf) * np.sqrt(sxx / sff)
-    raise SceneError(f"unknown estimator {estimator!r}: expected {', '.join(ESTIMATORS)}")
+    raise SceneError(f"estimator: got {estimator!r}; expected {', '.join(ESTIMATORS)}")
 
 
 @dataclass(frozen=True)
@@ -252,7 +252,7 @@ def sampled_window(name: str, size: int) -> Array:
         return np.asarray(scipy.signal.get_window(name, size), dtype=float)
     except ValueError:
         raise SceneError(
-            f"unknown window {name!r}: expected none, hann, hamming, flattop, blackmanharris or another of scipy's"
+            f"window: got {name!r}; expected none, hann, hamming, flattop, blackmanharris or another window of scipy"
         ) from None
 
 

@@ -39,7 +39,7 @@ class Blocks:
 
     def __post_init__(self) -> None:
         if self.estimator not in (None, *ESTIMATORS):
-            raise SceneError(f"unknown estimator {self.estimator!r}: expected {', '.join(ESTIMATORS)}")
+            raise SceneError(f"estimator: got {self.estimator!r}; expected {', '.join(ESTIMATORS)}")
 
     def for_kind(self, kind: TestKind) -> Blocks:
         """Return the options without those that have no effect on a kind of test."""
@@ -202,7 +202,7 @@ def frequency_responses(
     """
     blocks = Blocks(estimator, block, overlap, window)
     if motion not in MOTIONS:
-        raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+        raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
     names, kind = select_channels(rec, channels), rec.test.kind
     if not names:
         raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
@@ -284,7 +284,7 @@ def frfs(
     from analysis.responses.stepped_sine import sweeps
 
     if motion not in MOTIONS:
-        raise SceneError(f"unknown motion {motion!r}: expected {', '.join(MOTIONS)}")
+        raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
     names = select_channels(rec, channels)
     if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
         if level is not None or direction is not None:

@@ -51,7 +51,7 @@ def averaged_spectra(
     starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
     if block_samples < 16 or not starts:
         raise SceneError(
-            f"{rec.path}: blocks of {block_samples / rec.rate:.3g} s; expected at least 16 samples, and at most "
+            f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected at least 16 samples, and at most "
             f"{(rec.samples - begins[0]) / rec.rate:.4g} s, which follow the first hit"
         )
     weights = sampled_window(window, block_samples)

@@ -123,7 +123,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
             )
         return Measurand((table.name,), (1.0,), "displacement")
     if reference != "force":
-        raise RecordingError(f"unknown reference {reference!r}: expected 'force' or 'table'")
+        raise RecordingError(f"reference: got {reference!r}; expected 'force' or 'table'")
     forces = [info for info in rec.channels.values() if info.quantity == "force"]
     # If there are several shakers, only one of them is driven.
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))

@@ -57,9 +57,9 @@ def averaged_spectra(
     """
     overlap, window = 0.5 if overlap is None else overlap, window or "hann"
     if not 0.0 <= overlap < 1.0:
-        raise SceneError(f"overlap of {overlap:g}: expected 0 or more, below 1")
+        raise SceneError(f"overlap: got {overlap:g}; expected 0 or more, below 1")
     if block is not None and not 0.0 < block < np.inf:
-        raise SceneError(f"block of {block:g} s: expected a length above 0 s")
+        raise SceneError(f"block: got {block:g} s; expected more than 0 s")
     first = marker.first_sample
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
     burst_block = marker.fields.get("block")

@@ -174,7 +174,7 @@ class SpectralMatrix:
     def frf(self, estimator: str) -> ComplexArray:
         """Estimate the response by H1 or Hv, shape (n, outputs, inputs); NaN where the inputs are coherent."""
         if estimator not in ("H1", "Hv"):
-            raise SceneError(f"unknown estimator {estimator!r} for several inputs: expected H1 or Hv")
+            raise SceneError(f"estimator: got {estimator!r}; expected H1 or Hv for several inputs")
         _, xf, _ = self._spectra_blocks()
         h1 = np.asarray(xf @ self._inverse_inputs())
         if estimator == "H1":

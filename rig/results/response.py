@@ -539,7 +539,7 @@ class Response(Result, Sequence["Response"]):
         mobility -0.062832
         """
         if motion not in MOTIONS:
-            raise SceneError(f"motion: unknown motion {motion!r}. Give one of {', '.join(MOTIONS)}.")
+            raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
         n_derivatives = MOTIONS.index(motion) - MOTIONS.index(self.motion)
         factor: ComplexArray = np.asarray((2j * np.pi * self.frequency) ** n_derivatives, dtype=complex)
         points = tuple(replace(point, quantity=motion) for point in self.outputs)

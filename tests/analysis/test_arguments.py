@@ -81,7 +81,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.frfs("nothing.mcap"), "nothing.mcap: no such file"),
         (lambda: analysis.frfs(SWEEP, ["bdy3"]), "Did you mean 'body3'"),
         (lambda: analysis.frfs(SWEEP, 7), "channels: got 7; expected a list of names"),
-        (lambda: analysis.frfs(SWEEP, motion="accel"), "unknown motion 'accel'"),
+        (lambda: analysis.frfs(SWEEP, motion="accel"), "motion: got 'accel'; expected displacement"),
         (lambda: analysis.frfs(SWEEP, ["body1"])["boby1"], "no response 'boby1'. Did you mean 'body1'"),
         (lambda: analysis.identify(SWEEP), "expected several curves, as analysis.frfs"),
         (lambda: analysis.identify([]), "got []; expected several curves"),

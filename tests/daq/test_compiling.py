@@ -29,5 +29,5 @@ def test_nothing_compiles_after_warm_up() -> None:
 
 
 def test_unknown_part_is_rejected() -> None:
-    with pytest.raises(SceneError, match="unknown part 'wheels'"):
+    with pytest.raises(SceneError, match="warm_up: got 'wheels'"):
         rig.warm_up("wheels")  # type: ignore[arg-type]

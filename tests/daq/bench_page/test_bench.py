@@ -200,7 +200,7 @@ def test_wrong_settings_are_reported(bench):
     set_controls(bench, low=50.0, high=50.0)
     bench.controller.start()
     assert not bench.controller.running
-    assert "equal to from" in bench.controller.message
+    assert "which equals from" in bench.controller.message
 
 
 def test_client_and_page_share_the_output(tmp_path):

@@ -23,7 +23,7 @@ def test_of(scene: Scene) -> Test:
     """Return the test of a scene; raise `SceneError` if it has none."""
     if scene.test is None:
         raise SceneError(
-            f"scene {scene.name!r} names no test. Add a test, such as "
+            f"scene {scene.name!r} has no test. Add a test, such as "
             "test: {kind: impulse, body: 1, peak: 50 N, width: 4 ms}."
         )
     return scene.test

@@ -192,7 +192,7 @@ def test_modes_outside_the_band_are_listed() -> None:
 
 
 def test_scene_without_test_is_rejected() -> None:
-    with pytest.raises(SceneError, match="names no test"):
+    with pytest.raises(SceneError, match="has no test"):
         daq.foresee(rig.load("bare-structure").replace(test=None))
 
 

@@ -122,7 +122,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
 
 
 def _peak_between_points(frf: Response) -> list[str]:
-    """State the interpolated peak of a response if it may be higher than the highest point."""
+    """Report the interpolated peak of a response if it may be higher than the highest point."""
     line = frf.peak_line()
     frequency, height, bound = frf.frequency[line], float(abs(frf.value[line])), float(frf.bound()[line])
     if not np.isfinite(bound) or frf.resolution > 0.0:
@@ -201,7 +201,7 @@ def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
-    """State the sensor tolerances and their source if they are the largest contribution at most points."""
+    """Report the sensor tolerances and their source if they are the largest contribution at most points."""
     largest_contributions = [name for frf in frfs for name in frf.parts()]
     if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
         return []

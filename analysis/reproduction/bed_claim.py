@@ -38,7 +38,7 @@ MAX_DEVIATION = 0.10
 #: A deviation is computed if the value with one mass (see `summary_row`) is at least this. Smaller energies and
 #: impulses are negligible: the mass rests on the floor, or does not hit the ceiling.
 _MIN_MASS_VALUE = 1e-3
-#: Phase difference below which landings are indistinguishable in a figure, degrees.
+#: Two landings are indistinguishable in a figure if their phases differ by less than this, degrees.
 SAME_LANDING_DEG = 20.0
 
 
@@ -125,7 +125,7 @@ def verdict(beds: Columns) -> str:
 
 
 def _describe_settings(beds: Columns) -> str:
-    """State the simulated settings, and the method."""
+    """Report the simulated settings, and the method."""
     repeated, max_seeds = int((beds["seeds"] > 1).sum()), int(beds["seeds"].max())
     packings = f"; {repeated} of them with up to {max_seeds} packings, which give the errors" if repeated else ""
     grain_counts = [BEDS[layers][0] for layers in np.unique(beds["layers"]).tolist()]
@@ -153,7 +153,7 @@ def _describe_settings(beds: Columns) -> str:
 
 
 def _describe_counts(beds: Columns) -> str:
-    """State the number of settings with an acceptable deviation, by each parameter."""
+    """Report the number of settings with an acceptable deviation, by each parameter."""
     acceptable = np.abs(deviation(beds, "compliance")) <= MAX_DEVIATION
     texts = []
     for axis, label, unit, factor in (
@@ -183,7 +183,7 @@ def _describe_mode(beds: Columns, frequency: float) -> str:
 
 
 def _describe_deviation(beds: Columns, name: str, label: str) -> str:
-    """State the deviation of a measure (`MEASURES`) of grains from one mass over all settings."""
+    """Report the deviation of a measure (`MEASURES`) of grains from one mass over all settings."""
     deviations, error = deviation(beds, name), deviation_error(beds, name)
     deviations, error = deviations[np.isfinite(deviations)], error[np.isfinite(deviations)]
     has_error = np.isfinite(error)

@@ -40,8 +40,8 @@ class Plant:
     Attributes
     ----------
     inputs, drive_units : tuple of str
-        "shaker" (or "shaker 1", "shaker 2", ...) and/or "hammer"; N, m (displacement commanded of the table), V (at
-        the amplifier).
+        Names of the inputs: "shaker" (or "shaker 1", "shaker 2", ...) and "hammer", if they exist; units of the inputs:
+        N (force), m (commanded displacement of the table) or V (voltage at the amplifier).
     points : tuple of str
         "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     """
@@ -70,7 +70,7 @@ class Plant:
 
     @property
     def ambiguous(self) -> int:
-        """Number of contact decisions within rounding error so far (each was decided as no contact)."""
+        """Number of contact decisions within rounding error so far; each decision was "no contact"."""
         return self._propagator.ambiguous
 
     def advance(self, drive: ArrayLike) -> Motion:
@@ -79,7 +79,8 @@ class Plant:
         Parameters
         ----------
         drive : array_like, shape (inputs, samples)
-            Drive at the next samples. The very first one is the drive at t = 0, where the motion starts.
+            Drive at the next samples. The first sample of the first block is the drive at t = 0, when the motion
+            starts.
 
         Returns
         -------

@@ -1,8 +1,8 @@
 """Search for all periodic motions of one type of a mode with a damper at one frequency.
 
 For given instants (take-off, ceiling impact, take-off from the ceiling) most conditions of
-`rig.single_mode.periodic_motion` are affine in all other unknowns. These are eliminated, which leaves one, two or
-three equations in the same number of instants between 0 and 2 pi. The equations are evaluated on a grid over the
+`rig.single_mode.periodic_motion` are affine in all other unknowns. These unknowns are eliminated, which leaves one,
+two or three equations in the same number of instants between 0 and 2 pi. The equations are evaluated on a grid over the
 whole range. From each cell in which every equation changes sign, Newton's method is started.
 """
 

@@ -44,7 +44,7 @@ COMMAND = "analysis paper"
 
 
 def _mass_ratio_remark(optimum: Columns) -> str:
-    """State that the peak falls with the mass ratio, if the heaviest computed damper is the best."""
+    """Report that the peak falls with the mass ratio, if the heaviest computed damper is the best."""
     ratios = optimum["mass_ratios"]
     if optimum["mass_ratio"] < ratios.max():
         return ""

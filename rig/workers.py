@@ -244,6 +244,12 @@ def _end_with_parent() -> None:
     os._exit(1)
 
 
+def _close_cluster(cluster: Any) -> None:
+    """Close a local cluster; Dask fails with an assertion if it is starting a worker again at this moment."""
+    with suppress(AssertionError):
+        cluster.close()
+
+
 def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
     """Connect to a Dask cluster and return its client."""
     try:
@@ -257,7 +263,8 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
                 cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
             except RuntimeError as error:
                 raise RunError(f"--cluster local: the workers do not start ({error}). Leave out --cluster.") from None
-            scheduler = cleanup.enter_context(closing(cluster))
+            cleanup.callback(_close_cluster, cluster)
+            scheduler = cluster
     try:
         client = cleanup.enter_context(closing(Client(scheduler, timeout=10)))
     except (OSError, ValueError) as error:

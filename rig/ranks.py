@@ -106,8 +106,8 @@ def sum_over_ranks(values: Array) -> Array:
 class Shared:
     """An object with a part on each rank; calls and attribute accesses are executed on every rank.
 
-    `make`: returns the part of a rank. It must be picklable, as must all arguments of calls; `*arguments`: arguments
-    of `make`.
+    `make`: returns the part of a rank. The function must be picklable, as must all arguments of calls; `*arguments`:
+    arguments of `make`.
     """
 
     def __init__(self, make: Callable[..., Any], *arguments: Any) -> None:

@@ -1,7 +1,7 @@
 """Run the tests under other settings of processor, libraries and Python versions: `make matrix`.
 
-Results must not depend on vector width, BLAS kernel, threads, locale, time zone, folder or user rights. They must also
-be independent of the allowed versions of Python and of the dependencies (`pyproject.toml`). Settings that are
+Results must not depend on vector width, BLAS kernel, threads, locale, time zone, folder or user privileges. Results
+must also be independent of the allowed versions of Python and of the dependencies (`pyproject.toml`). Settings that are
 unavailable are reported.
 """
 

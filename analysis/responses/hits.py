@@ -195,10 +195,10 @@ class Hits:
         """Compute the maximum relative change of each channel's gain due to rounding, shape (channels, lines).
 
         Equal hits give equal counts, so averaging does not reduce the rounding error. The error shortly after a hit
-        resembles a response and is not visible in the scatter. It is estimated from the change of the readings when
-        they are rounded again, to every second and every third count (coarser converters). Noise of s counts reduces
-        the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings of too few
-        counts to be rounded again.
+        resembles a response and is not visible in the scatter. The error is estimated from the change of the readings
+        when they are rounded again, to every second and every third count (coarser converters). Noise of s counts
+        reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings of too
+        few counts to be rounded again.
 
         `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result;
         `half_width`: bins on either side of a line that a local fit uses.

@@ -19,7 +19,8 @@ from rig.scene.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
-# Unit for each data type. It is used if a label gives no unit, and data set 164 specifies that the file is in SI.
+# Unit for each data type. This unit is used if a label gives no unit, and data set 164 specifies that the file is in
+# SI.
 SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 # Data type of an abscissa that is time.
 _ABSCISSA_TIME = 17

@@ -83,13 +83,12 @@ def advance(
 ) -> tuple[int, float, int]:  # fmt: skip
     """Propagate to the end of a segment, or return earlier if the caller must act.
 
-    `segment`: number of the segment, for the log.
-    `steps`, `remaining`: duration of the segment and of its part still to be propagated, in step lengths (not
-    necessarily integers). Event times are computed from these two alone. They are therefore bitwise identical however
-    often the kernel returned within the segment.
-    `status`: `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with
-    accelerations, and every guard above its margin).
-    `accelerations`: whether the accelerations at the end are needed; they are stored after the state.
+    `segment`: number of the segment, for the log. `steps`, `remaining`: duration of the segment and of its part still
+    to be propagated, in step lengths (not necessarily integers). Event times are computed from these two alone. Event
+    times are therefore bitwise identical however often the kernel returned within the segment. `status`:
+    `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with accelerations,
+    and every guard above its margin). `accelerations`: whether the accelerations at the end are needed; they are stored
+    after the state.
 
     Returns (reason, remaining, status). `reason`: `DONE`, `TABLES_MISSING`, `LOG_FULL` or `STUCK`. After missing tables
     are computed or the log is enlarged, call again with the remaining steps.

@@ -1,8 +1,9 @@
 """Variant of `numba.njit` that compiles and loads kernels in less time, by internals of numba; see `rig.numerics.jit`.
 
 A *callee* is a function that a kernel calls. A callee is compiled without wrappers for Python, and optimized only in
-its callers. It is compiled once per argument type, not again for each literal value (`types.unliteral`). Kernels create
-no arrays: they need no numba runtime (`_nrt`), and can be loaded from the cache without refreshing numba's registries.
+its callers. A callee is compiled once per argument type, not again for each literal value (`types.unliteral`). Kernels
+create no arrays: they need no numba runtime (`_nrt`), and can be loaded from the cache without refreshing numba's
+registries.
 """
 
 import functools

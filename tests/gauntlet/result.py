@@ -48,4 +48,4 @@ class CheckResult:
     note: str = ""
     """Largest deviation, or the reason for a refusal."""
     scene: str = ""
-    """Name of the scene. It contains the seed, number and kind, from which the scene can be drawn again."""
+    """Name of the scene. The name contains the seed, number and kind, from which the scene can be drawn again."""

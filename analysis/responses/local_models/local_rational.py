@@ -95,11 +95,11 @@ def local_fit(
     """Fit the response at some lines, each with `half_width` bins on either side.
 
     `reference`: true spectra of the input, shape (segments, bins). `end_phases`, shape (segments, bins), states how the
-    transients of a segment are modeled. It is the phase factor of the segment's first sample if the transients at its
-    beginning and end are separate terms. The value is 1 if they are a single term, and 0 if the rig was at rest before
-    the segment. `measured_share`: measured share of the samples; the other samples are zero padding, which correlates
-    neighboring bins. `other_inputs`, shape (inputs, segments, bins): true spectra of other inputs, each with its own
-    numerator and the common denominator.
+    transients of a segment are modeled. The value is the phase factor of the segment's first sample if the transients
+    at its beginning and end are separate terms. The value is 1 if they are a single term, and 0 if the rig was at rest
+    before the segment. `measured_share`: measured share of the samples; the other samples are zero padding, which
+    correlates neighboring bins. `other_inputs`, shape (inputs, segments, bins): true spectra of other inputs, each with
+    its own numerator and the common denominator.
 
     >>> random = np.random.default_rng(1)
     >>> bins = np.arange(200)

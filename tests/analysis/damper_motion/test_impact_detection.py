@@ -266,7 +266,7 @@ def test_finite_duration_impacts_lie_within_errors(tmp_path, chain, converter, d
         sensitivity_tolerance = tolerance(rec.channels["body2"])
         pulse_restitution = landing_pulse(rec.scene, "body 2", rec.rate).restitution
     assert detected.contact_duration == pytest.approx(duration)
-    # Below half the clearance the damper touches the floor. It has 6 % of the mass of its body.
+    # Below half the clearance the damper touches the floor. The damper has 6 % of the mass of its body.
     jump = np.where(gap < 0.49e-3, -1.0, 1.0) * touches["speed"] * 0.06 / 1.06 * (1.0 + pulse_restitution)
     _, matched, true_matched = score(detected.time, touches["time"], 0.25 * duration)
     inner = (touches["time"] > detected.time[0] - 1e-3) & (touches["time"] < detected.time[-1] + 1e-3)

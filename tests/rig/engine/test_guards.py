@@ -66,7 +66,7 @@ def test_positive_lower_bound_proves_a_positive_guard(
 
 @given(half_curvature=VALUES, end=st.floats(0.01, 3.0), error_ratio=st.floats(0.1, 2.0))
 def test_lower_bound_after_a_double_zero_is_exact(half_curvature: float, end: float, error_ratio: float) -> None:
-    # The guard starts with a double zero. It is at least tau^2 (half_curvature (1 - tau) + end tau) minus the
+    # The guard starts with a double zero. The guard is at least tau^2 (half_curvature (1 - tau) + end tau) minus the
     # interpolation error tau^2 (1 - tau)^2 / 24 fourth_derivative. At error_ratio 1 both are equal near tau = 0.
     assume(abs(error_ratio - 1.0) > 1e-6 and abs(half_curvature) > 1e-3)
     fourth_derivative = error_ratio * 24 * abs(half_curvature)

@@ -1,6 +1,6 @@
 """The key reference (`rig help`, `rig schema --explain`) is complete, and names the right effects and states.
 
-An effect is a physical property of the rig that a key activates, such as sensor noise. It may add states to the
+An effect is a physical property of the rig that a key activates, such as sensor noise. An effect may add states to the
 equations of motion.
 """
 

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 
-from daq.recording.displacement import DisplacementFilter
 from daq.signal_chain.chain import Chain
 from rig.scene.loading import load
 from rig.simulation.motion import Motion
@@ -35,7 +34,6 @@ def warm_up() -> None:
 
 
 def _warm_up_chain() -> None:
-    DisplacementFilter("acceleration", 5120.0).run(np.zeros(1))
     scene = load("fig8-three-dampers")
     channels = [{"name": point.replace(" ", ""), "at": point, **_CHANNEL} for point in _POINTS]
     for converter in _CONVERTERS:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from analysis.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
 from analysis.decays.sensor_correction import correct_motion
@@ -23,7 +22,6 @@ from analysis.responses.measurands import motion_channel, response_channels
 from analysis.responses.systematic import clock_deviation
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
-from rig.numerics.peaks import distant_maxima
 from rig.results import Result, complete_style
 from rig.scene.scene import STANDARD_GRAVITY
 from rig.system.structural_model import structural_model
@@ -220,10 +218,8 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     end = acceleration.size - min(period, (acceleration.size - begin) // 10)
     free_decay = acceleration[begin:end]
     # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
-    spectrum = fft.rfft(np.concatenate([acceleration, acceleration[::-1]]))
-    spectrum[1:-1] *= 2.0
-    envelope = abs(fft.ifft(spectrum, 2 * acceleration.size))[begin:end]
-    peak_indices = distant_maxima(abs(free_decay), max(period, 1))
+    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[begin:end]
+    peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
     energy = _energy_decay(free_decay)
     if energy.min() > INITIAL_DECAY_DB[1]:
         warnings.append(

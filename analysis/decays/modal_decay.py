@@ -10,7 +10,6 @@ import scipy
 from scipy import fft
 
 from rig.arrays import Array, ComplexArray
-from rig.numerics.peaks import prominent_maxima
 from rig.results import Result, complete_style, format_quantity
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
     frequency = fft.rfftfreq(padded_length, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
     level, frequency = level[inside], frequency[inside]
-    indices = prominent_maxima(level, 10.0, float(np.median(level)) + 20.0)
+    indices, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
     distinct: list[int] = []
     for peak in indices[np.argsort(level[indices], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.

@@ -243,13 +243,8 @@ def block_spectra(
 
 def sampled_window(name: str, size: int) -> Array:
     """Return a periodic window of `size` samples by its scipy name; ``none`` is a rectangular window."""
-    if name == "none":
-        return np.ones(size)
-    if name == "hann":
-        # The default window: the import of scipy.signal takes longer than most analyses.
-        return np.asarray(0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, size + 1)[:-1]))
     try:
-        return np.asarray(scipy.signal.get_window(name, size), dtype=float)
+        return np.asarray(scipy.signal.get_window("boxcar" if name == "none" else name, size), dtype=float)
     except ValueError:
         raise SceneError(
             f"window: got {name!r}; expected none, hann, hamming, flattop, blackmanharris or another window of scipy"

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import fft
 
@@ -255,7 +256,7 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
     to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     accelerance = abs(frf.value) * to_acceleration
-    error = largest * np.convolve(skirt, accelerance, mode="valid") / to_acceleration
+    error = largest * scipy.signal.fftconvolve(skirt, accelerance, mode="valid") / to_acceleration
     with_error = frf.with_limits({MOTION_BEFORE: error})
     return with_error.warn(warning) if largest > _MAX_MOTION_RATIO else with_error
 

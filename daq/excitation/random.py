@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.signal.windows import hann
 
 from daq.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.excitation.station import Excitation, Station
@@ -87,9 +88,8 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
     """
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes
-    window = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, period + 1)[:-1])
     # The Hann window smooths the spectrum and changes its level; the level is therefore set after the window.
-    response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * window
+    response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
     force_spectrum = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
     return response * (level / np.sqrt(np.sum(force_spectrum**2)))
 

@@ -57,28 +57,27 @@ def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_t
 class DisplacementFilter:
     """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
 
-    With the corner w in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2``, a velocity by ``s
-    / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
+    With the corner w in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2`` and a velocity by
+    ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
     """
 
     def __init__(self, quantity: str, rate: float) -> None:
         self._sections: Array | None = None
         if quantity == "displacement":
             return
-        # The bilinear transform replaces s by k (z - 1) / (z + 1).
-        k, corner = 2.0 * rate, 2 * np.pi * HIGH_PASS_HZ
-        middle, damping = k**2 + corner**2, np.sqrt(2.0) * corner * k
-        section = np.array([k, 0.0, -k, 2.0 * (corner**2 - k**2), middle - damping]) / (middle + damping)
+        from scipy.signal import bilinear_zpk, zpk2sos
+
+        corner = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
         order = {"velocity": 1, "acceleration": 2}[quantity]
-        self._sections, self._state = np.tile(section, (order, 1)), np.zeros((order, 2))
+        zeros, poles = np.zeros(order), np.tile(corner, order)
+        self._sections = zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=rate))
+        self._state = np.zeros((self._sections.shape[0], 2))
 
     def run(self, samples: Array) -> Array:
         """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
         if self._sections is None or not samples.size:
             return samples
-        # Imported here, because a recording of displacements needs no compiled code.
-        from daq.dsp.sections import filter_sections
+        from scipy.signal import sosfilt
 
-        displacement = np.array(samples, dtype=float)
-        filter_sections(self._sections, self._state, displacement)
-        return displacement
+        result, self._state = sosfilt(self._sections, samples, zi=self._state)
+        return np.asarray(result)

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.numerics.peaks import prominent_maxima
 from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_decimals, format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
@@ -118,10 +117,12 @@ def _motion_labels(response: SteadyResponse) -> list[str]:
 
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
     """Return a table of the peaks of each body's compliance: local maxima 10 % above both minima, or the maximum."""
+    from scipy.signal import find_peaks
+
     peak_lines = [
         f"{label:<12}{format_decimals(response.frequency[k], 4):>14}{1e6 * row[k]:>20.4g}  {motion[k]}"
         for label, row in zip(response.labels, abs(response.compliance), strict=True)
-        for k in prominent_maxima(np.log(row), 0.1).tolist() or [int(np.argmax(row))]
+        for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]
     ]
     return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *peak_lines]
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from scipy import fft
 
 from analysis.recordings.slices import PIECE_SAMPLES
@@ -40,11 +41,9 @@ def low_spectra(
     """
     max_decimation = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
     decimation = max(divisor for divisor in range(1, max_decimation + 1) if size % divisor == 0)
-    taps = np.ones(1)
+    taps = np.ones((1, 1))
     if decimation > 1:
-        time = np.arange(_FILTER_LENGTH * decimation) / decimation
-        taps = np.sinc(time - 0.5 * time[-1]) * np.kaiser(time.size, _KAISER_BETA)
-        taps /= taps.sum()
+        taps = scipy.signal.firwin(_FILTER_LENGTH * decimation, 1.0 / decimation, window=("kaiser", _KAISER_BETA))
     polyphase_filters = taps.reshape(-1, decimation).T
     n_rows = max(1, _MAX_MULTIPLICATIONS // polyphase_filters.size)
     # The filter extends beyond the ends of the segment; its output there is added at the other end, because the
@@ -72,23 +71,10 @@ def low_spectra(
             filtered[:, column : column + outputs.shape[1]] += outputs[:, :, k]
     filtered[:, -n_taps:] += filtered[:, :n_taps]
     exponent = -2j * np.pi / size * np.arange(bins)
-    filter_response = np.conj(_low_spectrum(taps, size, bins)) / decimation
+    filter_response = np.conj(scipy.signal.zoom_fft(taps.ravel(), [0, bins], m=bins, fs=size)) / decimation
     spectra = fft.rfft(filtered[:, n_taps:], axis=1)[:, :bins] / filter_response
     # The mean is subtracted from the segment, but not from the zeros before the segment.
     mean = total / (stop - start)
     spectra[:, 0] = 0.0
     spectra[:, 1:] += mean[:, None] * (np.expm1(padding * exponent[1:]) / np.expm1(exponent[1:]))
     return spectra, np.maximum(squares / (stop - start) - (mean - offset) ** 2, 0.0)
-
-
-def _low_spectrum(values: Array, size: int, bins: int) -> ComplexArray:
-    """Compute the first bins of the transform of values, padded to `size`, by the chirp z-transform (Bluestein).
-
-    >>> bool(np.allclose(_low_spectrum(np.arange(5.0), 64, 7), np.fft.rfft(np.arange(5.0), 64)[:7]))
-    True
-    """
-    count, length = values.size, fft.next_fast_len(values.size + bins - 1)
-    chirp = np.exp(-1j * np.pi / size * (np.arange(max(count, bins)) ** 2 % (2 * size)))
-    filtered = fft.fft(np.concatenate([chirp[count - 1 : 0 : -1], chirp[:bins]]).conj(), length)
-    filtered *= fft.fft(values * chirp[:count], length)
-    return np.asarray(fft.ifft(filtered)[count - 1 : count - 1 + bins] * chirp[:bins])

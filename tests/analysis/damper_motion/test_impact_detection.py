@@ -344,19 +344,16 @@ def test_overloaded_channel_gives_no_impact(tmp_path):
     assert not ((with_overload.time > 0.0) & (with_overload.time < end / rec.rate)).any()
 
 
-def test_separate_rebounds_in_integrated_channel_are_detected(tmp_path):
-    # A scene of the gauntlet whose velocity channel records several rebounds in each period.
-    scene = draw_instant_contact(600101, 69, TONE)
+# Scenes of the gauntlet: a velocity channel records several rebounds in each period; each ceiling impact is followed by
+# a floor impact before the fitted window ends.
+@pytest.mark.parametrize(
+    ("draw", "seed", "number", "kind", "min_points"),
+    [(draw_instant_contact, 600101, 69, TONE, 100), (draw_finite_contact, 911, 13, TONE_FINITE_CONTACT, 70)],
+    ids=["separate rebounds", "overlapping finite-duration impacts"],
+)
+def test_close_impacts_are_detected(tmp_path, draw, seed, number, kind, min_points):
+    scene = draw(seed, number, kind)
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        [result] = check(Case(scene, rec, []), TONE)
-    assert result.points > 100
-    assert result.inside == result.points
-
-
-def test_overlapping_finite_duration_impacts_are_detected(tmp_path):
-    # A scene of the gauntlet: each ceiling impact is followed by a floor impact before the fitted window ends.
-    scene = draw_finite_contact(911, 13, TONE_FINITE_CONTACT)
-    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
-        [result] = check(Case(scene, rec, []), TONE_FINITE_CONTACT)
-    assert result.points > 70
+        [result] = check(Case(scene, rec, []), kind)
+    assert result.points > min_points
     assert result.inside == result.points

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rig.progress import CountProgress
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, number
+from rig.settings.quantities import FREQUENCY, number
 
 if TYPE_CHECKING:
     from rig.bed_response.bed_response import BedResponse

@@ -29,7 +29,7 @@ from rig.console import count_progress, progress, report_written, resumable, sho
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from rig.scene.quantities import Kind
+    from rig.settings.quantities import Kind
 
 app = create_application("The physics of the virtual vibration rig.")
 
@@ -65,7 +65,7 @@ def presets(
     name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")] = None,
 ) -> None:
     """List the presets of data sheets, or the values of one."""
-    from rig.scene.data_sheets import data_sheets, describe_preset
+    from rig.data_sheets.data_sheets import data_sheets, describe_preset
 
     if name is not None:
         print("\n".join(describe_preset(name)))
@@ -160,7 +160,7 @@ def simulate(
     The drive of the test acts in open loop, without sensors and controller.
     """
     from rig.provenance import allow_overwriting, output_source
-    from rig.scene.quantities import FREQUENCY, TIME
+    from rig.settings.quantities import FREQUENCY, TIME
     from rig.simulation.run_output import simulate_to_file, summary
 
     loaded_scene = load_scene(scene, changes)
@@ -202,7 +202,7 @@ def response(
     """
     import rig
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
-    from rig.scene.quantities import FREQUENCY
+    from rig.settings.quantities import FREQUENCY
     from rig.steady_response.response_output import format_response, write_csv
 
     loaded_scene = load_scene(scene, changes)
@@ -245,7 +245,7 @@ def grains(
     """
     import rig
     from rig.bed_response.bed_response import format_table
-    from rig.scene.quantities import FREQUENCY
+    from rig.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
@@ -283,7 +283,7 @@ def cost(
     import rig
     from rig.output_files import create_folder, file_stem
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
-    from rig.scene.quantities import FREQUENCY
+    from rig.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
     create_folder(output)
@@ -329,7 +329,7 @@ def map_(
     from rig.motion_map.motion_map import output_stem, summarize_map, write_map
     from rig.output_files import create_folder
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
-    from rig.scene.quantities import FREQUENCY
+    from rig.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
     over, unit = vertical_axis(loaded_scene, over)
@@ -455,7 +455,7 @@ def _split_list(text: str | None) -> list[str] | None:
 
 def _quantity(value: str | None, kind: Kind, name: str) -> float | None:
     """Parse the value of the option `name`; a number without a unit is in SI units."""
-    from rig.scene.quantities import number
+    from rig.settings.quantities import number
 
     quantity = number(value, kind, name)
     if value is not None and quantity is not None and (math.isinf(quantity) or not kind.supports(quantity)):

@@ -18,7 +18,7 @@ import yaml
 import rig
 from daq.virtual_bench.bench import Bench
 from rig.engine.state import FLOOR
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
+from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"
 # Samples of a block that the bench acquires at once.

@@ -26,8 +26,8 @@ from rig.errors import RunError, ShotrigError
 from rig.motion_map.grid import select_frequencies
 from rig.progress import CountProgress
 from rig.scene.excitation import Measure, Settle, SteppedSine
-from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
+from rig.settings.quantities import FREQUENCY, positive_values
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force

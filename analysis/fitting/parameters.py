@@ -17,8 +17,9 @@ from rig.errors import SceneError
 from rig.scene.changes import parse_changes
 from rig.scene.damper import SpringDamper, TimedContact, Walls
 from rig.scene.scene import Scene
-from rig.scene.settings import KeyPath, Settings
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
+from rig.settings.problems import KeyPath
+from rig.settings.settings import Settings
 
 #: Keys that are free by default, where a scene gives them; without the coil spring, which calibrates the force.
 FREE = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from analysis.recordings.slices import read_slices
 from rig.arrays import Array
-from rig.scene.quantities import ACCELERATION, FORCE, parse
+from rig.settings.quantities import ACCELERATION, FORCE, parse
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

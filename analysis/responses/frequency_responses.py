@@ -16,7 +16,7 @@ from rig.errors import RecordingError, SceneError
 from rig.progress import CountProgress
 from rig.results.response import MOTIONS, stack
 from rig.results.response import Response as Response
-from rig.scene.quantities import FORCE, number
+from rig.settings.quantities import FORCE, number
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker

@@ -21,7 +21,7 @@ from rig.errors import RecordingError, SceneError
 from rig.input_files import as_path
 from rig.results.response import MOTIONS, Response, stack
 from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
-from rig.scene.quantities import FREQUENCY
+from rig.settings.quantities import FREQUENCY
 
 ENDINGS = (".uff", ".unv", ".csv", ".txt")
 # Heading of a column: name of the response, component, and unit of the phase.

@@ -16,7 +16,7 @@ import numpy as np
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.results.uncertainty import CLOCK, SENSITIVITY
-from rig.scene.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
+from rig.settings.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording

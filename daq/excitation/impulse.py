@@ -10,7 +10,7 @@ import numpy as np
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.scene.quantities import TIME, parse
+from rig.settings.quantities import TIME, parse
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo

@@ -21,8 +21,8 @@ from rig.arrays import Array
 from rig.errors import SceneError, suggestion
 from rig.scene.measurement_chain import Channel, Integrator
 from rig.scene.presets import complete_from_preset, input_settings
-from rig.scene.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 from rig.scene.scene import Scene
+from rig.settings.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 
 # Two units are the same, written with different numbers of digits, if they differ by less than this fraction.
 _UNIT_TOLERANCE = 1e-3

@@ -11,8 +11,8 @@ from typing import Any
 
 from rig.errors import SceneError, suggestion
 from rig.input_files import read_file
-from rig.scene.quantities import FREQUENCY, TIME, parse
 from rig.scene.yaml_reader import read_yaml
+from rig.settings.quantities import FREQUENCY, TIME, parse
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
 # Line number, name of the channel, and its keys.

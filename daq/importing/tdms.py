@@ -13,7 +13,7 @@ from daq.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_inter
 from daq.importing.signal import Signal
 from rig.arrays import Array
 from rig.errors import RecordingError, RunError
-from rig.scene.quantities import TIME, parse
+from rig.settings.quantities import TIME, parse
 
 if TYPE_CHECKING:
     from logging import LogRecord

@@ -41,7 +41,7 @@ from daq.importing.text_layout import (
 from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.numerics.memory import require_memory_with_program
-from rig.scene.quantities import TIME, parse
+from rig.settings.quantities import TIME, parse
 
 # A longer line than this number of characters is not read.
 _MAX_LINE = 1 << 20

@@ -15,7 +15,7 @@ from daq.importing.signal import Signal
 from rig.errors import RecordingError, RunError
 from rig.numerics.memory import require_memory_with_program
 from rig.results.universal_file import FRF, GENERAL
-from rig.scene.quantities import TIME, parse
+from rig.settings.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6

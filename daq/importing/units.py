@@ -6,7 +6,7 @@ import re
 from itertools import product
 
 from daq.signal_chain.channel import Quantity
-from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
+from rig.settings.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
 
 KINDS: dict[Quantity, Kind] = {
     "acceleration": ACCELERATION,

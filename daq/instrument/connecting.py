@@ -19,8 +19,8 @@ from daq.instrument.devices.modules import (
 )
 from daq.instrument.terminals import Terminals
 from daq.instrument.values import Coupling, TerminalConfiguration
-from rig.scene.modules import Module as ModuleSheet
-from rig.scene.modules import module as module_sheet
+from rig.data_sheets.modules import Module as ModuleSheet
+from rig.data_sheets.modules import module as module_sheet
 from rig.scene.presets import complete_from_preset
 from rig.scene.shaker import Output
 

@@ -22,8 +22,8 @@ from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import Coupling, Excitation
 from daq.signal_chain.oversampling import choose_oversampling
 from daq.virtual_bench.bench import Bench, at_rate
+from rig.data_sheets.modules import module
 from rig.progress import FractionProgress
-from rig.scene.modules import module
 from rig.scene.presets import complete_from_preset, input_settings, needs_supply
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.scene.teds import electronic_data_sheet

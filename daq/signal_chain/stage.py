@@ -15,9 +15,9 @@ from daq.signal_chain.channel import ChannelInfo, Quantity
 from daq.signal_chain.converter import volts_per_count
 from daq.signal_chain.decimation_filter import DELAY_SAMPLES, DecimationFilter
 from rig.scene.measurement_chain import Converter
-from rig.scene.quantities import si_text
-from rig.scene.quantity_field import quantity_of
-from rig.scene.settings import Settings
+from rig.settings.quantities import si_text
+from rig.settings.quantity_field import quantity_of
+from rig.settings.settings import Settings
 
 _QUANTITY_BY_INTEGRATIONS: tuple[Quantity, ...] = ("acceleration", "velocity", "displacement")
 _QUANTITY_BY_SENSOR: dict[str, Quantity] = {"hammer": "force", "cable": "voltage"}

@@ -23,8 +23,8 @@ from rig.grain_beds.spheres import spheres_of
 from rig.progress import CountProgress
 from rig.results import Result, complete_style, format_decimals
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, count, positive_values
 from rig.scene.scene import Scene
+from rig.settings.quantities import FREQUENCY, count, positive_values
 from rig.study import Study, digest
 
 if TYPE_CHECKING:

@@ -10,7 +10,9 @@ from rig.damper_design.choice import Objective, SearchSpace, impact_law_of, vari
 from rig.errors import SceneError
 from rig.motion_map.grid import select_frequencies
 from rig.scene.body_names import body_number
-from rig.scene.quantities import (
+from rig.scene.scene import Scene
+from rig.scene.shaker import ForceShaker
+from rig.settings.quantities import (
     FORCE,
     FREQUENCY,
     LENGTH,
@@ -22,8 +24,6 @@ from rig.scene.quantities import (
     parse,
     positive_values,
 )
-from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.system.open_loop_drive import level_of, with_ideal_force
 from rig.system.structural_model import structural_model
 

@@ -38,7 +38,7 @@ from rig.errors import RunError
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.jit import kernel
 from rig.numerics.simd import LANES, aligned_zeros, padded_length
-from rig.scene.quantities import LENGTH
+from rig.settings.quantities import LENGTH
 from rig.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
 
 #: Minimum number of rows (events and breaks) of a new log.

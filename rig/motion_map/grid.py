@@ -7,9 +7,9 @@ import numpy as np
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
-from rig.scene.quantities import FORCE, LENGTH, VOLTAGE, count
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
+from rig.settings.quantities import FORCE, LENGTH, VOLTAGE, count
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, level_of
 from rig.system.structural_model import structural_model

@@ -19,8 +19,8 @@ from rig.output_files import file_stem
 from rig.progress import CountProgress
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
+from rig.settings.quantities import FREQUENCY, positive_values
 from rig.steady_response.frequency_response import SteadyContinuation
 from rig.study import Study, digest
 from rig.system.assembly import assemble

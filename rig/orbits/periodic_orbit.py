@@ -28,7 +28,7 @@ from rig.orbits.newton import IterationLimits
 from rig.orbits.orbit import CONTACT_KINDS, LIMITS, Orbit, solve
 from rig.orbits.problem import OperatingPoint, OrbitProblem
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_value
+from rig.settings.quantities import FREQUENCY, positive_value
 from rig.steady_response.steady_state import MAX_REPETITION, settle
 
 # Number of simulated periods after which a search ends without an orbit.

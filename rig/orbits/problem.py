@@ -20,9 +20,9 @@ from rig.arrays import Array
 from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit_equations import EquationDerivatives, Equations
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
+from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.system.assembly import assemble, spring_force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_force

@@ -30,7 +30,7 @@ from rig.results.uncertainty import (
     stack_budgets,
 )
 from rig.results.universal_file import universal_file, write_curve
-from rig.scene.quantities import FREQUENCY, number
+from rig.settings.quantities import FREQUENCY, number
 
 if TYPE_CHECKING:
     import xarray

@@ -1,6 +1,6 @@
 """Names of bodies in a scene, and their replacement by the body numbers that the settings store.
 
-A *key path* is the position of a key in the scene (`rig.scene.settings`); a *location* is a point on the bench.
+A *key path* is the position of a key in the scene (`rig.settings.settings`); a *location* is a point on the bench.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rig.errors import SceneError, suggestion
-from rig.scene.settings import KeyPath, Problem, value_at
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.settings import value_at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
 #: Reserved words, which a body must not have as its name.

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.errors import SceneError
-from rig.scene.quantity_field import shorten
-from rig.scene.settings import KeyPath
 from rig.scene.yaml_reader import read_yaml
+from rig.settings.problems import KeyPath
+from rig.settings.quantity_field import shorten
 
 _STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d{1,6}\])*)")
 

@@ -13,8 +13,8 @@ from pydantic import AfterValidator, ValidationInfo
 from rig.scene.body_names import missing_body_message
 from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.settings import KeyPath, Problem, combined_error
 from rig.scene.shaker import ForceShaker, Shaker, at_shaker
+from rig.settings.problems import KeyPath, Problem, combined_error
 
 if TYPE_CHECKING:
     from rig.scene.damper import Damper

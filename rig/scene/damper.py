@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
-from rig.scene.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
-from rig.scene.quantity_field import Quantity, unexpected_value_message
-from rig.scene.settings import Alternatives, Problem, Settings, by_key
 from rig.scene.shaker import Body
+from rig.settings.alternatives import Alternatives, by_key
+from rig.settings.problems import Problem
+from rig.settings.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
+from rig.settings.quantity_field import Quantity, unexpected_value_message
+from rig.settings.settings import Settings
 
 
 class TimedContact(Settings):

@@ -8,10 +8,12 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rig.scene.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VELOCITY, VOLTAGE
-from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Alternatives, Problem, Settings, by_kind
 from rig.scene.shaker import Body
+from rig.settings.alternatives import Alternatives, by_kind
+from rig.settings.problems import Problem
+from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VELOCITY, VOLTAGE
+from rig.settings.quantity_field import Quantity
+from rig.settings.settings import Settings
 
 Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]

@@ -15,8 +15,8 @@ from rig.scene.matrices import FOLDER
 from rig.scene.missing_units import implausible_values
 from rig.scene.scene import Scene
 from rig.scene.scene_files import find_scene, read_text
-from rig.scene.settings import KeyPath, Problem, describe, dotted, problems_of
 from rig.scene.yaml_reader import Document, read_yaml
+from rig.settings.problems import KeyPath, Problem, describe, dotted, problems_of
 
 # Replaces the line numbers of content that was not read from a file.
 _NO_LINES: dict[KeyPath, int] = {(): 0}

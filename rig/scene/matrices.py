@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
-from rig.scene.quantity_field import format_value, validation_error
-from rig.scene.settings import Problem, Settings
+from rig.settings.problems import Problem
+from rig.settings.quantity_field import format_value, validation_error
+from rig.settings.settings import Settings
 
 # Maximum number of bodies of a structure.
 MAX_BODIES = 2000

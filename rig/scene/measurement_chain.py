@@ -10,10 +10,11 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema
 
+from rig.data_sheets.data_sheets import Preset, check_preset, data_sheet
+from rig.data_sheets.modules import module
 from rig.errors import SceneError
-from rig.scene.data_sheets import Preset, check_preset, data_sheet
-from rig.scene.modules import module
-from rig.scene.quantities import (
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,
@@ -33,8 +34,8 @@ from rig.scene.quantities import (
     VOLTAGE_NOISE,
     Kind,
 )
-from rig.scene.quantity_field import Quantity
-from rig.scene.settings import KeyPath, Problem, Settings, value_at
+from rig.settings.quantity_field import Quantity
+from rig.settings.settings import Settings, value_at
 
 Corner = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Tolerance = Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)]

@@ -7,7 +7,8 @@ from math import inf
 from typing import Any
 
 from rig.scene.scene import Scene
-from rig.scene.settings import KeyPath, Problem, value_at
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.settings import value_at
 
 # A bare number at or above one of these limits causes a warning.
 #: Clearance of real cavities [m].

@@ -6,10 +6,10 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
+from rig.data_sheets.data_sheets import data_sheet
+from rig.data_sheets.modules import module
 from rig.errors import SceneError
-from rig.scene.data_sheets import data_sheet
 from rig.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer
-from rig.scene.modules import module
 from rig.scene.shaker import Output
 
 Device = TypeVar("Device", Accelerometer, Hammer, Converter, Output)

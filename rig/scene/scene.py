@@ -12,11 +12,12 @@ from rig.scene.body_names import replace_names
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
-from rig.scene.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
-from rig.scene.quantity_field import Quantity, printable
-from rig.scene.settings import KeyPath, Problem, Settings, value_at
 from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
 from rig.scene.structure import Structure
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
+from rig.settings.quantity_field import Quantity, printable
+from rig.settings.settings import Settings, value_at
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
 # A recording has at most 65 535 topics, and a channel uses four.

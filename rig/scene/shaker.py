@@ -8,8 +8,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from rig.scene.data_sheets import Preset, check_preset, data_sheet
-from rig.scene.quantities import (
+from rig.data_sheets.data_sheets import Preset, check_preset, data_sheet
+from rig.settings.alternatives import Alternatives, OneOrSeveral, by_kind
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.quantities import (
     CURRENT,
     DASHPOT,
     FORCE_FACTOR,
@@ -23,8 +25,8 @@ from rig.scene.quantities import (
     VOLTAGE,
     Kind,
 )
-from rig.scene.quantity_field import Quantity, unexpected_value_error
-from rig.scene.settings import Alternatives, KeyPath, OneOrSeveral, Problem, Settings, by_kind
+from rig.settings.quantity_field import Quantity, unexpected_value_error
+from rig.settings.settings import Settings
 
 # The schema also allows names of bodies, which `Scene` replaces by their numbers.
 _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}

@@ -10,9 +10,11 @@ from pydantic import Field
 
 from rig.scene.body_names import check_names
 from rig.scene.matrices import MAX_BODIES, Matrices
-from rig.scene.quantities import DASHPOT, MASS, RATE, RATIO, STIFFNESS, TIME
-from rig.scene.quantity_field import Quantity
-from rig.scene.settings import Alternatives, KeyPath, Problem, Settings, by_key
+from rig.settings.alternatives import Alternatives, by_key
+from rig.settings.problems import KeyPath, Problem
+from rig.settings.quantities import DASHPOT, MASS, RATE, RATIO, STIFFNESS, TIME
+from rig.settings.quantity_field import Quantity
+from rig.settings.settings import Settings
 
 
 class ModalDamping(Settings):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from zlib import crc32
 
-from rig.scene.data_sheets import data_sheet
+from rig.data_sheets.data_sheets import data_sheet
 
 if TYPE_CHECKING:
     from rig.scene.measurement_chain import Channel

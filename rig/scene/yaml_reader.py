@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from rig.scene.settings import KeyPath, Problem
+from rig.settings.problems import KeyPath, Problem
 
 # Text after a decimal comma. In a list, where a comma may also separate two numbers, it must have a unit.
 _FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")

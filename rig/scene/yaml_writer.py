@@ -9,10 +9,11 @@ import yaml
 
 from rig.scene.matrices import Matrices
 from rig.scene.measurement_chain import Channel
-from rig.scene.quantities import Kind, shortest_notation, si_text
-from rig.scene.quantity_field import Quantity
-from rig.scene.settings import KeyPath, Settings, quantity_at
 from rig.scene.structure import Structure
+from rig.settings.problems import KeyPath
+from rig.settings.quantities import Kind, shortest_notation, si_text
+from rig.settings.quantity_field import Quantity
+from rig.settings.settings import Settings, quantity_at
 
 
 def write(settings: Settings, structure: Structure | None = None) -> str:

@@ -13,9 +13,9 @@ from rig.engine.samples import MotionSamples
 from rig.engine.state import FLOOR
 from rig.engine.trajectory import Trajectory, event_table
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_value
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
+from rig.settings.quantities import FREQUENCY, positive_value
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem

@@ -21,8 +21,8 @@ from rig.progress import CountProgress
 from rig.ranks import rank_count
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, TIME, number
 from rig.scene.scene import Scene
+from rig.settings.quantities import FREQUENCY, TIME, number
 from rig.simulation.energy import Energy, energy_balance, total_energy
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem

@@ -21,7 +21,7 @@ from rig.numerics import continuation
 from rig.results import Result, complete_style, join_columns
 from rig.scene.body_names import body_number
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FORCE, FREQUENCY, ascending_pair, number
+from rig.settings.quantities import FORCE, FREQUENCY, ascending_pair, number
 from rig.single_mode.admissibility import Batch, first_harmonic, flaws, multipliers, peak_to_peak
 from rig.single_mode.motion_search import END_REASONS, ordering_margins, solutions
 from rig.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, MotionType, jacobian

@@ -19,9 +19,9 @@ from rig.errors import SceneError
 from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
-from rig.scene.quantities import FREQUENCY, positive_values
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker
+from rig.settings.quantities import FREQUENCY, positive_values
 from rig.simulation.energy import fourier_integral
 from rig.steady_response.motion_type import combined_type, motion_types
 from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle

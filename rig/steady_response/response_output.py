@@ -11,8 +11,8 @@ from rig.errors import SceneError
 from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_decimals, format_frequencies
 from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
-from rig.scene.quantities import count
 from rig.scene.scene import Scene
+from rig.settings.quantities import count
 from rig.steady_response.frequency_response import SteadyResponse
 
 

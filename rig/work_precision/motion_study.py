@@ -21,8 +21,8 @@ from rig.arrays import Array
 from rig.engine.propagator import tone_propagator
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.scene.excitation import Sine, SteppedSine, SweptSine
-from rig.scene.quantities import count
 from rig.scene.scene import Scene
+from rig.settings.quantities import count
 from rig.simulation.simulate import Run, simulate
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem

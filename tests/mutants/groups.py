@@ -38,7 +38,7 @@ GROUPS: dict[str, dict[str, str]] = {
     "triggers": {"daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py"},
     "limits": {
         "daq/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py",
-        "rig/scene/quantity_field.py": "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py",
+        "rig/settings/quantity_field.py": "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py",
         "rig/system/assembly.py": "tests/rig/system",
     },
     "bounds": {

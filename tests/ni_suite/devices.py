@@ -19,7 +19,7 @@ from daq.instrument.task import Task
 from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration, TimingType
 from daq.signal_chain.channel import ChannelInfo
 from daq.virtual_bench.bench import first_sample, samples_per_tick
-from rig.scene.modules import Rates
+from rig.data_sheets.modules import Rates
 
 # Codes of NI-DAQmx for product categories and bus types.
 _X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659

@@ -11,8 +11,8 @@ from daq.instrument.devices.measurements import MEASUREMENTS, SUPPORTED_TYPES, V
 from daq.instrument.devices.names import ASSIGNED_BY_DRIVER
 from daq.instrument.errors import Code, DaqError, invalid_value
 from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration
+from rig.data_sheets.modules import Rates
 from rig.errors import SceneError
-from rig.scene.modules import Rates
 
 # Bit of each value in NI's encoding of sets.
 _COUPLING_BITS = {Coupling.AC: 1, Coupling.DC: 2, Coupling.GND: 4}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from daq.signal_chain.converter import Quantizer
+from rig.data_sheets.data_sheets import data_sheets
 from rig.errors import SceneError
-from rig.scene.data_sheets import data_sheets
 from rig.scene.measurement_chain import Accelerometer, Hammer
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import complete_from_preset

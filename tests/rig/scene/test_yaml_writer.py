@@ -15,7 +15,9 @@ import rig
 from rig.cli import app
 from rig.scene.json_schema import schema_text
 from rig.scene.loading import loads_si
-from rig.scene.quantities import (
+from rig.scene.scene import Scene
+from rig.scene.scene_files import SCENES, bundled_scenes
+from rig.settings.quantities import (
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,
     FREQUENCY,
@@ -26,8 +28,6 @@ from rig.scene.quantities import (
     parse,
     shortest_notation,
 )
-from rig.scene.scene import Scene
-from rig.scene.scene_files import SCENES, bundled_scenes
 
 # Magnitudes that every kind of quantity supports; the sample rate is three times a frequency.
 positive = st.floats(min_value=1e-6, max_value=1e6)

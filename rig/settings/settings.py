@@ -1,9 +1,4 @@
-"""Base classes of a scene's settings: frozen pydantic models that report all their problems together.
-
-A problem has a key path and a message. The key path is a tuple of keys and positions from 0, such as ("dampers", 1,
-"clearance"). The message contains the given and the expected value. `rig.scene.loading` converts the key path to a line
-of the file.
-"""
+"""Base class of all settings: a frozen pydantic model that reports all its problems together."""
 
 from __future__ import annotations
 
@@ -11,81 +6,29 @@ import ast
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from pydantic import (
     BaseModel,
     ConfigDict,
-    GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    TypeAdapter,
     ValidationError,
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, InitErrorDetails, core_schema
+from pydantic_core import CoreSchema
 
 from rig.errors import SceneError, suggestion
-from rig.scene.quantities import Kind, parse
-from rig.scene.quantity_field import (
+from rig.settings.problems import KeyPath, Problem, combined_error, describe, message_of, problems_of
+from rig.settings.quantities import Kind, parse
+from rig.settings.quantity_field import (
     Quantity,
     quantity_of,
-    unexpected_value_error,
     unexpected_value_message,
-    validation_error,
 )
-
-KeyPath = tuple[int | str, ...]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A problem in a scene: its key path and its message."""
-
-    key_path: KeyPath
-    message: str
-    absent: str = ""  # missing key that causes the problem; the problem is not reported if the key is only misspelled
-
-
-def problems_of(error: ValidationError) -> list[Problem]:
-    """Return the problems in a pydantic error, with the messages of this package."""
-    return [Problem(item["loc"], _message(item)) for item in error.errors(include_url=False)]
-
-
-def describe(problems: Iterable[Problem], where: str, line: Callable[[KeyPath], int] | None = None) -> str:
-    """Write one line for each problem: file, line, key path and message.
-
-    >>> describe([Problem(("dampers", 1, "clearance"), "missing")], "a.yaml", lambda path: 12)
-    'a.yaml:12: dampers[2].clearance: missing'
-    """
-    lines = []
-    for problem in problems:
-        location = where if line is None else f"{where}:{line(problem.key_path)}"
-        lines.append(": ".join(filter(None, [location, dotted(problem.key_path), problem.message])))
-    return "\n".join(lines)
-
-
-def dotted(key_path: KeyPath) -> str:
-    """Write a key path with positions counted from 1.
-
-    >>> dotted(("dampers", 1, "clearance"))
-    'dampers[2].clearance'
-    """
-    return "".join(f"[{key + 1}]" if isinstance(key, int) else f".{key[:60]}" for key in key_path).lstrip(".")
-
-
-def combined_error(title: str, problems: Iterable[Problem]) -> ValidationError:
-    """Combine several problems into one pydantic error."""
-    details = [
-        InitErrorDetails(type=validation_error(item.message, item.absent), loc=item.key_path, input=None)
-        for item in problems
-    ]
-    return ValidationError.from_exception_data(title, details)
-
 
 if TYPE_CHECKING:
     _Model = BaseModel
@@ -255,7 +198,7 @@ class Settings(_Model):
             return Problem(key_path, unexpected_value_message(value, f"keys such as {', '.join(cls.keys()[:4])}"))
         if item["type"] == "string_pattern_mismatch" and len(key_path) == 1:
             return Problem(key_path, unexpected_value_message(value, cls._expected_value(str(key_path[0]))))
-        return Problem(key_path, _message(item))
+        return Problem(key_path, message_of(item))
 
     @classmethod
     def _expected_value(cls, key: str) -> str:
@@ -355,127 +298,3 @@ def _is_text(value: Any) -> bool:
 def _is_consequence(item: Any) -> bool:
     """Return whether an error is only a consequence: a list is too short because its items are invalid."""
     return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
-
-
-def _message(item: Any) -> str:
-    """Return the message of a pydantic error: the given value and the expected value."""
-    context = item.get("ctx", {})
-    expected_value = {
-        "greater_than_equal": f"a whole number, at least {context.get('ge')}",
-        "less_than_equal": f"a whole number, at most {context.get('le')}",
-        "too_short": f"a list of at least {context.get('min_length')}",
-        "too_long": f"a list of at most {context.get('max_length')}",
-        "int_type": "a whole number",
-        "int_parsing": "a whole number",
-        "int_parsing_size": "a whole number with fewer digits",
-        "int_from_float": "a whole number",
-        "bool_type": "true or false",
-        "bool_parsing": "true or false",
-        "string_type": "text",
-        "string_too_short": "some text",
-        "string_too_long": f"at most {context.get('max_length')} characters",
-        "literal_error": f"one of {str(context.get('expected')).replace(chr(39), '')}",
-        "tuple_type": "a list",
-    }.get(item["type"])
-    return unexpected_value_message(item["input"], expected_value) if expected_value else str(item["msg"])
-
-
-Classes = tuple[type[Settings], ...]
-
-
-class Alternatives:
-    """Annotation `Annotated[A | B, Alternatives(by_kind)]`: settings of the class that matches the given keys.
-
-    Unlike with a plain union, problems are reported only for the matching class.
-    """
-
-    def __init__(self, choose: Callable[[Mapping[str, Any], Classes], type[Settings]]) -> None:
-        self.choose = choose
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        classes: Classes = get_args(source)
-
-        def read(value: Any, _: Any) -> Settings:
-            if isinstance(value, classes):
-                return type(value).model_validate(value)
-            if not isinstance(value, Mapping):
-                raise unexpected_value_error(value, "keys and values")
-            chosen = self.choose(value, classes)
-            try:
-                return chosen.model_validate(value)
-            except ValidationError as error:
-                problems = [_name_other_kinds(problem, chosen, classes) for problem in problems_of(error)]
-                raise combined_error(chosen.__name__, problems) from None
-
-        return core_schema.no_info_wrap_validator_function(read, handler(source))
-
-
-def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:
-    """Add to the problem of an unknown key the other kinds that have this key."""
-    key, own_keys = str(problem.key_path[0]) if len(problem.key_path) == 1 else "", list(chosen.keys())
-    kinds = [
-        str(kind.default)
-        for other in classes
-        if key in other.keys() and (kind := other.model_fields.get("kind"))  # noqa: SIM118
-    ]
-    if key in own_keys or not kinds:
-        return problem
-    given_kind = chosen.model_fields["kind"].default
-    return Problem(
-        problem.key_path,
-        f"unknown key {key!r} for kind {given_kind}, which has {', '.join(own_keys)}. Remove the key, or give kind: "
-        f"{' or '.join(kinds)}.",
-    )
-
-
-class OneOrSeveral:
-    """Annotation `Annotated[A | tuple[A, ...], OneOrSeveral(A)]`: settings, or a list of settings.
-
-    Unlike with a plain union, problems are reported only for the form that was given.
-    """
-
-    def __init__(self, item_type: Any) -> None:
-        self.adapter: TypeAdapter[Any] = TypeAdapter(item_type)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_wrap_validator_function(self._read, handler(source))
-
-    def _read(self, value: Any, _: Any) -> Any:
-        if not isinstance(value, list | tuple):
-            return self.adapter.validate_python(value)
-        if not value:
-            raise unexpected_value_error(value, "keys and values, or a list with at least one item")
-        settings, problems = [], []
-        for k, item in enumerate(value):
-            try:
-                settings.append(self.adapter.validate_python(item))
-            except ValidationError as error:
-                problems += [Problem((k, *item.key_path), item.message) for item in problems_of(error)]
-        if problems:
-            raise combined_error("list", problems)
-        return tuple(settings)
-
-
-def by_kind(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
-    """Choose the class by the key `kind`."""
-    kinds = {cls.model_fields["kind"].default: cls for cls in classes}
-    kind = content.get("kind")
-    if isinstance(kind, str) and kind in kinds:
-        return kinds[kind]
-    names = f"one of {', '.join(kinds)}"
-    hint = suggestion(str(kind), kinds)
-    message = (
-        f"missing; expected {names}" if kind is None else unexpected_value_message(kind, names) + (hint and f". {hint}")
-    )
-    raise combined_error("kind", [Problem(("kind",), message)])
-
-
-def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
-    """Choose the class by its first key, which no other class has."""
-    first_keys = {cls.keys()[0]: cls for cls in classes}
-    given_keys = [key for key in first_keys if key in content]
-    if len(given_keys) == 1:
-        return first_keys[given_keys[0]]
-    names = f"exactly one of the keys {', '.join(first_keys)}"
-    hint = suggestion(" ".join(map(str, content)), first_keys)
-    raise validation_error(unexpected_value_message(dict(content), names) + (hint and f". {hint}"))

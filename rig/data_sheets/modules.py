@@ -27,9 +27,9 @@ from itertools import product
 from math import prod
 from typing import Any, Literal
 
+from rig.data_sheets.data_sheets import data_sheet
 from rig.errors import SceneError
-from rig.scene.data_sheets import data_sheet
-from rig.scene.quantities import CURRENT, FREQUENCY, VOLTAGE, parse
+from rig.settings.quantities import CURRENT, FREQUENCY, VOLTAGE, parse
 
 Terminal = Literal["pseudo_differential", "differential", "rse"]
 Conversion = Literal["delta_sigma", "sar", "r_2r"]

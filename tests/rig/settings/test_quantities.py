@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.scene import quantities
-from rig.scene.quantities import (
+from rig.settings import quantities
+from rig.settings.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,

@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from rig.escaping import is_single_line
-from rig.scene.quantities import Kind, parse, suggest_decimal_point
+from rig.settings.quantities import Kind, parse, suggest_decimal_point
 
 
 class Quantity:

@@ -13,7 +13,7 @@ import yaml
 from pydantic import Field
 
 from rig.errors import SceneError
-from rig.scene.settings import Problem
+from rig.settings.problems import Problem
 
 Preset = Annotated[str, Field(min_length=1, max_length=80)]
 
@@ -36,7 +36,7 @@ class DataSheet:
     settings: dict[str, dict[str, Any]]
     """Figures for each kind of settings that accepts the preset (`KINDS`), with the keys and units of scene files."""
     facts: dict[str, Any]
-    """All other data: `module`, `inputs`, `outputs` (see `rig.scene.modules`), `teds` (see `rig.scene.teds`)."""
+    """All other data: `module`, `inputs`, `outputs` (see `rig.data_sheets.modules`), `teds` (see `rig.scene.teds`)."""
 
     @property
     def unsourced_note(self) -> str:
@@ -52,7 +52,7 @@ def data_sheets() -> dict[str, DataSheet]:
     ['BK 8206', 'LDS V203', 'NI 9234', ..., 'PCB 356B18', 'USB-4431']
     """
     sheets = {}
-    folder = files("rig.scene").joinpath("data", "presets")
+    folder = files("rig.data_sheets") / "presets"
     for file in sorted(folder.iterdir(), key=lambda file: file.name):
         if not file.name.endswith(".yaml"):
             continue

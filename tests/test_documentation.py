@@ -109,7 +109,7 @@ def test_commands_of_pages_have_existing_options(page, folder) -> None:
             assert word not in (*scenes(), *bundled_scenes()) or rig.load(word)
 
 
-def test_each_test_line_of_the_guide_is_a_valid_test(folder) -> None:
+def test_each_test_line_of_guide_is_valid(folder) -> None:
     lines = [
         line
         for kind, block in blocks(ROOT / "daq" / "guide" / "choose-a-test.md")

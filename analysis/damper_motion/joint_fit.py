@@ -1,7 +1,7 @@
 """Joint least-squares fit of velocity jumps whose responses overlap; their times are refined by Gauss-Newton steps.
 
 The data are the differenced readings of a channel (see `impact_model`). Steps and kinks of the acceleration have
-Gaussian priors (ridge regression), because closely spaced jumps hardly determine them.
+Gaussian priors (ridge regression), because closely spaced jumps determine them poorly.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def fit_group(
 
 
 def range_of(group: Sequence[Jump], model: ImpactModel, n_differences: int) -> tuple[int, int]:
-    """Return first and one-past-last difference of the windows of jumps in a segment of `n_differences`."""
+    """Return the range (first, stop) of the differences in the windows of jumps, in a segment of `n_differences`."""
     first, last = _difference_range(model, [jump.time for jump in group])
     return max(first, 0), min(last, n_differences)
 
@@ -149,7 +149,7 @@ def estimate_errors(
 
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
-    """Return the standard deviation of a 1 m/s jump `distance` samples after an equal jump (None: isolated), m/s."""
+    """Return the standard error of a jump of 1 m/s, `distance` samples after an equal jump (None: single jump), m/s."""
     rows = _equal_jumps(model, distance)
     fit = _least_squares(rows, rows[0], _ridge(len(rows), len(rows) // 4, noise))
     # The last four unknowns are jump, step, kink and time of the last jump.

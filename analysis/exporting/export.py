@@ -161,7 +161,7 @@ def expected_bytes(segment: Slice, ending: str) -> float:
 
 
 def kind_of(path: Path) -> str:
-    """Return the file name ending, which determines the format.
+    """Return the file name extension, which determines the format.
 
     Raises `SceneError` if the format is not supported.
     """
@@ -180,7 +180,7 @@ def export(
     overwrite: bool = False,
     progress: CountProgress | None = None,
 ) -> list[str]:
-    """Write a segment of a recording in the format of the file name ending.
+    """Write a segment of a recording in the format of the file name extension.
 
     Parameters
     ----------

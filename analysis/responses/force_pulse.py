@@ -1,6 +1,6 @@
 """Force pulse of a hammer hit, without the noise before and after it and without the tail due to high-pass filters.
 
-The high-pass filters of a force channel are the sensor's discharge and the AC coupling of amplifier and converter.
+The high-pass filters of a force channel are the discharge of the sensor and the AC coupling of amplifier and converter.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _RINGING_TIME_CONSTANTS = 7.0
 
 
 def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Return the readings of a force channel, N, with its high-pass filters inverted, and zero outside the hit.
+    """Return the readings of a force channel, N, compensated for its high-pass filters, and zero outside the hit.
 
     `first`, `last`: first and last sample of the hit.
 
     The high-pass filters add a long, small tail of opposite sign to a pulse, which may be longer than the recording.
     They are therefore inverted first; a window then removes the noise after the hit. The spectrum of the readings is
-    that of the result times `high_passes`.
+    that of the result times `high_pass_response`.
     """
     slow_poles, fast_poles = slow_and_fast(info)
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
@@ -46,7 +46,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     return np.ascontiguousarray(pulse.real)
 
 
-def high_passes(info: ChannelInfo, frequency: Array) -> ComplexArray:
+def high_pass_response(info: ChannelInfo, frequency: Array) -> ComplexArray:
     """Compute the frequency response of the high-pass filters that `isolate_pulse` inverts; frequencies in Hz."""
     response = np.ones(frequency.size, dtype=complex)
     for pole in slow_and_fast(info)[0]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
 
-# Interval before a hit in which residual motion is detected and the zero of each channel is measured, s.
+# Interval before a hit in which residual motion is detected and the zero offset of each channel is measured, s.
 PRE_HIT_S = 0.2
 # The rig is at rest in this interval if its motion is at most this fraction of the response to the hit.
 _MAX_REST_RATIO = 2e-3
@@ -35,17 +35,17 @@ _DETECTION_SIGMAS = 4.0
 _MIN_MARKED_RATIO = 0.5
 # A rebound of the hammer is detected if its force is at least this fraction of the force within the marker.
 _MIN_REBOUND_RATIO = 0.05
-# The force of a rebound is at least this multiple of the median change between samples, which measures the noise.
+# The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0
 # The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
 # Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
 # of the resulting changes, relative to the mean square of the original rounding (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
-# A coarser converter resolves a signal of at least this size without dither from noise, in counts.
+# Smallest signal, in counts, that can be rounded again without noise as dither.
 _MIN_COUNTS = 6.0
-# If noise dithers the signal, at most this fraction of the rounding error is equal in every hit: the fraction for half
-# a count of noise.
+# If noise dithers the signal, at most this fraction of the rounding error repeats from hit to hit. It is the fraction
+# for noise of half a count.
 _MAX_REPRODUCIBLE = 0.007
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.responses.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
-from analysis.responses.force_pulse import high_passes
+from analysis.responses.force_pulse import high_pass_response
 from analysis.responses.local_models.jitter import jitter_factor
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.local_models.low_spectra import low_spectra
@@ -206,7 +206,7 @@ class SegmentFits:
             channel_spectra = [fft.rfft(block, axis=1) for block in padded]
             # The force includes the whole tail of its high-pass filters, which the recording may truncate.
             info = rec.channels[self.hits.channel]
-            high_pass = high_passes(info, fft.rfftfreq(size, 1.0 / rec.rate))
+            high_pass = high_pass_response(info, fft.rfftfreq(size, 1.0 / rec.rate))
             for spectra in channel_spectra:
                 spectra[names.index(self.hits.channel)] *= high_pass
             inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]

@@ -99,7 +99,9 @@ def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[st
 
 
 def relative_to_reading(error: Array) -> Array:
-    """Convert maximum errors relative to true values to maximum errors relative to readings; infinite from 1 on.
+    """Convert maximum errors relative to true values to maximum errors relative to readings.
+
+    They are infinite for errors of 1 or more.
 
     If the reading is too small, its error relative to the reading exceeds its error relative to the true value.
 
@@ -154,7 +156,7 @@ def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
 def shared_noise_bound(
     noise: Array, change_per_reading: ComplexArray, reference_weights: ComplexArray, reference_power: Array
 ) -> Array:
-    """Compute the maximum error of H1 due to noise of channels in the reference that may also be in the response.
+    """Compute the maximum error of H1 due to noise of the reference's channels that may also be part of the response.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
@@ -213,7 +215,7 @@ def tone_gain_error(power: Array) -> Array:
 
 
 def reproducible_rounding(power: Array) -> Array:
-    """Compute the share of a sine's rounding error that is equal in every period, with noise of a power in counts².
+    """Compute the fraction of a sine's rounding error that repeats in every period, with noise of a power in counts².
 
     Noise of s counts reduces the first term of the quantizer's series by ``exp(-2 pi^2 s^2)``, and all others more
     (Widrow and Kollár, as in `noise_gain_error`). `power` includes the rounding error, 1/12.

@@ -1,6 +1,6 @@
 """Positions and sizes of the drawn parts at rest: bodies with cavities, stacked on springs, and shaker tables.
 
-Lengths are in meters of the drawing and chosen for legibility. All bodies have the same width and depth.
+Lengths are in meters at the scale of the drawing and chosen for legibility. All bodies have the same width and depth.
 """
 
 from __future__ import annotations

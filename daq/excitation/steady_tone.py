@@ -27,14 +27,13 @@ _MAX_TRANSITION_S = 3.0
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# The drive may change suddenly by at most this, as the natural logarithm of its ratio: the transient is then
-# negligible.
+# Largest sudden change of the drive, as ln(new / old), whose transient is negligible.
 _MAX_SUDDEN_CHANGE = 0.03
 # The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
 # its deviation from the level.
 _MAX_PREDICTION_CHANGE = 0.3
-# A measurement longer than twice this number of samples is evaluated in pieces of this size or more.
-_PIECE_SAMPLES = 1 << 16
+# A measurement longer than twice this number of samples is evaluated in blocks of this size or more.
+_BLOCK_SAMPLES = 1 << 16
 
 
 class Tone:
@@ -91,9 +90,9 @@ def _elapsed_phases(frequency: float, samples: int) -> Array:
 
 
 class SteadyTone(Tone):
-    """A tone of the driven shaker, with the complex amplitudes of its quantities.
+    """A tone that drives a shaker, and the complex amplitudes that it causes.
 
-    The quantities are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
+    These are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
     """
 
     def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
@@ -182,11 +181,11 @@ class SteadyTone(Tone):
         `settled` and `fields` are fields of the marker.
         """
         first, samples = self.station.now, max(samples, min_samples(self.frequency, self.rate))
-        # The tone is held in pieces, which limits the memory. Their amplitudes matter only if the force is controlled.
-        piece_samples, remaining = whole_periods(self.frequency, self.rate, _PIECE_SAMPLES / self.rate), samples
+        # The tone is generated in blocks to limit the memory. Their amplitudes matter only if the force is controlled.
+        block_samples, remaining = whole_periods(self.frequency, self.rate, _BLOCK_SAMPLES / self.rate), samples
         amplitude: complex = 0.0
         while remaining:
-            window = piece_samples if remaining >= 2 * piece_samples else remaining
+            window = block_samples if remaining >= 2 * block_samples else remaining
             remaining -= window
             if self.control is None:
                 yield self.station.drive(self.hold(window))

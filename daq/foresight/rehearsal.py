@@ -40,7 +40,7 @@ class Extremes:
         self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
 
     def add(self, first: int, values: Array) -> None:
-        """Update with the next values (rows, samples), from the sample with the number `first` on."""
+        """Update with the next values (rows, samples), starting at sample `first`."""
         if values.size:
             magnitudes = np.abs(values)
             samples = magnitudes.argmax(axis=1)
@@ -84,7 +84,7 @@ class Rehearsal(BenchLoop):
         # Times of the impacts of each damper, s.
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
-        # First sample and stop of the sweep; None without a complete sweep.
+        # First sample of the sweep, and the sample after its last; None without a complete sweep.
         self.sweep: tuple[int, int] | None = None
         # Simulated duration, s, and whether the test ran to its end.
         self.seconds, self.complete = 0.0, False
@@ -117,7 +117,7 @@ class Rehearsal(BenchLoop):
         """Ignore the progress of the test."""
 
     def ending_error(self, readings: Array) -> BaseException | None:
-        """Return the error of an exceeded limit, unless steps are still excluded."""
+        """Return the error that ends the test at an exceeded limit; None while steps are still excluded."""
         error = super().ending_error(readings)
         return None if self._excluded_steps else error
 

@@ -32,7 +32,7 @@ _CPU_BUDGET_S = 0.7
 # CPU time for a random test or multisine, as a multiple of `_CPU_BUDGET_S`, because the extremes in a part of such a
 # test vary by 10 % from part to part.
 _RANDOM_BUDGET_RATIO = 4.0
-# CPU time of a sample without states and channels, s. All CPU times here were measured on one core of 2 GHz.
+# CPU time of a sample, to which states and channels add, s. All CPU times here were measured on one core of 2 GHz.
 _SAMPLE_CPU_S = 130e-9
 # CPU time of each state in a sample, s.
 _STATE_CPU_S = 6e-9

@@ -140,7 +140,7 @@ def _refined_frequency(tone: HeldTone, block_samples: int, samples: Iterator[Arr
 
 
 def _read_segments(read: Callable[[int, int], Array], segments: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of ordered segments without overlap; the ranges between them are read and dropped."""
+    """Yield the samples of ordered segments without overlap; the ranges between them are read and discarded."""
     position = 0
     for first, stop in segments:
         while position < first:

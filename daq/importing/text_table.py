@@ -43,13 +43,13 @@ from rig.errors import RecordingError
 from rig.numerics.memory import require_memory_with_program
 from rig.settings.quantities import TIME, parse
 
-# A longer line than this number of characters is not read.
+# Maximum number of characters in a line; longer lines are not read.
 _MAX_LINE = 1 << 20
 # The uncertainty of a sample rate is reported above this fraction of the rate.
 _MAX_RATE_UNCERTAINTY = 2e-5
 # Number of lines at the beginning that are examined for the digits of times.
 _MAX_EXAMINED_LINES = 50
-# Minimum number of lines from which the usual length of the last number in a line is known.
+# Minimum number of lines that show the usual length of the last number in a line.
 _MIN_LINES = 10
 # Number of lines in a block.
 BLOCK_LINES = 1 << 16
@@ -121,7 +121,8 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
             channel.unit,
             position - 1 + has_times,
             clock or Clock(channel.rate, channel.start_s),
-            # Programs append lines without updating the heading. Its count is used only if other channels have more.
+            # Programs append lines without updating the counts in the header. The count of a channel is therefore used
+            # only if another channel has a larger one.
             table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
         )
         signals.append(replace(signal, start_ns=channel.start_ns))
@@ -157,7 +158,7 @@ class _Table:
         self._cached_block: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
 
     def _truncation_reason(self, line_number: int, line: str) -> str:
-        """Return why the last line must be truncated; an empty string if it may be complete."""
+        """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""
         try:
             self._parse_line(line_number, line)
         except RecordingError as error:

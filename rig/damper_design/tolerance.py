@@ -11,7 +11,7 @@ from rig.damper_design.choice import Objective, SearchSpace, Trial
 from rig.damper_design.evaluator import Evaluator
 from rig.results import format_number
 
-#: At the ends of the tolerance interval, the worst peak is higher by this, dB.
+#: Rise of the worst peak at the ends of the tolerance interval, relative to the design, dB.
 MAX_RISE_DB = 0.5
 #: Bisection stops when the ratio of its two clearances is below this value.
 _RESOLUTION_RATIO = 1.06
@@ -70,7 +70,7 @@ def clearance_tolerance(
     """
     max_peak = best.peak.compliance * 10.0 ** (MAX_RISE_DB / 20.0)
     choice, heaviest_index = best.choice, best.choice.heaviest_index
-    # The interval consists of this choice with all clearances multiplied by a factor.
+    # The clearances of this design are multiplied by a common factor.
     unscaled = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
     acceptable = {1.0: True} if choice.has_ceiling else {}
     for trial in trials:

@@ -1,4 +1,4 @@
-"""Memory limit of a computation, checked before its start."""
+"""Memory limit of a computation, checked before it starts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 
 from rig.errors import RunError
 
-# Memory limit without the environment variable.
+# Memory limit if the environment variable is not set.
 DEFAULT_LIMIT_BYTES = 1e9
 # Memory of the program itself, before it reads a file (measured).
 PROGRAM_BYTES = 0.2e9

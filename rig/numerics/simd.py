@@ -323,7 +323,7 @@ def affine_product(matrix: Any, constant: Any, index: int, vector: Any, columns:
 
 @inlined_kernel
 def affine_product_many(matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any) -> None:
-    """Compute `affine_product` for many rows; this is more code, but reads the vector less often."""
+    """Compute `affine_product` for many rows; this is more code, but loads the vector less often."""
     rows = constant.shape[1]
     start, rows_in_blocks = index * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
     if rows_in_blocks > 0:

@@ -84,8 +84,9 @@ class _ConfigurationMatrices(NamedTuple):
     """Matrices of configurations; the first index of each array is the configuration.
 
     `generator`: as in `Equations`, without drive, ceilings of finite-duration contacts and angular frequency.
-    `drive_input`: derivative of the rates of the states with respect to each input. `clearance_input`: derivative of
-    the accelerations with respect to each damper's clearance, nonzero while the damper is pressed on its ceiling.
+    `drive_input`: input matrix, the derivative of the state's time derivative with respect to the inputs.
+    `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
+    is pressed on its ceiling.
     `norm_bound`: upper bound of the norm of the state matrix, 1/s.
     """
 
@@ -173,7 +174,7 @@ class OrbitProblem:
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
-        """Return the equations of motion in a plan's configurations, and their derivatives by a parameter.
+        """Return the equations of motion in a plan's configurations, and their derivatives with respect to a parameter.
 
         Without a parameter, the derivatives are zero.
         """

@@ -15,7 +15,7 @@ from rig.escaping import escape_terminal
 FRF, GENERAL = 4, 0
 #: Beginning of the text line that states the bandwidth of each frequency of a response.
 RESOLUTION_LINE = "shotrig: resolution"
-#: Beginning of the text line that names the response whose standard deviation a general function is.
+#: Beginning of the text line of a general function that contains the standard deviation of the response named next.
 DEVIATION_LINE = "standard deviation of"
 #: Numbers of the physical quantities in the format.
 QUANTITY_NUMBERS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}

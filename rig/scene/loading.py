@@ -18,7 +18,7 @@ from rig.scene.scene_files import find_scene, read_text
 from rig.scene.yaml_reader import Document, read_yaml
 from rig.settings.problems import KeyPath, Problem, describe, dotted, problems_of
 
-# Replaces the line numbers of content that was not read from a file.
+# Placeholder for the line numbers of content that was not read from a file.
 _NO_LINES: dict[KeyPath, int] = {(): 0}
 #: Types that a function accepts as a scene.
 SceneLike = Scene | str | Path | Mapping[str, Any]

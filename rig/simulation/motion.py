@@ -24,12 +24,12 @@ class Motion:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s^2; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper of the scene above its floor, m: 0 if it cannot move; for a bed of grains, rise of its
+        Height of each damper of the scene above its floor, m: 0 if it is locked; for a bed of grains, rise of its
         center of mass.
     contact : ndarray of int8, shape (dampers, samples)
-        0 in flight, 1 on the floor (always, if it cannot move), 2 at the ceiling.
+        0 in flight, 1 on the floor (always, if it is locked), 2 at the ceiling.
     break_sample : ndarray of int64, shape (breaks,)
-        Number of the sample that ends the interval in which the break lies; in order of time.
+        Index of the first sample at or after the break; in ascending order.
     break_offset : ndarray, shape (breaks,)
         Time of the break after the previous sample, s: above 0, at most one sample interval.
     break_displacement : ndarray, shape (points, breaks)

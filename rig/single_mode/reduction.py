@@ -7,8 +7,8 @@ single mass represents the body with the largest displacement.
 
 Two weightings of the masses md_j of dampers in bodies j give mu_i. As printed (Eq. 13), mu_i is the signed sum of
 phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both agree for a damper
-in a body with phi_ji = 1. If the damper's body moves less, both subject the equivalent damper to a too large
-acceleration. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction for
+in a body with phi_ji = 1. If the damper's body moves less, both overestimate the acceleration of the equivalent
+damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction for
 a single damper.
 """
 
@@ -50,7 +50,7 @@ class SingleMode:
 
     @property
     def riding_frequency(self) -> float:
-        """Natural frequency with the damper always riding [Hz]."""
+        """Natural frequency with the damper in permanent contact with the floor [Hz]."""
         return self.frequency / np.sqrt(1 + self.mass_ratio)
 
     def receptance(self, frequencies: ArrayLike, riding: bool = False) -> NDArray[np.complex128]:

@@ -28,7 +28,8 @@ MAX_REPETITION = 8
 COMPARED_PERIODS = 40
 #: Maximum number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
-#: The motion is assumed to converge to a repetition if the change per repetition is below this number of tolerances.
+#: The motion is assumed to converge to a repetition if its change per repetition is below this multiple of the
+#: tolerance.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
 CHANGE_ROUNDING = 2e-14
@@ -126,8 +127,8 @@ def _distances(comparison: StateSamples, state_scales: Array) -> tuple[Array, Ar
 def _changes(vectors: Array, contacts: NDArray[np.int8]) -> Array:
     """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ.
 
-    Returns shape (MAX_REPETITION, 2). The ratio of both identifies a slow decay, which faster decays hide in the
-    changes from period to period.
+    Returns shape (MAX_REPETITION, 2). Their ratio reveals a slow decay, which faster decays mask in the changes
+    from period to period.
     """
     changes = np.zeros((MAX_REPETITION, 2))
     rows = vectors.shape[0]

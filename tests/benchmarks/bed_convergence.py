@@ -34,7 +34,7 @@ VARIANTS = ((1.0, 0.06), (0.5, 0.06), (2.0, 0.06), (1.0, 0.03), (1.0, 0.12))
 
 
 def resonant_scene(force: float, clearance: float, layers: int, packing: int, modulus: float, step: float) -> Scene:
-    """Return a scene with a bed of the bed study in a body of ten times its mass on a spring.
+    """Return a scene with a body on a spring that contains a bed of the bed study and has ten times its mass.
 
     `force`: relative to the body's weight; `clearance`: m; `modulus`: Pa; `step`: Rayleigh times.
     """

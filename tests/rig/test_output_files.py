@@ -77,7 +77,7 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     assert path.exists() == (kind != "nowhere")
 
 
-def test_folder_named_like_a_figure_is_not_created_but_used(tmp_path: Path) -> None:
+def test_folder_named_like_a_figure_is_used(tmp_path: Path) -> None:
     folder = tmp_path / "two.png"
     with pytest.raises(SceneError, match=r"Give the name of a folder, such as -o .*two\.$"):
         create_folder(folder)

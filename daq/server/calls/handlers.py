@@ -1,4 +1,4 @@
-"""Finds the handler of a remote call; a call that no device on the bench supports returns the error of hardware."""
+"""Finds the handler of a remote call; a call that no device supports returns the error of real hardware."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from daq.server.attributes import attribute_handler
 from daq.server.calls import channels, samples, settings, tasks
 from daq.server.calls.call import Call, Handler
 
-# Names of calls: creation of inputs, and creation of any channel (A: analog, C: counter, D: digital).
+# Names of the calls that create inputs, and of those that create any channel (A: analog, C: counter, D: digital).
 _CREATE_INPUT = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CREATE_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 # Boundaries between the words of a call's name.
@@ -32,7 +32,7 @@ def handler_of(name: str) -> Handler | None:
 
 
 def script_function(method: str) -> str:
-    """Return the name by which users know a call: a function of the package nidaqmx, otherwise of the driver.
+    """Return the name by which users know a call: a function of the package nidaqmx, or of the C driver.
 
     >>> script_function("CreateTEDSAIRTDChan"), script_function("ReadDigitalU32")
     ('add_teds_ai_rtd_chan', 'DAQmxReadDigitalU32')

@@ -1,4 +1,4 @@
-"""Handlers of calls about timing, triggers, buffers and logs of tasks, custom scales, and saved settings."""
+"""Handlers of the calls that configure timing, triggers, buffers and logging of tasks, scales, and saved tasks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TRIGGER_TYPES = {
 def _trigger(role: str, prefix: str, **names: str) -> Handler:
     """Return the handler that configures a start trigger (`role` "start") or a reference trigger ("ref").
 
-    `prefix` is a key of `_TRIGGER_TYPES`. `names` maps the fields of the call to the ends of the settings' names.
+    `prefix` is a key of `_TRIGGER_TYPES`. `names` maps the fields of the call to the suffixes of the setting names.
     """
 
     def configure(call: Call) -> None:
@@ -64,7 +64,7 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
-    """Return the handler that waits for an event and returns its time; with None, the call names the event."""
+    """Return the handler that waits for an event and returns its time; if it is None, the call specifies it."""
 
     def get_time(call: Call) -> ResponseFields:
         requested_event = event

@@ -29,7 +29,7 @@ recording: {{display: false}}
 """
 
 
-def test_linear_decay_has_damping_at_every_amplitude(tmp_path):
+def test_linear_decay_has_same_damping_at_every_amplitude(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec, channel="body3")
     assert [round(mode.frequency, 1) for mode in decay.modes] == [13.0, 34.8, 49.7]
@@ -83,7 +83,7 @@ def test_damping_above_noise_floor_is_correct(tmp_path):
         np.testing.assert_allclose(mode.damping[above_noise], MODAL_DAMPING, rtol=0.03)
 
 
-def test_integrated_energy_falls_to_the_end(tmp_path):
+def test_integrated_energy_decreases_monotonically(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap")) as rec:
         decay = analysis.decay(rec)
     assert decay.energy[0] == 0.0 and np.all(np.diff(decay.energy) <= 0)
@@ -114,7 +114,7 @@ DAMPING_LAWS = {
 
 @pytest.mark.parametrize("law", DAMPING_LAWS)
 @pytest.mark.parametrize("noise", [1e-3, 0.05])
-def test_changing_damping_lies_within_bounds(law, noise):
+def test_amplitude_dependent_damping_lies_within_bounds(law, noise):
     random = np.random.default_rng(3)
     rate, natural, amplitude, envelope = 1280.0, 24.0, 50.0, np.empty(5120)
     for index in range(envelope.size):
@@ -128,7 +128,7 @@ def test_changing_damping_lies_within_bounds(law, noise):
     assert np.median(mode.damping_error / mode.damping) < 0.1
 
 
-def test_displacement_gives_decay_of_acceleration(tmp_path):
+def test_displacement_channel_gives_acceleration_decay(tmp_path):
     force = np.zeros(640 + int(4 * synthetic.RATE))
     force[640:656] = 50.0 * np.sin(np.pi * np.arange(16) / 16)
     infos = [info for info in synthetic.channels("displacement") if info.at != "table"]

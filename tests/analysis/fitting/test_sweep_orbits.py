@@ -43,7 +43,7 @@ def test_failed_trial_keeps_previous_motion():
 
 
 def test_continued_motions_have_correct_derivatives():
-    # With `search=False` the response is continued linearly from the last periodic motion.
+    # With `search=False` the response is extrapolated linearly from the last periodic motion.
     curves, frequency, level = nearest_points(34.4, 48.0, 50.5)
     table_scene = curves.scene.replace(shaker={"kind": "electrodynamic", "body": 1, "spring": 6600.0})
     orbits = SweepOrbits(replace(curves, scene=table_scene, frequency=frequency, level=level))
@@ -51,17 +51,17 @@ def test_continued_motions_have_correct_derivatives():
     initial_response, step = orbits.response(test_scene, level, frequency), 1e-5
     for relative_level, relative_frequency in ((step, 0.0), (0.0, step)):
         varied_point = level * (1.0 + relative_level), frequency * (1.0 + relative_frequency)
-        continued_change = orbits.response(test_scene, *varied_point, search=False) - initial_response
+        predicted_change = orbits.response(test_scene, *varied_point, search=False) - initial_response
         initial_orbits = list(orbits.current)
         corrected_change = orbits.response(test_scene, *varied_point) - initial_response
         orbits.current = initial_orbits
         assert (
             np.isfinite(corrected_change).all()
-            and abs(continued_change - corrected_change).max() < 0.01 * abs(corrected_change).max()
+            and abs(predicted_change - corrected_change).max() < 0.01 * abs(corrected_change).max()
         )
 
 
-def test_infinite_rebounds_are_reported_as_reason():
+def test_chattering_are_reported_as_reason():
     curves, frequency, level = nearest_points(49.0)
     dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
     rebounding_scene = curves.scene.replace(dampers=dampers)
@@ -78,7 +78,7 @@ def test_infinite_rebounds_are_reported_as_reason():
     assert not orbits.uncovered
 
 
-def test_singular_matrix_yields_no_gap(monkeypatch):
+def test_largest_gap_is_zero_if_matrix_is_singular(monkeypatch):
     curves, frequency, level = nearest_points(49.66)
     orbits = SweepOrbits(replace(curves, frequency=frequency, level=level))
     test_scene = scene_of_test(curves.scene, curves)

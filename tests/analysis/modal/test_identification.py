@@ -90,7 +90,7 @@ def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
     assert 0.3 < np.std(normalized) < 2.0
 
 
-def test_few_points_in_a_peak_warn_of_extrapolated_damping(tmp_path):
+def test_few_points_in_peak_warn_of_extrapolated_damping(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 60))) as rec:
         [curves] = analysis.frequency_responses(rec)
         warnings = " ".join(analysis.identify(curves).warnings)
@@ -253,7 +253,7 @@ def test_modes_with_flying_dampers_are_linear_equivalents():
 
 
 @pytest.mark.parametrize("width_ratio", [1e-6, 0.1, 5.0])
-def test_fit_and_pole_errors_are_independent_of_initial_damping(width_ratio):
+def test_pole_errors_are_independent_of_initial_damping(width_ratio):
     natural, frfs = two_modes(30.0, 0.2, 0.01, 400, noise=1e-3, seed=4)
     value, frequency = np.stack([frf.value for frf in frfs]), frfs[0].frequency
     curves = Curves(frequency, value, np.full(value.shape, 1e3 / abs(value).max()))

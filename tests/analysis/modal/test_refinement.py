@@ -1,4 +1,4 @@
-"""Refinement of modal parameters by least squares: normal equations and reduced problem against dense arrays."""
+"""Refinement of modal parameters: normal equations and reduced problem, compared with full matrices."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def test_normal_equations_equal_products_of_derivatives(curves: Curves, monkeypa
     monkeypatch.setattr(refinement, "_MAX_ELEMENTS", 100)
     model = fit(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     random = np.random.default_rng(3)
-    # Factor of a positive definite covariance of the responses at each line.
+    # Factor of a positive definite covariance matrix of the responses at each line.
     root = random.standard_normal((LINES, RESPONSES, 5)) + 1j * random.standard_normal((LINES, RESPONSES, 5))
     problem = Likelihood(curves, LineCovariance(root @ root.conj().swapaxes(1, 2), 1.0), np.zeros((RESPONSES, LINES)))
-    matrix, right_side = problem.equations(model)
+    matrix, right_hand_side = problem.equations(model)
     # Derivatives of the residual with respect to each parameter, by central differences.
     steps = 1e-7 / np.sqrt(np.diag(matrix))
     derivatives = np.stack(
@@ -51,10 +51,10 @@ def test_normal_equations_equal_products_of_derivatives(curves: Curves, monkeypa
     expected_matrix = np.einsum("kap,kaq->pq", weighted.conj(), derivatives).real
     scale = np.sqrt(np.outer(np.diag(expected_matrix), np.diag(expected_matrix)))
     np.testing.assert_allclose(matrix / scale, expected_matrix / scale, atol=1e-6)
-    expected_right_side = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
-    tolerance = 1e-6 * abs(right_side * steps).max()
-    np.testing.assert_allclose(right_side * steps, expected_right_side * steps, atol=tolerance)
-    rows = random.standard_normal((len(right_side), 2))
+    expected_right_hand_side = np.einsum("kap,ka->p", weighted.conj(), problem.residual(model)).real
+    tolerance = 1e-6 * abs(right_hand_side * steps).max()
+    np.testing.assert_allclose(right_hand_side * steps, expected_right_hand_side * steps, atol=tolerance)
+    rows = random.standard_normal((len(right_hand_side), 2))
     np.testing.assert_allclose(problem.weights(model, rows / scale[0, 0]), weighted @ rows / scale[0, 0], rtol=1e-4)
 
 

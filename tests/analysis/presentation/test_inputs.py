@@ -1,4 +1,5 @@
-"""Recordings that cannot be combined (other driven bodies, bands or channels, copies) are reported or kept separate."""
+"""Recordings that cannot be combined (they differ in driven body, band or channels, or are copies) are reported or
+kept separate."""
 
 from __future__ import annotations
 

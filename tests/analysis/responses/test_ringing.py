@@ -1,4 +1,4 @@
-"""The bound of the residual transient of a stepped sine's previous tone, in closed form and in a recording."""
+"""The bound of the transient that remains from the previous tone, against a closed form and a recording."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_points_far_from_resonances_have_no_transient() -> None:
     assert ringing(np.ones(1) + 0j, *[np.ones(1)] * 4).tolist() == [0.0]
 
 
-def test_uncertainty_contains_residual_transients_in_noise(tmp_path) -> None:
+def test_uncertainty_covers_residual_transients_with_noise(tmp_path) -> None:
     scene = rig.loads(
         """
         structure: {masses: [1.9 kg, 1.4 kg], springs: [60 kN/m, 40 kN/m], damping: {modal: 0.7 %}}

@@ -142,7 +142,7 @@ def test_missing_experiment_omits_realisation(multisine_path):
     assert "Realization 2 left out: only 1 of its 2 experiments was recorded." in response.warnings
 
 
-def test_shapes_are_of_the_input_that_excites_every_mode():
+def test_shapes_use_the_input_that_excites_every_mode():
     shapes, participation = np.array([[1.0, 1.0], [2.0, -1.0]]), np.array([[1.0, 0.0], [0.7, 0.8]])
     zeros, residue = np.zeros(2), np.einsum("am,km->akm", shapes, participation).reshape(4, 2) + 0j
     modes = Modes(

@@ -262,7 +262,7 @@ def test_noise_alone_has_no_transient(seed):
 
 
 @pytest.mark.parametrize("decay_per_period", [0.3, 2.0, 8.0])
-def test_transient_of_a_mode_is_bounded_at_most_lines(decay_per_period):
+def test_modal_transient_is_bounded_at_most_lines(decay_per_period):
     # The mode lies between two lines. The faster its transient decays, the more lines it affects.
     pole = (-decay_per_period + 2j * np.pi * 60.3) / (2j * np.pi)
     first = 40.0 / (np.arange(LINES) - pole)

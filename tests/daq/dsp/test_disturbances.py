@@ -23,7 +23,7 @@ class KnownValues:
 
 @pytest.mark.parametrize("oversampling", [1, 2, 5])
 @pytest.mark.parametrize("block_ends", [[], [1], [1, 2, 3, 9], [0, 7, 7, 20]])
-def test_polynomials_of_intervals_equal_those_of_samples(oversampling, block_ends):
+def test_interval_polynomials_equal_sample_polynomials(oversampling, block_ends):
     # Voltages of four disturbances, of degrees 0, 1, 2 and 0, at 30 samples.
     samples = np.random.default_rng(oversampling).standard_normal((4, 30))
     disturbances = Disturbances([KnownValues(row) for row in samples], np.zeros(4), (0, 1, 2, 0), oversampling)
@@ -72,7 +72,7 @@ def test_settling_offset_is_exponential():
         (2e-3, 1e-3, 0.03, 0.06),
     ],
 )
-def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, tolerance_at_nyquist):
+def test_flicker_noise_density_follows_the_corner(corner, rate, tolerance, tolerance_at_nyquist):
     loss, weight, gain = flicker_filter(corner, rate)
     frequency = np.geomspace(10 * min(LOWEST, 0.1 * corner, 0.01 * rate), 0.5 * rate, 200)
     # Transfer function of a delay by one sample.
@@ -86,7 +86,7 @@ def test_shaped_noise_density_follows_the_corner(corner, rate, tolerance, tolera
     assert loss.size <= 2 + np.log(0.25 * rate / (0.1 * frequency[0])) / np.log(4.0)
 
 
-def test_shaped_noise_is_filtered_white_noise():
+def test_flicker_noise_is_filtered_white_noise():
     corner, rate = 20.0, 5120.0
     loss, weight, gain = flicker_filter(corner, rate)
     samples = np.empty(500)
@@ -100,7 +100,7 @@ def test_shaped_noise_is_filtered_white_noise():
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_noise_of_each_polynomial_has_its_power(degree):
+def test_noise_of_each_polynomial_degree_has_expected_power(degree):
     density, samples = 2e-6, np.empty(200_000)
     # The power density at half the sample rate is 1 + 2 corner / rate times the density of white noise.
     for corner, rate, power_ratio in ((None, 1.0, 1.0), (100.0, 1000.0, 1.2)):

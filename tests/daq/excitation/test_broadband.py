@@ -22,7 +22,7 @@ FORCE_SHAKER = {"kind": "force", "body": 1}
 
 
 def force_history(bench_run: BenchRun, first: int, stop: int) -> np.ndarray:
-    """Return the spring force in N in a window that is assumed periodic, from the spectra of the channels."""
+    """Return the spring force in N in a window, which is treated as one period, from the spectra of the channels."""
     frequencies = np.fft.rfftfreq(stop - first, 1.0 / bench_run.bench.rate)[1:]
     spectrum = np.fft.rfft(bench_run.readings[:, first:stop], axis=1)[:, 1:]
     weights = np.array([bench_run.force_weights(frequency) for frequency in frequencies]).T
@@ -48,7 +48,7 @@ def test_random_force_has_band_and_level() -> None:
     assert kurtosis == pytest.approx(3.0, abs=0.25)
 
 
-def test_random_spring_force_has_its_level() -> None:
+def test_random_spring_force_has_required_level() -> None:
     test = {"kind": "random", "from": "15 Hz", "to": "32 Hz", "force": "2.6 N", "duration": "8 s"}
     bench_run = run(scene_with(test))
     first, stop, _ = bench_run.marks_of("measure")[0]
@@ -74,7 +74,7 @@ def test_clipped_samples_of_several_shakers_are_counted_once() -> None:
     assert 0.9 * RATE < n_clipped <= n_samples == RATE
 
 
-def test_bursts_end_in_silence() -> None:
+def test_drive_is_zero_after_each_burst() -> None:
     test = {
         "kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "16 s",
         "burst": "40 %",
@@ -189,7 +189,7 @@ def test_double_hit_is_applied_and_marked() -> None:
 
 
 @pytest.mark.parametrize(("bias_settling", "is_settled"), [("2 s", True), ("100 s", False)])
-def test_drift_at_the_limit_of_the_wait_is_not_marked_as_settled(bias_settling: str, is_settled: bool) -> None:
+def test_drift_at_longest_wait_is_not_settled(bias_settling: str, is_settled: bool) -> None:
     sensor = {"accelerometer.bias": "9 V", "accelerometer.bias_settling": bias_settling}
     station = Mock(channels=[ChannelInfo("a1", "body 2", "acceleration", 1.0, 100.0, sensor=sensor)], rate=100.0, now=0)
     station.samples, station.zero_drive = lambda seconds: round(100.0 * seconds), lambda samples: samples

@@ -184,7 +184,7 @@ def test_truncated_wav_is_rejected(tmp_path):
     assert "truncated" in rejection_message(tmp_path / "a.wav", tmp_path)
 
 
-def test_error_for_uff_without_time_histories_names_the_command(tmp_path):
+def test_uff_without_time_histories_names_the_command(tmp_path):
     write_uff(tmp_path / "a.uff", random_samples(50))
     text = (tmp_path / "a.uff").read_text(encoding="utf-8")
     (tmp_path / "b.uff").write_text(text.replace("    58", "    82"))

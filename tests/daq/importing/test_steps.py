@@ -96,7 +96,7 @@ def test_tone_after_silence_is_one_step(tmp_path):
 
 
 def forces_without_steps() -> dict[str, np.ndarray]:
-    """Return force histories of other tests, each of 40 s."""
+    """Return force time histories of other tests, each of 40 s."""
     random, t = np.random.default_rng(4), np.arange(round(40 * RATE)) / RATE
     band = signal.butter(4, [10.0, 60.0], "bandpass", fs=RATE, output="sos")
     narrow_band = signal.butter(2, [30.0, 31.0], "bandpass", fs=RATE, output="sos")

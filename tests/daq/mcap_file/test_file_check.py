@@ -1,4 +1,4 @@
-"""`Recording.check` reports damage of any significant bit; an accepted file reads without change."""
+"""`Recording.check` reports damage of any significant bit; a file that passes the check has unchanged content."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_flipped_bits_in_message_indexes_are_reported(intact_file: Path, tmp_pat
 
 def test_undetected_flipped_bits_have_no_effect(intact_file: Path, tmp_path: Path) -> None:
     data = intact_file.read_bytes()
-    # The content of every record has at least one flip.
+    # At least one bit in the content of every record is flipped.
     positions = {*range(0, len(data), 113), *(begin + 9 for _, begin, _ in record_spans(data))}
     undetected = undetected_flips(tmp_path / "a.mcap", intact_file, sorted(positions))
     # A changed program name, and packed bytes that unpack to the same records, have no effect.

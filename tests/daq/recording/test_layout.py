@@ -99,7 +99,7 @@ def message_records(clock, first, channel=2):
     return records
 
 
-def test_only_contiguous_blocks_of_one_channel_are_decoded_together():
+def test_only_contiguous_blocks_are_decoded_together():
     schema, clock, late_clock = "shotrig.BlockFloat64", Timebase(5120.0, 10), Timebase(5120.0, 10**9)
     records = message_records(clock, [6, 9, 12])
     block = decode_contiguous(memoryview(records), 2, schema, clock)

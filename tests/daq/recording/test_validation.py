@@ -1,4 +1,4 @@
-"""Metadata, markers and events are validated when a file is read: wrong values cause an error message at once."""
+"""Metadata, markers and events are validated when a file is read: invalid values are reported immediately."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_any_channel_metadata_is_valid_or_rejected(key: str, value: Any) -> None
     try:
         info = ChannelInfo.from_metadata(VALID_METADATA | {key: json.dumps(value)})
     except RecordingError as error:
-        # Long values are quoted in part.
+        # Only the beginning of a long value is quoted.
         assert len(str(error)) < 400
         return
     response = info.response(np.array([0.0, 1.0, 1e3]))
@@ -109,7 +109,7 @@ def intact_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_recording(tmp_path_factory.mktemp("intact_file") / "a.mcap", random_volts(4 * FLUSH_LENGTH))
 
 
-def test_our_layout_requires_checksums(intact_file: Path) -> None:
+def test_shotrig_layout_requires_checksums(intact_file: Path) -> None:
     with daq.open(rewrite(intact_file)) as recording:
         assert np.isfinite(recording.read("body1")).all()
     path = rewrite(intact_file, checksums=False)

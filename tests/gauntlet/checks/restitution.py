@@ -22,7 +22,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
         motion = BodyMotion(recording, f"a{damper.body}", window.first_sample, window.stop)
         estimate = restitution(motion, damper)
         if estimate is None:
-            results.append(CheckResult("restitution", kind, "refused", note="not determined"))
+            results.append(CheckResult("restitution", kind, "undetermined", note="not determined"))
             continue
         error = abs(estimate.value - damper.restitution) / estimate.error
         note = (

@@ -1,4 +1,4 @@
-"""A design is written as a scene whose test checks it: the scene has the right frequencies and expected results.
+"""A design is written as a scene with a test that checks it; its frequencies and expected results are correct.
 
 The objective is what a design optimizes: structure, force levels and band. A choice is the dampers of a candidate
 design (bodies, masses in kg, clearances in m); a trial is a choice with its peaks. Arguments are positional:

@@ -77,7 +77,7 @@ class SingleBody(Objective):
         return Peak(float(1.0 + min(deviations, default=9.0)), 10.0, max(self.levels), 1, 1.0, 0.0)
 
 
-def test_one_damper_is_chosen_if_a_second_has_no_effect() -> None:
+def test_second_damper_without_effect_is_not_chosen() -> None:
     objective = SingleBody((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
     best, _ = search_in_this_process(objective, SearchSpace(((1, 2),), 0.1, (1e-4, 1e-2)))
     assert best.choice.bodies == (2,) and best.choice.masses == pytest.approx((0.1,))

@@ -90,7 +90,7 @@ def test_case_a_positions_agree_to_forty_digits() -> None:
 
 @pytest.mark.usefixtures("each_table_size")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
-def test_reference_cases_b_and_c_have_known_event_counts(name: str, count: int) -> None:
+def test_reference_cases_have_known_event_counts(name: str, count: int) -> None:
     run = simulate_scene(name)
     assert len(run.events) == count
     assert run.ambiguous == 0

@@ -33,7 +33,7 @@ def test_grain_rebounds_with_its_restitution(restitution: float, speed: float) -
     bed = Bed(spheres, np.array([[0.0, 0.0, 1.13e-3]]), np.inf, 0.0, spheres.longest_step())
     bed.add_velocity(-speed)
 
-    # Until the grain moves up and has left the floor.
+    # Advance until the grain moves up and has left the floor.
     while bed.momentum <= 0.0 or bed.forces().any():
         bed.advance()
 
@@ -102,7 +102,7 @@ def test_grains_separate_with_their_restitution(seed: int) -> None:
     assert separation == pytest.approx(grains.restitution * approach, rel=0.01)
 
 
-def test_mean_restitution_of_grains_is_exact_at_long_steps() -> None:
+def test_mean_grain_restitution_is_exact_at_long_steps() -> None:
     grains = Grains(diameter=2e-3, cavity=2e-2, restitution=0.05, friction=0.0, modulus=1e7, time_step=2e-5)
     columns = 3e-3 * np.array([(i, j) for i in range(-2, 2) for j in range(-2, 2)])
     # The upper grain of each pair falls at 0.3 m/s. Contacts begin at different instants of a time step.
@@ -167,7 +167,7 @@ def test_damaged_packing_is_computed_again(tmp_path: Path, monkeypatch: pytest.M
         assert np.array_equal(settled_positions(spheres), positions)
 
 
-def test_packing_of_other_code_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_packing_of_another_code_version_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packing, "folder", lambda: tmp_path)
     spheres = spheres_of(with_grains())[0]
     for code in ("one", "other"):

@@ -55,7 +55,7 @@ def test_row_equals_the_frequency_response(fig9_map: rig.MotionMap) -> None:
     np.testing.assert_allclose(response.impacts.sum(axis=0), fig9_map.impacts[-1])
 
 
-def test_take_off_level_accelerates_the_damper_at_1_g() -> None:
+def test_take_off_level_accelerates_damper_at_1_g() -> None:
     scene = rig.load("fig8-three-dampers")
     frequency = np.array([12.0, 33.3, 47.6])
     compliance = receptance(scene, frequency, riding=(1, 2, 3))

@@ -37,7 +37,7 @@ def matrix() -> Response:
     return Response(LINES, value, outputs, (Point("f1", "force", "body 1"), Point("f3", "force", "body 3")))
 
 
-def test_bound_adds_tolerances_linearly_to_root_sum_of_squares() -> None:
+def test_bound_adds_tolerances_linearly_to_random_errors() -> None:
     frf = curve()
     independent = np.hypot(frf.random_bound(), frf.limits["aliasing"])
     tolerances = (SENSITIVITY_LIMIT + CLOCK_LIMIT) * abs(frf.value)

@@ -12,7 +12,7 @@ from rig.system.open_loop_drive import drive_per_level, sampled_drive
 
 @pytest.mark.parametrize("spacing", ["linear", "log"])
 @pytest.mark.parametrize("band", [(10.0, 55.0), (500.0, 5.0)])
-def test_sweep_has_its_force_at_narrow_resonances(band: tuple[float, float], spacing: str) -> None:
+def test_sweep_reaches_its_force_at_sharp_resonances(band: tuple[float, float], spacing: str) -> None:
     test = {"kind": "swept_sine", "from": band[0], "to": band[1], "duration": 20.0, "force": 2.0, "spacing": spacing}
     scene = rig.load("fig4-structure").replace(test=test)
     system, rate = assemble(scene), 2000.0

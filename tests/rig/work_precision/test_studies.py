@@ -159,7 +159,7 @@ def test_exact_orbit_without_damper_is_linear() -> None:
     assert exact.error(receptance(scene, [34.8])[:, 0]) < 1e-12
 
 
-def test_compliance_of_a_driven_table_refers_to_the_spring_force() -> None:
+def test_compliance_of_driven_table_refers_to_spring_force() -> None:
     scene = rig.loads(
         "structure: {masses: [1 kg], springs: [20 kN/m], damping: {modal: 5 %}}\n"
         "dampers: [{body: 1, mass_ratio: 10 %, clearance: .inf}]\n"

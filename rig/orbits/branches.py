@@ -149,7 +149,7 @@ class _Explorer:
             ends=curve.ends,
             folds=_locate(family, curve, curve.folds, lambda x, direction: float(direction[-1])),
             doublings=_locate_bifurcations(family, curve, orbits, _period_doubling_test),
-            tori=_locate_bifurcations(family, curve, orbits, _torus_test),
+            toruses=_locate_bifurcations(family, curve, orbits, _torus_test),
             plan=start.plan,
             curve=curve,
         )
@@ -157,7 +157,7 @@ class _Explorer:
     def _stability_losses(self, branch: OrbitBranch) -> list[int]:
         """Return the indices of the unstable orbits next to a loss of stability that is not at a fold."""
         unstable_indices = []
-        for value in (*branch.doublings, *branch.tori):
+        for value in (*branch.doublings, *branch.toruses):
             for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
                 stable = branch.orbits[i].stable, branch.orbits[i + 1].stable
                 if stable[0] != stable[1]:

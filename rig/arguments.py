@@ -24,7 +24,7 @@ SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=SCENE_HELP, auto
 SceneNames = Annotated[
     list[str],
     typer.Argument(
-        metavar="SCENE", help=f"{SCENE_HELP} Several are run one after the other.", autocompletion=completions
+        metavar="SCENE", help=f"{SCENE_HELP} Several scenes are run one after another.", autocompletion=completions
     ),
 ]
 Changes = Annotated[
@@ -32,31 +32,40 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Change a value of the scene, such as test.force=5N or dampers[2].clearance=0.5mm. May be repeated. "
-        "`rig help` lists the keys.",
+        help="Change a value of the scene, such as test.force=5N or dampers[2].clearance=0.5mm. Repeat the option to "
+        "change several values. `rig help` lists the keys.",
     ),
 ]
 
 # Upper limit for numbers of frequencies or periods, to reject typing errors.
 MAX_COUNT = 100_000
 First = Annotated[
-    str | None, typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: as in the test.")
+    str | None,
+    typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: as in the scene's test."),
 ]
-Last = Annotated[str | None, typer.Option("--to", metavar="F", help="Highest frequency. Default: as in the test.")]
+Last = Annotated[
+    str | None,
+    typer.Option("--to", metavar="F", help="Highest frequency, such as '80 Hz'. Default: as in the scene's test."),
+]
 Points = Annotated[
     int | None,
-    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: as in the test."),
+    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: as in the scene's test."),
 ]
 Cluster = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Address of a Dask scheduler that distributes the computation; 'local' starts one."
+        metavar="ADDRESS",
+        help="Distribute the computation over the workers of a Dask scheduler at this address, such as "
+        "tcp://host:8786; 'local' starts a scheduler and workers on this computer.",
     ),
 ]
 
 Overwrite = Annotated[
     bool,
-    typer.Option("--overwrite", help="Also replace files that were not written by this command from the same input."),
+    typer.Option(
+        "--overwrite",
+        help="Replace existing output files, even if they have been changed or come from another input.",
+    ),
 ]
 
 

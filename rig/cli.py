@@ -31,21 +31,21 @@ from rig.errors import SceneError
 if TYPE_CHECKING:
     from rig.settings.quantities import Kind
 
-app = create_application("The physics of the virtual vibration rig.")
+app = create_application("Compute the motion of the virtual vibration rig, without sensors and recordings.")
 
 
 @app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
     show: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Print this scene's file.", autocompletion=completions)
+        str | None, typer.Option(metavar="NAME", help="Print the file of the scene NAME.", autocompletion=completions)
     ] = None,
     copy: Annotated[
         tuple[str, Path] | None,
-        typer.Option(metavar="NAME FILE", help="Copy this scene's file, as a start for your own."),
+        typer.Option(metavar="NAME FILE", help="Copy the file of the scene NAME to FILE, to change it there."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """List the bundled scenes, or print or copy the file of one."""
+    """List the bundled scenes; print or copy a scene file."""
     from rig.output_files import atomic_write
     from rig.scene.scene_files import bundled_scenes, scene_text, summary
 
@@ -62,9 +62,12 @@ def scenes(
 
 @app.command(example="rig presets")
 def presets(
-    name: Annotated[str | None, typer.Argument(metavar="[NAME]", help="Name of a preset: print its values.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="Preset whose values to print, in quotes, such as 'NI 9234'."),
+    ] = None,
 ) -> None:
-    """List the presets of data sheets, or the values of one."""
+    """List the presets from data sheets, or print one of them."""
     from rig.data_sheets.data_sheets import data_sheets, describe_preset
 
     if name is not None:
@@ -85,10 +88,10 @@ def _print_descriptions(rows: Sequence[tuple[str, str]]) -> None:
 @app.command(example="rig schema --explain")
 def schema(
     explain: Annotated[
-        bool, typer.Option("--explain", help="Print the reference of all keys as Markdown instead.")
+        bool, typer.Option("--explain", help="Print the reference of all keys, in Markdown, instead of the schema.")
     ] = False,
 ) -> None:
-    """Print the JSON Schema of scene files, or the reference of keys."""
+    """Print the JSON Schema of scene files, or a list of all keys."""
     from rig.scene.json_schema import schema_text
     from rig.scene.reference import reference_page
 
@@ -98,7 +101,11 @@ def schema(
 @app.command("help", example="rig help test.stepped_sine")
 def help_(
     key: Annotated[
-        str | None, typer.Argument(metavar="[KEY]", help="Such as test.force, force, or test.stepped_sine.")
+        str | None,
+        typer.Argument(
+            metavar="[KEY]",
+            help="Key to explain, such as test.force, force or test.stepped_sine. Default: list all top-level keys.",
+        ),
     ] = None,
 ) -> None:
     """Explain a key of scene files: meaning, values and default."""
@@ -112,10 +119,13 @@ def explain(
     scene: SceneName,
     changes: Changes = None,
     measure: Annotated[
-        bool, typer.Option("--measure", help="Also add the effects one by one and measure the computing time of each.")
+        bool, typer.Option("--measure", help="Also measure the computing time that each effect adds.")
     ] = False,
 ) -> None:
-    """List the modeled effects, their states, and expected maxima."""
+    """Predict the signals of a test, and list the modeled effects.
+
+    Each effect is listed with the number of state variables that it adds to the model.
+    """
     import rig
     from rig.effects.extensions import test_predictions
 
@@ -136,13 +146,19 @@ def simulate(
     scene: SceneName,
     changes: Changes = None,
     duration: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Duration, such as '2 s'. Default: as in the test.")
+        str | None,
+        typer.Option(metavar="TIME", help="Duration of the motion, such as '2 s'. Default: as in the scene's test."),
     ] = None,
     rate: Annotated[
         str, typer.Option(metavar="RATE", help="Sample rate of the motion, such as '5120 Hz'.")
     ] = "5120 Hz",
     frequency: Annotated[
-        str | None, typer.Option(metavar="F", help="Drive with a tone of this frequency at the level of the test.")
+        str | None,
+        typer.Option(
+            metavar="F",
+            help="Drive with a sine of this frequency, such as '49 Hz', instead of the test's signal. Its amplitude is "
+            "the test's force or drive.",
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -150,14 +166,15 @@ def simulate(
             "-o",
             "--output",
             metavar="FILE",
-            help="File to write, .npz or .csv. A run with grains continues where it stopped.",
+            help="File for the motion, .npz or .csv. With it, the same command continues an interrupted run with "
+            "grains.",
         ),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate the motion of a scene; print peaks, events and energy.
 
-    The drive of the test acts in open loop, without sensors and controller.
+    The drive acts in open loop: sensors and controller are not simulated.
     """
     from rig.provenance import allow_overwriting, output_source
     from rig.settings.quantities import FREQUENCY, TIME
@@ -187,18 +204,22 @@ def response(
     direction: Annotated[
         str | None,
         typer.Option(
-            metavar="up|down|both", help="Order in which the frequencies are visited. Default: as in the test."
+            metavar="up|down|both",
+            help="Order of the frequencies; both: first up, then down. Default: as in the scene's test.",
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="Table to write, at full precision.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="FILE.csv", help="CSV file for the response at all frequencies, with all digits."
+        ),
     ] = None,
     overwrite: Overwrite = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Print every frequency.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Also print the response at every frequency.")] = False,
 ) -> None:
-    """Compute the steady response over frequency.
+    """Compute the steady-state response to a sine at each frequency.
 
-    The amplitude is the level of the test.
+    The amplitude of the sine is the force or drive of the scene's test.
     """
     import rig
     from rig.provenance import allow_overwriting, output_source, reject_foreign_files
@@ -226,7 +247,14 @@ def grains(
     last: Last = None,
     points: Points = None,
     periods: Annotated[
-        int, typer.Option(min=1, max=MAX_COUNT, metavar="N", help="Number of drive periods in each averaged block.")
+        int,
+        typer.Option(
+            min=1,
+            max=MAX_COUNT,
+            metavar="N",
+            help="Number of drive periods in an average. The motion is steady when two successive averages agree "
+            "within 1 %.",
+        ),
     ] = 20,
     cluster: Cluster = None,
     output: Annotated[
@@ -235,13 +263,13 @@ def grains(
             "-o",
             "--output",
             metavar="FILE.csv",
-            help="Table of results; frequencies that it contains are not computed again.",
+            help="CSV file for the results. Frequencies that are already in this file are not computed again.",
         ),
     ] = None,
 ) -> None:
-    """Compare beds of grains with the same beds as one mass.
+    """Compare responses with beds as grains and as one mass each.
 
-    Each bed is simulated to its steady state at each frequency.
+    At each frequency, both models of the beds are simulated until the motion is steady.
     """
     import rig
     from rig.bed_response.bed_response import format_table
@@ -264,7 +292,8 @@ def cost(
         str | None,
         typer.Option(
             metavar="F",
-            help="Drive frequency. Default: frequency of the largest acceleration with the dampers at rest.",
+            help="Drive frequency, such as '49 Hz'. Default: in the range of the test, the frequency of the largest "
+            "acceleration with the dampers at rest on their floors.",
         ),
     ] = None,
     periods: Annotated[
@@ -275,10 +304,10 @@ def cost(
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure error and computing time of every method on a scene.
+    """Compare errors and computing times of simulation methods.
 
-    For a scene with a bed of grains, it compares simpler models of the bed: one mass, one mass with finite-duration
-    contact, and softer grains.
+    For a scene with a bed of grains, simpler models of the bed are compared instead: one mass, one mass with
+    finite-duration contact, and softer grains.
     """
     import rig
     from rig.output_files import create_folder, file_stem
@@ -303,14 +332,29 @@ def map_(
     over: Annotated[
         str | None,
         typer.Option(
-            metavar="force|drive|clearance", help="Quantity of the second axis. Default: the level of the test."
+            metavar="force|drive|clearance",
+            help="Quantity that is varied in addition to the frequency. Default: the force or drive of the test.",
         ),
     ] = None,
     lowest: Annotated[
-        str | None, typer.Option("--least", metavar="VALUE", help="Smallest level or clearance, such as '0.5 N'.")
+        str | None,
+        typer.Option(
+            "--least",
+            metavar="VALUE",
+            help="Smallest value of the quantity --over, such as '0.5 N'. Default: from the scene.",
+        ),
     ] = None,
-    highest: Annotated[str | None, typer.Option("--most", metavar="VALUE", help="Largest level or clearance.")] = None,
-    rows: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of levels or clearances.")] = 36,
+    highest: Annotated[
+        str | None,
+        typer.Option(
+            "--most",
+            metavar="VALUE",
+            help="Largest value of the quantity --over, such as '20 N'. Default: from the scene.",
+        ),
+    ] = None,
+    rows: Annotated[
+        int, typer.Option(min=2, max=1000, metavar="N", help="Number of values of the quantity --over.")
+    ] = 36,
     first: First = None,
     last: Last = None,
     points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of frequencies.")] = 48,
@@ -322,7 +366,7 @@ def map_(
 ) -> None:
     """Map motion types and settling time over level and frequency.
 
-    An interrupted run continues when it is started again.
+    To continue an interrupted run, give the same command again.
     """
     import rig
     from rig.motion_map.grid import KIND_OF_UNIT, vertical_axis
@@ -356,13 +400,16 @@ def design(
     budget: Annotated[
         str | None,
         typer.Option(
-            metavar="MASS|SHARE", help="Largest mass to add, such as '50 g'. Default: '5 %' of the structure's mass."
+            metavar="MASS|SHARE",
+            help="Largest total mass of the dampers, such as '50 g', or '5 %' of the structure's mass. Default: '5 %'.",
         ),
     ] = None,
     bodies: Annotated[
         str | None,
         typer.Option(
-            metavar="BODY,...", help="Bodies that may carry a damper; name one twice for two dampers. Default: all."
+            metavar="BODY,...",
+            help="Bodies that may contain a damper, such as 1,3; list a body twice for two dampers in it. Default: "
+            "all.",
         ),
     ] = None,
     dampers: Annotated[
@@ -370,26 +417,50 @@ def design(
         typer.Option(min=1, metavar="N", help="Largest number of dampers; fewer are chosen if they are as effective."),
     ] = 1,
     clearance: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Range of clearances to search, such as '0.2 mm, 3 mm'.")
+        str | None,
+        typer.Option(
+            metavar="LOW,HIGH",
+            help="Range of clearances to search, such as '0.2 mm, 3 mm'. Default: derived from the motion without "
+            "dampers, and also no ceiling.",
+        ),
     ] = None,
     levels: Annotated[
         str | None,
         typer.Option(
-            metavar="F,F,...", help="Force amplitudes to consider. Default: 0.5, 1 and 2 times the force of the test."
+            metavar="F,F,...",
+            help="Force amplitudes at which the peaks are reduced, such as 1N,3N. Default: 0.5, 1 and 2 times the "
+            "force of the test.",
         ),
     ] = None,
     band: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Frequency band to consider. Default: as in the test.")
+        str | None,
+        typer.Option(
+            metavar="LOW,HIGH",
+            help="Frequency band in which the peaks are reduced, such as '30 Hz, 60 Hz'. Default: as in the scene's "
+            "test.",
+        ),
     ] = None,
     response_bodies: Annotated[
-        str | None, typer.Option("--watched", metavar="BODY,...", help="Bodies whose peaks to consider. Default: all.")
+        str | None,
+        typer.Option(
+            "--watched", metavar="BODY,...", help="Bodies whose peaks are reduced, such as 1,3. Default: all."
+        ),
     ] = None,
     damping_uncertainty: Annotated[
         str,
-        typer.Option("--damping-off", metavar="SHARE", help="Uncertainty of the structure's damping, such as '30 %'."),
+        typer.Option(
+            "--damping-off",
+            metavar="SHARE",
+            help="Relative uncertainty of the structure's damping, such as '30 %'. The largest peak within it counts.",
+        ),
     ] = "0 %",
     stiffness_uncertainty: Annotated[
-        str, typer.Option("--stiffness-off", metavar="SHARE", help="Uncertainty of the structure's stiffness.")
+        str,
+        typer.Option(
+            "--stiffness-off",
+            metavar="SHARE",
+            help="Relative uncertainty of the structure's stiffness, such as '5 %'. The largest peak within it counts.",
+        ),
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
@@ -399,9 +470,10 @@ def design(
 ) -> None:
     """Choose mass, clearance and location of dampers.
 
-    The choice minimizes the highest peak over all levels. An interrupted run continues when it is started again.
+    The chosen dampers minimize the largest peak of the compliance over all levels. To continue an interrupted run, give
+    the same command again.
 
-    New dampers have the restitution and contact of the scene's dampers, or of the first one where they differ.
+    New dampers have the restitution and contact of the scene's first damper.
     """
     from rig.damper_design.design import design as choose_dampers
     from rig.damper_design.figure import describe_check, summary, write

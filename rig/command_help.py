@@ -13,10 +13,11 @@ _GROUPS = {
     "Scene": ("changes", "scene", "clock", "table"),
     "Test": ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
     "Frequencies": (
-        "frequency", "frequencies", "first", "last", "points", "direction", "periods", "over", "least", "most", "rows",
+        "frequency", "frequencies", "first", "last", "points", "direction", "periods", "over", "lowest", "highest",
+        "rows",
     ),
     "Dampers to choose from": ("budget", "bodies", "dampers", "clearance"),
-    "Criterion": ("levels", "band", "watched", "damping_off", "stiffness_off"),
+    "Criterion": ("levels", "band", "response_bodies", "damping_uncertainty", "stiffness_uncertainty"),
     "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
     "Averages of blocks": ("estimator", "block", "overlap", "window"),
     "Network": ("address", "port", "certificate", "key", "client_ca", "session_timeout", "proto"),

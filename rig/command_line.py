@@ -130,10 +130,12 @@ def _check_option(context: Any, option: Any, value: Any) -> Any:
 
     for number in value if isinstance(value, list | tuple) else [value]:
         if isinstance(number, str) and not number.strip():
-            raise typer.BadParameter(f"got {number!r}; expected a value", ctx=context, param=option)
+            raise typer.BadParameter(f"got {number!r}; expected a value that is not empty", ctx=context, param=option)
         if isinstance(number, float) and not abs(number) <= MAX_OPTION_VALUE:
             raise typer.BadParameter(
-                f"got {number}; expected a number, at most {MAX_OPTION_VALUE:g}", ctx=context, param=option
+                f"got {number}; expected a number from {-MAX_OPTION_VALUE:g} to {MAX_OPTION_VALUE:g}",
+                ctx=context,
+                param=option,
             )
     return value
 
@@ -174,7 +176,7 @@ def _describe(error: BaseException) -> tuple[int, str]:
         case MemoryError():
             return 1, f"error: not enough memory: {error or 'none is left'}. Close other programs."
         case OSError(filename=str() | bytes()):
-            return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}"
+            return 1, f"error: {os.fsdecode(error.filename)}: {error.strerror}. Check this path and its permissions."
         case OSError(strerror=str()):
             # An error of a full or failing disk contains no file name.
             return 1, f"error: the system reports: {error.strerror}. Check the free disk space."
@@ -220,8 +222,11 @@ def describe_unexpected(error: BaseException) -> str:
         with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)
     except OSError:
-        return f"{summary}. Run the command again with --debug before its first word, and report the output."
-    return f"{summary}. Report it with the details in {path}."
+        return (
+            f"{summary}. Run the command again with --debug directly after the program's name (rig --debug ...), and "
+            "report the output."
+        )
+    return f"{summary}. Report it, and attach the file {path}."
 
 
 # -- signals ---------------------------------------------------------------------------------------------
@@ -285,7 +290,11 @@ def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
         # Ctrl-C arrived at that moment; forward it to the command.
         threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
     else:
-        print(f"warning: an unexpected error in a cleanup was ignored ({unraisable.exc_value!r})", file=sys.stderr)
+        print(
+            f"warning: an unexpected error while resources were released was ignored ({unraisable.exc_value!r}). "
+            "Please report it as a bug.",
+            file=sys.stderr,
+        )
 
 
 def _report_thread_error(failure: threading.ExceptHookArgs) -> None:

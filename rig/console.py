@@ -210,7 +210,7 @@ def resumable(stored: bool = True) -> Iterator[None]:
         yield
     except KeyboardInterrupt as interruption:
         if stored:
-            interruption.add_note("completed results are stored: the same command continues from there")
+            interruption.add_note("completed results are stored. To continue from them, give the same command again.")
         raise
 
 

@@ -30,15 +30,17 @@ def create_folder(folder: Path) -> None:
     """
     if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
         raise SceneError(
-            f"{folder}: the name of a file, but several files are written. Give the name of a folder, such as -o "
-            f"{folder.with_suffix('')}."
+            f"{folder}: this is the name of a file, but the command writes several files. Give the name of a folder, "
+            f"such as -o {folder.with_suffix('')}."
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SceneError(f"{folder}: cannot be written ({error.strerror}). Choose another folder with -o.") from None
+        raise SceneError(
+            f"{folder}: cannot create this folder ({error.strerror}). Choose another folder with -o."
+        ) from None
     if not os.access(folder, os.W_OK):
-        raise SceneError(f"{folder}: cannot be written. Choose another folder with -o.")
+        raise SceneError(f"{folder}: no permission to write into this folder. Choose another folder with -o.")
 
 
 def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
@@ -57,15 +59,15 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
             raise error_type(f"cannot create {path}: the folder {file.parent} does not exist. Create it first.")
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise error_type(f"cannot create {path}: {reason}. Choose another name or folder with -o.") from None
+        raise error_type(f"cannot create {path}: {reason}. Choose another name or folder.") from None
     if existing is None:
         return file
     if not stat.S_ISREG(existing.st_mode):
-        raise error_type(f"{path} is not a regular file. Choose another name with -o.")
+        raise error_type(f"{path} is a folder or a device. Choose another name.")
     if not overwrite:
-        raise error_type(f"{path} exists. Choose another name with -o, or pass --overwrite.")
+        raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
     if not os.access(file, os.W_OK):
-        raise error_type(f"{path} is write-protected. Choose another name with -o.")
+        raise error_type(f"{path} is write-protected. Choose another name.")
     return file
 
 
@@ -110,12 +112,13 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
         _rename(temporary, file, overwrite)
     except FileExistsError:
         raise SceneError(
-            f"{path}: another program created this file in the meantime. "
-            f"The result is in {_save_next_to(temporary, file)}."
+            f"{path}: another program created this file in the meantime. The result was saved as "
+            f"{_save_next_to(temporary, file)} instead."
         ) from None
     except OSError as error:
         raise RunError(
-            f"cannot write {path}: {error.strerror or error}. The result is in {_save_next_to(temporary, file)}."
+            f"cannot write {path}: {error.strerror or error}. The result was saved as {_save_next_to(temporary, file)} "
+            "instead."
         ) from error
 
 

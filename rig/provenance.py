@@ -115,7 +115,7 @@ def overwrite_error(path: Path) -> SceneError:
     """Return the error for a file that belongs to the user, or was written from another source."""
     reason = "was changed since shotrig wrote it, or was written by another program"
     if _mark_of(path):
-        reason = "was made from another source"
+        reason = "was written from another source (command, scene or recording)"
     return SceneError(
         f"{path} exists and {reason}. The file is not replaced. Choose another name or folder with -o, or pass "
         "--overwrite."

@@ -166,7 +166,9 @@ def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise RunError(f"{path}: cannot read this table ({error.strerror}). Give a readable file.") from None
+        raise RunError(
+            f"{path}: cannot read this table ({error.strerror}). Check the path and its permissions."
+        ) from None
     return _parse_rows(path, content, header, name)
 
 
@@ -179,7 +181,7 @@ def _parse_rows(path: Path, content: bytes, header: Sequence[str], name: str) ->
     lines = content[: _complete_length(content)].decode("utf-8", errors="replace").splitlines()
     rows = [_cells(line) for line in lines]
     if rows[:1] != [list(header)]:
-        raise RunError(f"{path}: this is not a table of {name}. Move it, or choose another name with -o.")
+        raise RunError(f"{path}: this file is not a table of {name}. Move the file, or choose another name with -o.")
     return [row for row in rows[1:] if len(row) == len(header)]
 
 

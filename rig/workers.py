@@ -121,7 +121,7 @@ class Workers:
             return job.result()
         except KilledWorker as error:
             raise RunError(
-                f"--cluster {self._cluster}: part of the study ended its workers several times, possibly because "
+                f"--cluster {self._cluster}: the workers of a part of the study ended several times, possibly because "
                 f"memory ran out ({error}). Give the workers more memory, or make the study smaller."
             ) from None
 
@@ -262,7 +262,10 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
             try:
                 cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
             except RuntimeError as error:
-                raise RunError(f"--cluster local: the workers do not start ({error}). Leave out --cluster.") from None
+                raise RunError(
+                    f"--cluster local: the workers did not start ({error}). Leave out --cluster to compute without "
+                    "Dask."
+                ) from None
             cleanup.callback(_close_cluster, cluster)
             scheduler = cluster
     try:

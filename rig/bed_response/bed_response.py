@@ -67,9 +67,9 @@ class BedResponse(Result):
         k, body = np.unravel_index(np.argmax(np.abs(deviation)), deviation.shape)
         n_steady = [sum(each.steady for each in motions) for motions in (self.grains, self.mass)]
         return (
-            f"{len(deviation)} frequencies; steady state at {n_steady[0]} with grains, at {n_steady[1]} as one mass. "
-            f"Largest deviation of the compliance with one mass from grains: {100 * deviation[k, body]:+.3g} % "
-            f"(body {body + 1}, {self.frequency[k]:.6g} Hz)"
+            f"{len(deviation)} frequencies; steady motion at {n_steady[0]} of them with grains, at {n_steady[1]} with "
+            "one mass. Largest deviation of the compliance with one mass from the compliance with grains: "
+            f"{100 * deviation[k, body]:+.3g} % (body {body + 1}, {self.frequency[k]:.6g} Hz)"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -140,7 +140,8 @@ def bed_response(
     requested = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)
     if not spheres_of(scene):
         raise SceneError(
-            f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper."
+            f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper that "
+            "is not locked."
         )
     cases = [_Case(scene, float(frequency), periods) for frequency in requested]
 
@@ -168,7 +169,8 @@ def format_table(response: BedResponse) -> str:
     return "\n".join(
         [
             *lines,
-            "m/N: of the body with the largest motion; other columns: of the first bed, per period of the drive",
+            "m/N: compliance of the body with the largest motion; other columns: first bed, per period of the drive",
+            "floor, ceiling: impulse on the bed; loss: energy that the bed dissipates",
             "landing: mean phase of the floor force after the positive-going zero of the drive; flight: share of time",
             "",
             response.summary(),

@@ -59,16 +59,16 @@ def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
     contact = first.contact
     if any(isinstance(wall, SpringDamper) for wall in walls_of(contact)):
         raise SceneError(
-            "dampers[1].contact: stiffness and damping are valid for the mass of this damper only. Give contact: "
-            "{duration: ...} and restitution, such as --set 'dampers[1].contact={duration: 4 ms}'"
+            "dampers[1].contact: stiffness and damping apply to one damper mass, but the design varies the mass. Give "
+            "a contact duration instead, such as --set 'dampers[1].contact={duration: 4 ms}'."
         )
     identical = all(
         (damper.restitution, damper.contact, damper.grains) == (first.restitution, contact, first.grains)
         for damper in dampers
     )
-    origin = "as in the scene" if identical else "as the first damper of the scene; others differ"
+    origin = "as in the scene" if identical else "as in the first damper of the scene; other dampers differ"
     if first.grains is not None:
-        origin = "as one mass each, although the scene has grains"
+        origin = "of one mass each, although the scene has beds of grains"
     return ImpactLaw(first.restitution, contact, origin)
 
 
@@ -240,7 +240,8 @@ class Objective:
         natural = natural_frequencies(scene, low, high)
         if not len(natural):
             raise SceneError(
-                f"band: got {low:g} to {high:g} Hz, without a natural frequency; expected a band with at least one"
+                f"band: got {low:g} to {high:g} Hz; expected a band that contains a natural frequency of the structure "
+                "(see rig explain)"
             )
         points = 8 + self.density * -(-len(natural) // 2)  # rounded up
         return np.unique(np.concatenate([select_frequencies(scene, low, high, points), natural]))

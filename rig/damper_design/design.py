@@ -99,10 +99,10 @@ class Design(Result):
         reduction = self.reduction(self.best.peak)
         if not self.serves:
             return (
-                f"{self.scene.name}: no dampers reduce the peak at each level ({self.best.choice}: "
+                f"{self.scene.name}: no design reduces the peak at every level (best design: {self.best.choice}, "
                 f"{-reduction:+.1f} dB)"
             )
-        return f"{self.scene.name}: {self.best.choice}, worst peak reduced by {reduction:.1f} dB"
+        return f"{self.scene.name}: {self.best.choice}, largest peak reduced by {reduction:.1f} dB"
 
     @property
     def serves(self) -> bool:
@@ -133,7 +133,7 @@ class Design(Result):
             *zip(*best, strict=True),
             **complete_style(style, marker="o", color=COLORS[0], ms=5, label="best for its mass"),
         )
-        ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the worst peak / dB", xlim=(0.0, None))
+        ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the largest peak / dB", xlim=(0.0, None))
         ax.set_title("Added mass")
 
     @property
@@ -240,7 +240,7 @@ def design(
         (nominal_trial,) = evaluator.compute(nominal, [best.choice])
         evaluator.sort()
         if say is not None:
-            say("preparing the test that checks the best design")
+            say("preparing a test of the best design")
         check_scene = scene_with_check(scene, nominal_trial, nominal)
         expected = expected_results(check_scene, nominal_trial, workers)
     present = {channel.name for channel in scene.channels or ()}

@@ -48,11 +48,16 @@ def summary(design: Design) -> str:
         *_tables(design),
     ]
     if best.peak.irregular_share > 0.0:
-        location = f"at {format_number(best.peak.level)} N, {best.peak.irregular_share:.0%} of the frequencies"
-        lines += ["", f"{location} have irregular motion: their compliance is averaged, accurate to a few percent"]
+        location = (
+            f"at {format_number(best.peak.level)} N, the motion at {best.peak.irregular_share:.0%} of the frequencies"
+        )
+        lines += ["", f"{location} is irregular; the compliance there is an average, accurate to a few percent"]
     for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
-            lines += ["", f"the chosen clearance is the {name} allowed. Widen the range with --clearance."]
+            lines += [
+                "",
+                f"the chosen clearance is the {name} that was searched. Search a wider range with --clearance.",
+            ]
     return "\n".join(lines)
 
 
@@ -61,10 +66,12 @@ def _verdict(design: Design) -> list[str]:
     peak = design.best.peak
     reduction = design.reduction(peak)
     below_or_above = "below" if reduction > 0.0 else "above"
-    heading = "best" if design.serves else "no dampers reduce the worst peak at each of these levels; the closest"
+    heading = (
+        "best" if design.serves else "no design reduces the largest peak at every one of these levels; best design"
+    )
     lines = [
         f"{heading}: {design.best.choice}",
-        f"worst peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {format_decimals(peak.frequency, 2)} Hz, "
+        f"largest peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {format_decimals(peak.frequency, 2)} Hz, "
         f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {below_or_above} the bare structure's "
         f"{1e6 * design.bare.compliance:.4g} µm/N",
         *design.shortfall,
@@ -74,14 +81,14 @@ def _verdict(design: Design) -> list[str]:
     height = design.flight.height
     if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
-            f"any clearance above {format_number(1000.0 * height)} mm has the effect of no ceiling: the "
-            "dampers do not reach the ceiling in the band"
+            f"a ceiling at more than {format_number(1000.0 * height)} mm has no effect, because no damper reaches it "
+            "in the band"
         )
     if min(design.best.choice.clearances) < MIN_MACHINABLE_CLEARANCE:
         smallest = f"{1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm"
         lines.append(
-            f"Clearances below {smallest} are hard to build. Designs with larger clearances are feasible, but less "
-            "effective."
+            f"clearances below {smallest} are hard to build. Designs with larger clearances are easier to build, but "
+            "less effective. To exclude small clearances, give --clearance."
         )
     return lines
 
@@ -130,20 +137,20 @@ def describe_check(design: Design, scene: Path) -> str:
     return "\n".join(
         [
             (
-                f"{scene}: structure and shaker of the scene, these dampers, and a stepped sine from "
-                f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the "
-                "largest peaks with and without dampers"
+                f"{scene}: the scene with these dampers and a test of the design, a stepped sine from "
+                f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the largest peaks "
+                "with and without dampers"
             ),
-            *([f"channels added to those of the scene for this test: {added}"] if added else []),
+            *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
             "",
-            "expected largest peaks, µm/N: for a sinusoidal force as in the design, and for this test. The spring of a "
-            "shaker adds\nharmonics to the force. The test holds the force within "
-            f"{FORCE_TOLERANCE:.1%} and waits until the motion is steady within {test.settle.tolerance:.1%}.",
+            "expected largest peaks in µm/N: under a sinusoidal force as in the design, and in this test (with limits)."
+            "\nIn the test, the spring of the shaker adds harmonics to the force, the force is accurate to "
+            f"{FORCE_TOLERANCE:.1%}\nand the motion is measured when it is steady within {test.settle.tolerance:.1%}.",
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *map(_expected_line, design.expected),
             *overload_lines(overloads, finite_contact),
             "",
-            "to check the design, without and with dampers:",
+            "commands that check the design, without and with dampers:",
             f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
             f"-o {without_dampers}",
             f"daq record {file}{remedies} -o {with_dampers}",
@@ -157,7 +164,7 @@ def describe_check(design: Design, scene: Path) -> str:
 
 def _expected_line(expected: Expected) -> str:
     peak = expected.peak
-    in_this_test = "no steady state: values scatter"
+    in_this_test = "no steady state, so that measured values scatter"
     if expected.compliances is not None:
         low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
         in_this_test = f"{nominal} ({low} to {high})"
@@ -274,11 +281,13 @@ def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: 
     without, below = WITHOUT_CEILING, BELOW_CEILING
     largest_decrease, smallest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
     return [
-        "these results are for beds that move as one mass. In a comparison with beds of grains (analysis beds)",
-        f"the compliance was within 10 % in {without.agreeing} of {without.settings} settings without a ceiling, and "
-        f"in {below.agreeing} of {below.settings} with one,",
-        f"where the middle half of the results with grains was {smallest_decrease} to {largest_decrease} % lower.",
-        f"To simulate these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take hours:",
+        "these results are for beds that move as one mass. Simulated beds of grains (analysis beds) had the same",
+        f"compliance within 10 % in {without.agreeing} of {without.settings} cases without a ceiling, and in "
+        f"{below.agreeing} of {below.settings} cases with a ceiling.",
+        f"With a ceiling, the compliance with grains was typically {smallest_decrease} to {largest_decrease} % lower "
+        "(interquartile range).",
+        f"Command that simulates these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take "
+        "hours:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
         f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_BAND_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",

@@ -103,9 +103,8 @@ def describe_shortfall(
         acceleration = flight.acceleration_g(level)
         state = "cannot fly" if acceleration <= 1.0 else "are not effective"
         lines.append(
-            f"at {format_number(level)} N the dampers {state}: take-off needs more than 1 g, and body "
-            f"{flight.body} reaches {format_number(acceleration)} g; "
-            f"they change the peak by {-reductions_db[level]:+.1f} dB"
+            f"at {format_number(level)} N the dampers {state} and change the peak by {-reductions_db[level]:+.1f} dB: "
+            f"take-off needs more than 1 g, and body {flight.body} reaches {format_number(acceleration)} g"
         )
     largest_reductions_db = {
         level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
@@ -122,16 +121,19 @@ def describe_shortfall(
     ]
     if effective_levels:
         forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
-        reductions_text = ", ".join(f"{largest_reductions_db[level]:.1f} dB" for level in effective_levels)
-        lines.append(f"at {forces}, dampers reduce the peak by up to {reductions_text}. Give --levels {forces}.")
+        reductions_text = ", ".join(
+            f"{largest_reductions_db[level]:.1f} dB at {format_number(level)} N" for level in effective_levels
+        )
+        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give --levels {forces}.")
     elif charted_levels:
         lines.append(
-            f"these dampers reduce the peak by {EFFECTIVE_DB:g} dB or more from "
-            f"{format_number(min(charted_levels))} N. Give such levels with --levels."
+            f"at levels of {format_number(min(charted_levels))} N and more, these dampers reduce the peak by "
+            f"{EFFECTIVE_DB:g} dB or more. Give such levels with --levels."
         )
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
         lines.append(
-            f"dampers are usually effective above {_EFFECTIVE_G:g} g. Give levels above {suggested} N with --levels."
+            f"dampers are usually effective if their body exceeds {_EFFECTIVE_G:g} g. Give levels above {suggested} N "
+            "with --levels."
         )
     return lines

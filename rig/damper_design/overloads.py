@@ -96,18 +96,18 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
     """Format overloads as text lines with their remedies; empty without overloads."""
     if not overloads:
         return []
-    remedy = "on a real bench, use sensors with a larger range, or lower levels"
+    remedy = "On a real bench, use sensors with a larger range, or lower levels."
     if not finite_contact:
         remedy += (
-            ". Impacts of shot take milliseconds: give contact: {duration: 2 ms} in the first damper of the scene, and "
-            "repeat the design"
+            " Impacts of shot take milliseconds: add contact: {duration: 2 ms} to the first damper of the scene, and "
+            "repeat the design."
         )
     changes = " ".join(f"--set {quote(change)}" for overload in overloads for change in overload.changes)
     return [
         "",
-        "overloaded by this test:",
+        "this test overloads:",
         *(overload.reason for overload in overloads),
-        f"the commands below remove these limits ({changes}); {remedy}",
+        f"The commands below remove these limits from the simulation ({changes}). {remedy}",
     ]
 
 

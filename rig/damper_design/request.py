@@ -36,6 +36,8 @@ MIN_CLEARANCE_RATIO = 0.03
 MAX_CLEARANCE_RATIO = 1.5
 #: By default, the added mass (`budget`) is at most this fraction of the mass of the structure.
 DEFAULT_MASS_RATIO = 0.05
+#: Argument of both uncertainties in messages, with their options on the command line.
+_UNCERTAINTIES = "uncertain (--damping-off, --stiffness-off)"
 
 
 def mass_limit(budget: float | str | None, scene: Scene) -> float:
@@ -76,8 +78,8 @@ def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -
         return scene
     if levels is None:
         raise SceneError(
-            "levels: not given, and the scene's test specifies a drive level, not a force. Give forces, as in "
-            "--levels 3N."
+            "levels: not given, and the scene's test specifies a drive instead of a force. Give force amplitudes, such "
+            "as --levels 3N."
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
@@ -111,11 +113,11 @@ def parse_request(
             f"dampers: got {dampers}; expected 1 to {len(damper_bodies)}, at most one for each body listed in bodies. "
             "List a body twice for two dampers in it."
         )
-    uncertainties = tuple(number(uncertainty, RATIO, "uncertain") for uncertainty in uncertain)
+    uncertainties = tuple(number(uncertainty, RATIO, _UNCERTAINTIES) for uncertainty in uncertain)
     if len(uncertainties) != 2 or not all(0.0 <= uncertainty < 0.9 for uncertainty in uncertainties):
         raise SceneError(
-            f"uncertain: got {uncertainties}; expected the relative uncertainties of damping and stiffness, each from "
-            "0 to below 90 %"
+            f"{_UNCERTAINTIES}: got {', '.join(f'{100 * value:g} %' for value in uncertainties)}; expected two "
+            "relative uncertainties, of damping and stiffness, each from 0 to below 90 %"
         )
     structure_mass, max_mass = total_mass(scene), mass_limit(budget, scene)
     if not 0.0 < max_mass < structure_mass:

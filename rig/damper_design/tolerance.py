@@ -39,25 +39,25 @@ class Tolerance:
         """Report the interval, and the recommended clearance if the chosen clearance is near an end.
 
         >>> print(Tolerance(0.0035, 0.00475, (False, False), 0.00462))
-        the worst peak stays within 0.5 dB for clearances from 3.5 to 4.75 mm: build to the middle, 4.08 mm ± 16 %
+        the largest peak rises by at most 0.5 dB for clearances from 3.5 to 4.75 mm. Build to the middle, 4.08 mm ± 16 %
         >>> print(Tolerance(7e-6, float("inf"), (False, False), float("inf")))
-        the worst peak stays within 0.5 dB for every clearance above 0.007 mm
+        the largest peak rises by at most 0.5 dB for every clearance above 0.007 mm
         """
         if np.isinf(self.low):
-            rise = f"more than {MAX_RISE_DB:g} dB higher"
-            return f"with every searched clearance the worst peak is {rise}: build no ceiling"
+            rise = f"more than {MAX_RISE_DB:g} dB higher than without a ceiling"
+            return f"with every searched clearance, the largest peak is {rise}: build no ceiling"
         low = format_number(1e3 * self.low)
         if np.isinf(self.high):
-            return f"the worst peak stays within {MAX_RISE_DB:g} dB for every clearance above {low} mm"
+            return f"the largest peak rises by at most {MAX_RISE_DB:g} dB for every clearance above {low} mm"
         high = format_number(1e3 * self.high)
-        text = f"the worst peak stays within {MAX_RISE_DB:g} dB for clearances from {low} to {high} mm"
+        text = f"the largest peak rises by at most {MAX_RISE_DB:g} dB for clearances from {low} to {high} mm"
         if any(self.at_limit):
             ends = " and ".join(name for name, end in zip(("smallest", "largest"), self.at_limit, strict=True) if end)
-            text += f" ({ends} searched)"
+            text += f" ({ends} searched clearance)"
         width, position = np.log(self.high / self.low), np.log(self.chosen / self.low)
         if width > 0.0 and min(position, width - position) < _MIN_END_DISTANCE * width:
             middle = (self.low * self.high) ** 0.5
-            text += f": build to the middle, {format_number(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
+            text += f". Build to the middle, {format_number(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
         return text
 
 

@@ -103,7 +103,9 @@ def describe_preset(name: str) -> list[str]:
             mark = "   (no source at hand)" if {key, f"{kind} {key}"} & set(sheet.unsourced) else ""
             lines.append(f"    {key:{width}}  {str(value).lower() if isinstance(value, bool) else value}{mark}")
     lines += ["  from", *(f"    {source}" for source in sheet.sources)]
-    return [*lines, f"  {sheet.unsourced_note} Check before relying on it."] if sheet.unsourced else lines
+    return (
+        [*lines, f"  {sheet.unsourced_note} Check these values before you rely on them."] if sheet.unsourced else lines
+    )
 
 
 def _flatten(settings: dict[str, Any]) -> Iterable[tuple[str, Any]]:

@@ -353,9 +353,9 @@ class Propagator:
         points = self.system.points
         name = points[largest] if largest < len(points) else "a damper in its cavity"
         raise RunError(
-            f"the motion diverges: {name} is {abs(displacement[largest]):.3g} m away from rest {time:.4g} s after the "
-            "start. Reduce the drive if it is too large. If a mode has negative damping, with the damper masses at "
-            "rest on their bodies or with the coil spring attached, increase the damping."
+            f"the motion diverges: the displacement of {name} is {abs(displacement[largest]):.3g} m at {time:.4g} s. "
+            "Reduce the drive, or increase the damping if a mode of the structure with dampers and coil spring has "
+            "negative damping."
         )
 
     def _look_up_tables(self) -> None:
@@ -394,9 +394,9 @@ def step_for(span: float, max_rate: float) -> tuple[float, float]:
     steps = max(1.0, float(np.ceil(span * max_rate / MAX_RATE_TIMES_STEP)))
     if not steps <= MAX_STEPS:
         raise RunError(
-            f"the fastest motion of the scene, {max_rate / (2.0 * np.pi):.3g} Hz, needs {steps:.2g} "
-            f"steps in {span:.3g} s (a sample interval or a period); the limit is {MAX_STEPS:.0e}. "
-            "Choose larger masses, softer springs, or a higher rate or frequency."
+            f"the fastest mode or drive of the scene, {max_rate / (2.0 * np.pi):.3g} Hz, requires {steps:.2g} time "
+            f"steps in {span:.3g} s (a sample interval or a drive period); the limit is {MAX_STEPS:.0e}. Choose larger "
+            "masses, softer springs, or a higher sample rate or drive frequency."
         )
     return span / steps, steps
 

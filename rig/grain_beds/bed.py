@@ -182,7 +182,7 @@ class Bed:
         except Exception as error:
             reason = str(error).strip().splitlines()[0][:200]
             raise RunError(
-                f"LAMMPS ended the motion of the grains: {reason}. If a grain has left the cavity, set a shorter "
+                f"LAMMPS stopped the simulation of the grains: {reason}. If a grain has left the cavity, set a shorter "
                 "grains.time_step, or a larger grains.modulus."
             ) from None
 

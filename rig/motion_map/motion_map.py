@@ -321,9 +321,9 @@ def summarize_map(map_: MotionMap) -> str:
             )
     lines += [
         "",
-        "CPU us a period: time to compute a period. CPU ms a motion: time to compute a motion, from the previous "
-        f"frequency\nuntil the motion is in steady state within {STEADY_TOLERANCE:.0e} or irregular; not a time on a "
-        "bench.",
+        "CPU us a period: time to compute a period. CPU ms a motion: time to compute a motion, from the motion at the "
+        f"previous\nfrequency until it is steady within {STEADY_TOLERANCE:.0e} or irregular. These are not times of a "
+        "test on a bench.",
         f"total CPU time: {map_.cpu.sum():.3g} s",
     ]
     return "\n".join(lines)
@@ -365,7 +365,7 @@ def _draw(map_: MotionMap) -> Figure:
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
-            handles.append(Line2D([], [], color="black", lw=1.2, label="1 g: above, dampers fly"))
+            handles.append(Line2D([], [], color="black", lw=1.2, label="1 g; dampers fly above this line"))
         if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)

@@ -93,11 +93,11 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
         system[:-1] = jacobian * scale
         rhs[:-1, 0], rhs[-1, 0] = -residual, -normal @ ((x - start) / scale)
         if not (np.isfinite(system).all() and np.isfinite(rhs).all()):
-            raise NoConvergence("the equations are not finite")
+            raise NoConvergence("the equations have values that are not finite")
         try:
             correction, direction = np.linalg.solve(system, rhs).T
         except np.linalg.LinAlgError:
-            raise NoConvergence("the equations are singular") from None
+            raise NoConvergence("the Jacobian matrix is singular") from None
         largest_correction = float(np.abs(correction).max())
         x = x + correction * scale
         # The iteration has converged if the correction is within the tolerance, if it no longer decreases, or if the
@@ -109,7 +109,7 @@ def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal:
         if largest_correction > 1e3 * max(last_correction, 1e-3):
             raise NoConvergence(f"Newton's method diverges (last correction {largest_correction:.1e})")
         last_correction = largest_correction
-    raise NoConvergence(f"the correction is still {last_correction:.1e} after {steps.max_iterations} iterations")
+    raise NoConvergence(f"Newton's correction is still {last_correction:.1e} after {steps.max_iterations} iterations")
 
 
 def tangent(equations: Equations, x: Vector, scale: Vector) -> Vector:
@@ -196,7 +196,7 @@ def _trace_one_way(
             # If the point is more than half a step from the tangent's end, it may be on another curve.
             is_far = float(np.linalg.norm((new_x - x) / scale - step * x_tangent)) > 0.5 * step
             if is_far and step > steps.min_step:
-                raise NoConvergence("the correction leads away from the curve")
+                raise NoConvergence("Newton's correction leads away from the curve")
         except NoConvergence as failure:
             if step <= steps.min_step:
                 return path, f"no convergence: {failure} at parameter {x[-1]:.9g}"

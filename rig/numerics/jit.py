@@ -98,8 +98,8 @@ def code_folder(source: Path) -> Path | None:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
         _warn_once(
-            "the folder for machine code cannot be written, so it is compiled at every start (up to a minute). "
-            "Set NUMBA_CACHE_DIR to a folder that can be written."
+            f"the folder {folder} for machine code cannot be written, so every start compiles it again (up to a "
+            "minute). Set the environment variable NUMBA_CACHE_DIR to a folder that can be written."
         )
         return None
     return folder

@@ -29,8 +29,8 @@ def require_memory(size: float, purpose: str) -> None:
     limit = memory_limit()
     if size > limit:
         raise RunError(
-            f"{purpose} would need {size / 1e9:.4g} GB of memory; the limit is {limit / 1e9:.3g} GB. Raise it by "
-            f"the environment variable {LIMIT_VARIABLE}, such as {LIMIT_VARIABLE}=8GB."
+            f"{purpose} would need {size / 1e9:.4g} GB of memory; the limit is {limit / 1e9:.3g} GB. Raise the limit "
+            f"with the environment variable {LIMIT_VARIABLE}, such as {LIMIT_VARIABLE}=8GB."
         )
 
 

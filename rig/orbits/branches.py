@@ -119,8 +119,8 @@ class _Explorer:
             if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
                     f"stopped after {MAX_BRANCHES} branches: the branch through {self.parameter} "
-                    f"{getattr(start.setting, self.parameter):.8g} (events [{start.plan.label}]) and its neighbors are "
-                    "missing. Choose a smaller range."
+                    f"{getattr(start.setting, self.parameter):.8g} (events [{start.plan.label}]) and adjacent branches "
+                    "are missing. Choose narrower bounds."
                 )
                 return
             if any(self._contains(branch, start) for branch in self.branches):
@@ -213,7 +213,7 @@ class _Explorer:
         try:
             return self._orbit_past_border(orbit, value, float(direction))
         except RunError as failure:
-            self.failures.append(f"beyond the end of a branch {location}, {reason}: {failure}")
+            self.failures.append(f"not continued beyond the end of a branch {location}, where {reason}: {failure}")
             return None
 
     def _orbit_past_border(self, orbit: Orbit, value: float, direction: float) -> Orbit:

@@ -145,7 +145,7 @@ def derive_plan(
             continue
         elif restitution[damper] > 0:
             raise UncoveredMotionError(
-                f"damper {damper + 1} rebounds infinitely often in every period until it rests on a wall"
+                f"in every period, damper {damper + 1} comes to rest on a wall after infinitely many rebounds"
             )
         else:
             events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)

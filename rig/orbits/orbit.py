@@ -206,10 +206,13 @@ def solve(
             equations, derivatives, plan.sequence, unknowns, family.scale[:-1], family.residual_scale, limits
         )
     except np.linalg.LinAlgError:
-        raise RunError(f"{location}: the equations are singular. Start from another orbit.") from None
+        raise RunError(
+            f"{location}: the Jacobian matrix of Newton's method is singular. Start from another orbit."
+        ) from None
     if corrections < 0:
         raise RunError(
-            f"{location}: Newton's method does not converge (last correction {size:.1e}). Start from a nearer orbit."
+            f"{location}: Newton's method does not converge (last correction {size:.1e}). Start from an orbit at a "
+            "closer frequency."
         )
     return family.make_orbit(setting, x, equations, shooting)
 

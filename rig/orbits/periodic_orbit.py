@@ -108,7 +108,8 @@ def search_orbit(
         if orbit.flaw:
             raise RunError(
                 f"the motion at {setting.frequency:.6g} Hz repeats after {steady.repetition} periods, but the orbit "
-                f"with its events [{orbit.plan.label}] is inadmissible: {orbit.flaw}. Use rig.frequency_response."
+                f"computed with its events [{orbit.plan.label}] is not a possible motion: {orbit.flaw}. Use "
+                "rig.frequency_response."
             )
         return orbit
     if steady.residual < MAX_ALMOST_PERIODIC_CHANGE:
@@ -118,8 +119,8 @@ def search_orbit(
             if orbit is not None:
                 return orbit
     raise RunError(
-        f"no periodic motion found at {setting.frequency:.6g} Hz: after {max_periods} periods the motion "
-        f"still changes by {steady.residual:.1e} (relative) from period to period. Use rig.frequency_response."
+        f"no periodic motion at {setting.frequency:.6g} Hz: after {max_periods} periods, the motion still does not "
+        f"repeat (relative change {steady.residual:.1e}). Use rig.frequency_response."
     )
 
 

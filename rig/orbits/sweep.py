@@ -140,7 +140,10 @@ class OrbitResponse(Result):
             If another parameter was varied.
         """
         if self.parameter != "frequency":
-            raise SceneError(f"response: the {self.parameter} was varied. Vary the frequency.")
+            raise SceneError(
+                f"response: requires a sweep over frequency, but this sweep varied the {self.parameter}. Vary the "
+                "frequency."
+            )
         return compliance_response(self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits")
 
     def summary(self) -> str:

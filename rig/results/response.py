@@ -295,7 +295,10 @@ class Response(Result, Sequence["Response"]):
         """
         curve = self[output] if force is None else self[output, force]
         if not curve.is_curve:
-            raise SceneError(f"force: missing. Give one of {', '.join(point.name for point in self.inputs)}.")
+            raise SceneError(
+                "force: missing, but the response has several inputs. Give one of "
+                f"{', '.join(point.name for point in self.inputs)}."
+            )
         line = int(np.argmin(abs(curve.frequency - number(frequency, FREQUENCY, "frequency"))))
         unit, factor = curve.shown_in
         uncertainties = {
@@ -473,8 +476,8 @@ class Response(Result, Sequence["Response"]):
         """
         if self.reference != "force":
             raise SceneError(
-                f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. "
-                "Choose another format."
+                f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. Choose "
+                "another format, such as CSV."
             )
         file = universal_file(Path(path))
         if nodes is None:
@@ -563,8 +566,9 @@ class Response(Result, Sequence["Response"]):
             return NotImplemented
         if self.value.shape[1:] != other.value.shape[1:]:
             raise SceneError(
-                f"a response of {len(self.outputs)} outputs to {len(self.inputs)} inputs is divided by one of "
-                f"{len(other.outputs)} to {len(other.inputs)}. Select the same outputs and inputs of both."
+                f"cannot divide a response of {len(self.outputs)} outputs to {len(self.inputs)} inputs by a response "
+                f"of {len(other.outputs)} outputs to {len(other.inputs)} inputs. Select the same outputs and inputs of "
+                "both responses."
             )
         other = other.interpolated(self.frequency)
         with np.errstate(divide="ignore", invalid="ignore"):

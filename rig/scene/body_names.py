@@ -28,7 +28,7 @@ def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | Non
         if not _NAME.fullmatch(name):
             yield (k, f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .')
         elif name in RESERVED_NAMES:
-            yield k, f'"{name}" already means another location on the bench; expected another name'
+            yield k, f'"{name}" is reserved for another location on the bench. Choose another name.'
         elif name in names[:k]:
             yield k, f'"{name}" is the name of body {names.index(name) + 1}; expected each name once'
 

@@ -46,12 +46,14 @@ class Change:
             indices = range(len(node)) if isinstance(step, str) else [step]  # a key applies to every item
             if not node or indices[0] >= len(node):
                 number = step + 1 if isinstance(step, int) else 1
-                raise SceneError(f"{self}: item {number} does not exist. The scene has {len(node)}, numbered from 1.")
+                raise SceneError(
+                    f"{self}: item {number} does not exist. The list has {len(node)} items, numbered from 1."
+                )
             remaining = steps if isinstance(step, str) else remaining
             return [self._replace(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):
             if step > 0 or node is None:
-                raise SceneError(f"{self}: the key is not a list. Remove the [{step + 1}].")
+                raise SceneError(f"{self}: the value of this key is not a list. Remove [{step + 1}].")
             return self._replace(node, remaining)
         mapping = node if isinstance(node, dict) else {}
         if step == "masses" and remaining and isinstance(mapping.get(step), dict):
@@ -121,8 +123,8 @@ def _parse_key(key: str, prefix: str = "") -> KeyPath:
         numbers = [] if match is None else [int(n) for n in re.findall(r"\d+", match[2])]
         if match is None or 0 in numbers:
             raise SceneError(
-                f"{prefix}no key {key[:60]!r}; expected a key such as test.force, structure.masses[1] (lists count "
-                "from 1) or, for every item of a list, dampers.clearance"
+                f"{prefix}no key {key[:60]!r}; expected a key such as test.force, structure.masses[1] (items are "
+                "numbered from 1), or dampers.clearance for all dampers"
             )
         steps += [match[1], *(n - 1 for n in numbers)]
     return tuple(steps)

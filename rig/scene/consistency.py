@@ -61,14 +61,14 @@ def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Pro
         message = f"{test.kind} requires a shaker. Add a shaker to the scene."
         yield Problem(("kind",), message, absent="shaker")
     elif n_shakers > 1 and test.shaker is None:
-        message = "several shakers are defined, but the driven shaker is not given; add shaker: N, with N from 1 to"
-        yield Problem((), f"{message} {n_shakers}")
+        message = f"the scene has {n_shakers} shakers, but the test does not name the driven one."
+        yield Problem((), f"{message} Add shaker: N to the test, with N from 1 to {n_shakers}.")
     elif number > n_shakers:
         yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
-    elif any(other > n_shakers for other in other_numbers):
-        yield Problem(("also",), f"one of these shakers does not exist; expected numbers from 1 to {n_shakers}")
+    elif max(other_numbers, default=0) > n_shakers:
+        yield Problem(("also",), f"shaker {max(other_numbers)} does not exist; expected numbers from 1 to {n_shakers}")
     elif len({test.shaker, *other_numbers}) <= len(other_numbers):
-        message = "a shaker occurs twice; expected every shaker once, and not the shaker of the key shaker: of the test"
+        message = "a shaker is given twice; expected each number once in the keys shaker and also together"
         yield Problem(("also",), message)
     elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
         yield Problem(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
@@ -115,20 +115,24 @@ def _check_location_at_shaker(
         message = "the scene has no shaker table; expected a body, or a shaker of kind table or electrodynamic"
         yield Problem(key_path, message, absent)
     elif kind == "drive" and shaker is None:
-        yield Problem(key_path, "there is no drive. Add a shaker to the scene.", absent)
+        yield Problem(
+            key_path,
+            "the scene has no shaker, so there is no drive to measure. Add a shaker, or remove the channel.",
+            absent,
+        )
     elif kind == "shaker" and shaker is None:
-        remedy = "mount the channel on a body (at: body 1), or add a shaker of kind force"
-        yield Problem(key_path, f"the scene has no force shaker; {remedy}", absent)
+        remedy = "Mount the channel on a body (at: body 1), or add a shaker of kind force."
+        yield Problem(key_path, f"the scene has no force shaker. {remedy}", absent)
     elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
         table = at_shaker("table", channel.number or 1, n_shakers)
         yield Problem(
             key_path,
-            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force is measured by channels at its "
-            f"two ends; expected at: {table} and at: body {shaker.bodies[0]}",
+            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force follows from the displacements "
+            f"of its two ends. Measure there instead, with two channels (at: {table}, at: body {shaker.bodies[0]}).",
         )
     elif kind == "shaker" and isinstance(test, Impulse):
-        message = "in a hammer test the shaker is idle, so its force is not measured; mount this channel at the hammer"
-        yield Problem(key_path, f"{message} (at: hammer)")
+        message = "in a hammer test the shaker is idle, so its force is not measured."
+        yield Problem(key_path, f"{message} Mount this channel at the hammer (at: hammer).")
 
 
 def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Problem]:
@@ -177,7 +181,7 @@ def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem
         yield Problem(
             key_path,
             f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
-            "Lower the frequency, or raise converter: rate.",
+            "Lower the frequency, or raise converter.rate.",
         )
 
 

@@ -86,7 +86,11 @@ class Grains(Settings):
         """Check that a grain fits into the cavity."""
         if self.diameter * (1.0 + self.spread) > self.cavity:
             yield Problem(
-                ("cavity",), unexpected_value_message(f"{self.cavity:g} m", "at least the largest grain's diameter")
+                ("cavity",),
+                unexpected_value_message(
+                    f"{self.cavity:g} m",
+                    f"at least the diameter of the largest grain, {self.diameter * (1.0 + self.spread):g} m",
+                ),
             )
 
 
@@ -121,7 +125,7 @@ class Damper(Settings):
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:
-            message = "contact and grains are given together, but grains have a contact law. Remove one of the two."
+            message = "contact and grains are given together, but grains have a contact law. Remove contact or grains."
             yield Problem(("contact",), message)
         has_duration = any(isinstance(wall, TimedContact) for wall in walls_of(self.contact))
         if self.restitution and self.contact is not None and not has_duration:

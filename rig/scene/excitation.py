@@ -108,7 +108,7 @@ class SteppedSine(Settings):
         """Check the range or the list of frequencies."""
         if self.frequencies is not None:
             if self.from_ is not None or self.to is not None:
-                yield Problem((), "frequencies and from or to are given together. Remove one of the two.")
+                yield Problem((), "frequencies and from or to are given together. Remove frequencies, or from and to.")
             if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
                 yield Problem(
                     ("frequencies",),

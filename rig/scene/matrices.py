@@ -46,13 +46,13 @@ class _Matrix:
                 "rows of unequal length, or values that are not numbers; expected a square matrix"
             ) from None
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
-            raise validation_error(f"shape {matrix.shape}; expected a square matrix")
+            raise validation_error(f"got a matrix of shape {matrix.shape}; expected a square matrix")
         if matrix.shape[0] > MAX_BODIES:
-            raise validation_error(f"{matrix.shape[0]} bodies; expected at most {MAX_BODIES}")
+            raise validation_error(f"got {matrix.shape[0]} rows; expected at most {MAX_BODIES}, one for each body")
         if not np.isfinite(matrix).all():
             row, column = np.argwhere(~np.isfinite(matrix))[0] + 1
             raise validation_error(
-                f"{matrix[row - 1, column - 1]} in row {row}, column {column}; expected finite numbers"
+                f"got {matrix[row - 1, column - 1]} in row {row}, column {column}; expected finite numbers"
             )
         return tuple(map(tuple, matrix.tolist()))
 
@@ -81,7 +81,7 @@ class Matrices(Settings):
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
-                yield Problem((key,), f"size {len(matrix)}; expected {len(mass)}, the size of the mass matrix")
+                yield Problem((key,), f"got {len(matrix)} rows; expected {len(mass)}, as in the mass matrix")
         for key, matrix in (("mass", mass), ("stiffness", stiffness)):
             indices = asymmetry(matrix)
             if indices is not None:
@@ -90,9 +90,7 @@ class Matrices(Settings):
                 location = f"rows and columns {row + 1} and {column + 1}"
                 yield Problem((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
         if not is_positive_definite(mass):
-            yield Problem(
-                ("mass",), "not positive definite; expected a mass matrix with kinetic energy in every motion"
-            )
+            yield Problem(("mass",), "not positive definite; expected a mass matrix whose eigenvalues are all positive")
 
     def _check_definiteness(self) -> Iterable[Problem]:
         mass, stiffness = np.array(self.mass), np.array(self.stiffness)
@@ -100,8 +98,8 @@ class Matrices(Settings):
         if squared_frequency < 0.0:
             yield Problem(
                 ("stiffness",),
-                f"not positive semidefinite (squared frequency {squared_frequency:.3g} 1/s^2), so that the structure "
-                "is unstable; expected a stiffness matrix without negative eigenvalues",
+                f"not positive semidefinite (squared natural frequency {squared_frequency:.3g} 1/s^2), so the "
+                "structure is statically unstable; expected a stiffness matrix without negative eigenvalues",
             )
         elif self.damping is not None:
             growth, frequency = fastest_growth(mass, stiffness, np.array(self.damping))
@@ -167,11 +165,12 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
         raise validation_error(f"got {format_value(str(name))}; expected rows of numbers or the name of a .npy file")
     if folder is None:
         raise validation_error(
-            f"got {format_value(str(name))}; a .npy file needs a scene file next to it. Give rows of numbers."
+            f"got {format_value(str(name))}, but a .npy file is read from the folder of the scene file, and this scene "
+            "was not read from a file. Give rows of numbers."
         )
     path = folder / name
     if path.exists() and not path.is_file():
-        raise validation_error(f"{path} is not a regular file; expected a .npy file next to the scene file")
+        raise validation_error(f"{path} is a folder or a device; expected a .npy file next to the scene file")
     try:
         # Map the file: the size in its header is checked before the data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -184,7 +183,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
             f"{path} cannot be read as .npy ({reason}). Save the matrix again, with numpy.save."
         ) from None
     if not isinstance(mapped, np.ndarray):
-        raise validation_error(f"{path} is an archive of arrays (.npz); expected one array (.npy)")
+        raise validation_error(f"{path} is an archive of arrays (.npz). Save the matrix alone, with numpy.save.")
     if mapped.ndim != 2 or max(mapped.shape) > MAX_BODIES:
         raise validation_error(
             f"{path} has shape {mapped.shape}; expected a square matrix of at most {MAX_BODIES} rows"

@@ -200,12 +200,14 @@ class Channel(Settings):
         elif self.measures_force:
             for key in ("accelerometer", "integrator"):
                 if getattr(self, key) is not None:
-                    message = (
-                        f"the channel measures force at the {self.at}; expected hammer: with the keys of its sensor"
-                    )
+                    message = f"the channel at the {self.at} measures force. Replace {key} with hammer: and its keys."
                     yield Problem((key,), message)
         elif self.hammer is not None:
-            yield Problem(("hammer",), f"a force sensor cannot measure at {self.at}; expected at: hammer or at: shaker")
+            yield Problem(
+                ("hammer",),
+                f"the key hammer is for force sensors, but the channel at {self.at} measures acceleration. Replace "
+                "hammer with accelerometer, or give at: hammer.",
+            )
 
     @property
     def place_kind(self) -> str:
@@ -290,7 +292,7 @@ class Converter(Settings):
             yield from self._check_rate()
             yield from self._check_sampling()
         if self.bits is not None and self.range is None and self.preset is None:
-            yield Problem(("bits",), "given without range. Add range, the voltage at full scale, such as 5 V.")
+            yield Problem(("bits",), "given without range. Add range, the full-scale voltage, such as 5 V.")
         if self.ac_corner is not None and self.coupling != "AC" and self.preset is None:
             yield Problem(("ac_corner",), "given without coupling: AC. Add coupling: AC, or remove ac_corner.")
         if self.clock_error is not None and abs(self.clock_error) >= 0.1:
@@ -302,8 +304,8 @@ class Converter(Settings):
         if self.sampling is not None and filter_name is not None:
             yield Problem(
                 ("sampling",),
-                f"{self.sampling} with the filter {filter_name}{'' if self.filter else f' of {self.preset}'}, which "
-                f"determines the sample. Remove sampling{' or filter' if self.filter else ''}.",
+                f"got {self.sampling}, but the filter {filter_name}{'' if self.filter else f' of {self.preset}'} "
+                f"determines the samples. Remove sampling{' or filter' if self.filter else ''}.",
             )
 
     def _check_rate(self) -> Iterable[Problem]:
@@ -322,7 +324,7 @@ class Converter(Settings):
         try:
             return hardware.inputs.rates.at_least(self.rate)
         except SceneError as error:
-            raise SceneError(f"{error}, the sample rates of {hardware.name}") from None
+            raise SceneError(f"{error}, the range of sample rates of {hardware.name}") from None
 
     @property
     def true_rate(self) -> float:

@@ -35,7 +35,9 @@ def complete_from_preset(settings: Device) -> Device:
         return type(settings).model_validate({**sheet.settings[kind], **given_values})
     except ValidationError as error:
         reasons = "; ".join(f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors())
-        raise SceneError(f"{kind} with preset {sheet.name!r}: {reasons}") from None
+        raise SceneError(
+            f"{kind}: does not fit the preset {sheet.name!r} ({reasons}). Change these keys, or remove preset."
+        ) from None
 
 
 def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:

@@ -19,9 +19,10 @@ _WIDTH = 100
 # Text for the default of a key whose value is a mapping.
 _DEFAULTS_OF_INNER_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
-    "Quantities carry units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An effect "
-    "whose key is omitted and has no default is not modeled, and takes no computing time. Effects have their names in "
-    "rig explain, and the number of states that each adds; `rig explain SCENE --measure` measures their computing time."
+    "Write quantities with units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An "
+    "effect whose key is omitted and has no default is not modeled, and takes no computing time. The names of effects "
+    "are those of `rig explain SCENE`, which lists the state variables that each adds; with --measure, it also "
+    "measures their computing time."
 )
 #: Effect of a key under its name in `rig explain`, and the number of added states (None: it depends on the scene).
 EFFECTS: dict[str, tuple[str, int | None]] = {

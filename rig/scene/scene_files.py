@@ -38,7 +38,7 @@ def find_scene(scene: str | Path) -> Path:
     if is_folder:
         raise SceneError(f"{path} is a folder; expected a scene file or the name of a bundled scene")
     if exists and not path.is_file():
-        raise SceneError(f"{path} is not a regular file; expected a scene file or the name of a bundled scene")
+        raise SceneError(f"{path} is a device or a pipe; expected a scene file or the name of a bundled scene")
     if exists:
         return path
     if path.suffix in SUFFIXES or len(path.parts) > 1:
@@ -57,7 +57,9 @@ def read_text(path: Path) -> str:
     try:
         text = read_file(path).decode("utf-8-sig")
     except OSError as error:
-        raise SceneError(f"{path} cannot be read: {error.strerror or error}; expected a scene file") from None
+        raise SceneError(
+            f"{path} cannot be read: {error.strerror or error}. Give a scene file that can be read."
+        ) from None
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:

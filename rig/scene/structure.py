@@ -149,11 +149,14 @@ class Structure(Settings):
             yield Problem(("springs",), f"got {len(self.springs)} springs; expected {n_bodies}, one for each mass")
         if self.matrices is not None:
             if self.springs is not None:
-                yield Problem(("springs",), "springs and matrices are given together. Remove one of the two.")
+                yield Problem(("springs",), "springs and matrices are given together. Remove springs or matrices.")
             if self.damping is not None and self.matrices.damping is not None:
-                yield Problem(("damping",), "damping is given together with a damping matrix. Remove one of the two.")
+                yield Problem(("damping",), "damping is given together with matrices.damping. Remove one of the two.")
             if isinstance(self.damping, Dashpots):
-                yield Problem(("damping",), "dashpots belong to a chain. With matrices, give matrices: {damping: ...}.")
+                yield Problem(
+                    ("damping",),
+                    "dashpots are for a chain of masses. With matrices, give matrices: {damping: ...} instead.",
+                )
         damping_values = {
             "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
             "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,

@@ -61,7 +61,7 @@ def read_yaml(text: str) -> Document:
     document = Document()
     try:
         if len(text) > MAX_CHARACTERS:
-            raise _Unreadable(1, f"{len(text)} characters; expected a scene, at most {MAX_CHARACTERS}")
+            raise _Unreadable(1, f"the file has {len(text)} characters; expected a scene of at most {MAX_CHARACTERS}")
         _Reader(text, document).run()
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
@@ -126,7 +126,7 @@ class _Reader:
                 documents += 1
                 if documents > 1:
                     line = _line(event)
-                    raise _Unreadable(line, "a second document; expected one scene in a file")
+                    raise _Unreadable(line, "a second document begins here (---); expected one scene in a file")
                 self.document.content = self._node(next(self.events), ())
 
     def _node(self, event: Any, key_path: KeyPath) -> Any:
@@ -139,7 +139,7 @@ class _Reader:
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
         if event.tag is not None and event.tag != "!":
-            raise _Unreadable(line, f"tag {event.tag}; expected plain values without tags")
+            raise _Unreadable(line, f"got the YAML tag {event.tag}; expected values without tags")
         if isinstance(event, yaml.ScalarEvent):
             value: Any = None if event.implicit[0] and event.value in _NULLS else event.value
         elif isinstance(event, yaml.SequenceStartEvent):
@@ -156,7 +156,9 @@ class _Reader:
         value = self.anchors[event.anchor]
         self.alias_nodes += _count_nodes(value, MAX_ALIAS_NODES)
         if self.alias_nodes > MAX_ALIAS_NODES:
-            raise _Unreadable(line, f"aliases add more than {MAX_ALIAS_NODES} values. Write the values out.")
+            raise _Unreadable(
+                line, f"aliases (*name) repeat more than {MAX_ALIAS_NODES} values. Write the values without aliases."
+            )
         return value
 
     def _sequence(self, key_path: KeyPath) -> list[Any]:
@@ -180,7 +182,9 @@ class _Reader:
                 break
             line = _line(event)
             if not isinstance(event, yaml.ScalarEvent):
-                raise _Unreadable(line, "a key that is not a single word; expected key: value")
+                raise _Unreadable(
+                    line, "the key is a list or a mapping; expected a word as the key, in the form key: value"
+                )
             previous, value = value, next(self.events)
             if getattr(value, "value", None) == "" and _is_decimal_part(previous, event, _FRACTION):
                 values[key] = f"{values[key]},{event.value}"

@@ -236,13 +236,14 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
         # imaginary part.
         numbers = np.asarray(raw.tolist(), dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{name}: got {values!r}; expected a list of real numbers or strings") from None
+        raise SceneError(
+            f"{name}: got {values!r:.60}; expected one or more quantities such as {kind.example}"
+        ) from None
     is_valid = (numbers >= kind.minimum) & (numbers <= kind.maximum)
     if numbers.ndim != 1 or not numbers.size or not is_valid.all():
-        invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or "none"
+        invalid = ", ".join(map(str, numbers[~is_valid].tolist()[:3])) or f"values of shape {numbers.shape}"
         raise SceneError(
-            f"{name}: got {invalid}; expected a list of positive, finite numbers {kind.range}, or of strings such as "
-            f"{kind.example}"
+            f"{name}: got {invalid}; expected one or more positive values {kind.range}, such as {kind.example}"
         )
     return numbers
 
@@ -251,7 +252,7 @@ def positive_value(value: ArrayLike, kind: Kind, name: str) -> float:
     """Convert an argument of one positive and finite quantity, like `positive_values`."""
     numbers = positive_values(value, kind, name)
     if numbers.size != 1:
-        raise SceneError(f"{name}: got {numbers.size} values; expected one, such as {kind.example}")
+        raise SceneError(f"{name}: got {numbers.size} values; expected one value, such as {kind.example}")
     return float(numbers[0])
 
 
@@ -406,7 +407,7 @@ def _pint_notation(unit: str) -> str:
     notation = notation.replace("%", " percent ").strip()
     notation = re.sub(r"sqrt\(\s*([A-Za-z]+)\s*\)", r"\1**0.5", notation)
     if len(notation) > 60 or (notation and not _UNIT.fullmatch(notation)):
-        raise ValueError(f"{unit!r} is not a unit")
+        raise ValueError(f"{unit!r} is not a unit, nor a product of units such as N s/m")
     return notation
 
 

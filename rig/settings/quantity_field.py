@@ -145,7 +145,7 @@ def validation_error(message: str, absent: str = "") -> PydanticCustomError:
 def printable(text: str) -> str:
     """Reject text with control characters or invisible characters."""
     if not is_single_line(text):
-        raise unexpected_value_error(ascii(text)[1:-1], "a line of printable characters")
+        raise unexpected_value_error(ascii(text)[1:-1], "one line of text without control characters")
     return text
 
 

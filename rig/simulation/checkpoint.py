@@ -58,13 +58,13 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
     # A damaged file can cause an exception of almost any type in the reader.
     except Exception:
         raise RunError(
-            f"{path}: is not an interrupted run with grains of this version. Delete it to start again, "
-            "or choose another name with -o."
+            f"{path}: is not an interrupted run with grains that this version of shotrig can continue. Delete the file "
+            "to start again, or choose another name with -o."
         ) from None
     if different:
         raise RunError(
-            f"{path}: contains an interrupted run with another {', '.join(different)}. Use the same "
-            "settings to continue it, delete the file to start again, or choose another name with -o."
+            f"{path}: contains an interrupted run with another {', '.join(different)}. Restore these to continue it, "
+            "or delete the file to start again."
         )
     return state
 

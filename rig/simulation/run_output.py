@@ -59,7 +59,9 @@ def simulate_to_file(
         run = simulate(scene, duration, rate, frequency=frequency, keep=checkpoint, progress=progress)
     except KeyboardInterrupt as interrupt:
         if checkpoint is not None and checkpoint.exists():
-            interrupt.add_note(f"{checkpoint} contains the computed part. The same command continues from it.")
+            interrupt.add_note(
+                f"{checkpoint} contains the part computed so far. To continue from it, give the same command again."
+            )
         raise
     if output is not None and checkpoint is not None:
         write_run(run, output)
@@ -80,7 +82,7 @@ def summary(run: Run) -> str:
         counts = Counter(str(kind) for kind in events["kind"])
         event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
         lines.append(f"damper {damper}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
-    lines.append(f"events: {len(run.events)}; contact decisions within rounding error: {run.ambiguous}")
+    lines.append(f"events: {len(run.events)}; contacts decided by rounding errors: {run.ambiguous}")
     energy = run.energy
     lines += [
         "",
@@ -90,7 +92,7 @@ def summary(run: Run) -> str:
         f"lost in contacts       {energy.contacts:12.6g} J",
         *([f"transferred to grains  {energy.grains:12.6g} J"] if energy.grains else []),
         f"increase of stored     {energy.stored - energy.stored_before:12.6g} J",
-        f"residual               {energy.residual:12.2g} J",
+        f"residual of balance    {energy.residual:12.2g} J",
     ]
     return "\n".join(lines)
 

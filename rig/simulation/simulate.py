@@ -160,7 +160,7 @@ def simulate(
     frequency = number(frequency, FREQUENCY, "frequency")
     for name, value in (("duration", duration), ("rate", rate)):
         if value is None or not (np.isfinite(value) and value > 0.0):
-            raise SceneError(f"{name}: got {value!r}; expected a positive number")
+            raise SceneError(f"{name}: got {value!r}; expected a positive, finite number")
     system = assemble(scene)
     _check_memory(system, duration * rate)
     samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
@@ -192,7 +192,7 @@ def _validated_drive(drive: ArrayLike, system: HybridSystem) -> Array:
     """Check a user's drive; return it as an array (inputs, samples)."""
     block = validate_drive(drive, system.inputs)
     if block.shape[1] < 2:
-        raise RunError(f"drive: {block.shape[1]} samples are too few. Give two samples or more.")
+        raise RunError(f"drive: got {block.shape[1]} samples; expected at least 2")
     return block
 
 

@@ -180,9 +180,9 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
     """
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:
-        raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz. Give two ascending frequencies above 0.")
+        raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz; expected two ascending frequencies above 0")
     if not mode.mass_ratio > 0:
-        raise SceneError("mode: no damper of this mode can leave its floor. Choose another mode, or unlock a damper.")
+        raise SceneError("mode: no damper can move in this mode. Choose another mode, or unlock a damper.")
     if not mode.force > 0 or mode.participation == 0:
         raise SceneError("mode: no force acts on this mode. Choose another mode, or drive another body.")
     riding = take_off_band(mode, band)
@@ -208,7 +208,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
             branches.append(branch)
             for end, index in zip(branch.ends, (0, -1), strict=True):
                 if end.startswith("no convergence") or end == continuation.POINT_LIMIT:
-                    failures.append(f"Type {kind}, last converged point {branch.frequency[index]:.6g} Hz: {end}")
+                    failures.append(f"the branch of Type {kind} ends at {branch.frequency[index]:.6g} Hz: {end}")
     return Approximation(mode, tuple(branches), riding, tuple(failures))
 
 

@@ -119,9 +119,9 @@ def reduce_to_mode(
     ratio = sum(shape[body - 1] ** power * md for body, md in dampers.items()) / modal_mass
     if dampers and not ratio > 0:
         raise SceneError(
-            f"mode {mode}: Eq. 13 as printed gives the mass ratio {ratio:.3g}, because dampers are in bodies that move "
-            "in antiphase with the largest displacement. Use weighting='energy', or normalize the shape at the "
-            "damper's body (at=...)."
+            f"mode: with weighting='printed' (Eq. 13 of the paper), mode {mode} has the mass ratio {ratio:.3g}, "
+            "because a damper's body moves in antiphase with the largest displacement. Use weighting='energy', or set "
+            "at to the damper's body."
         )
     participation = float(sum(shape[body - 1] for body in driven))
     return SingleMode(
@@ -166,13 +166,13 @@ def single_mode(
     if len(clearances) > 1:
         clearance_list = ", ".join(f"{1e3 * c:g} mm" for c in sorted(clearances))
         raise SceneError(
-            f"clearances {clearance_list}: the approximate method combines all dampers into one. Give all dampers a "
-            "common clearance."
+            f"dampers: got the clearances {clearance_list}, but the approximate method combines all dampers into one. "
+            "Give all dampers the same clearance."
         )
     if force is None:
         level = getattr(scene.test, "force", None)
         if not isinstance(level, int | float):
-            raise SceneError("force: the test of the scene does not specify a single force. Pass force=... in N.")
+            raise SceneError("force: the test of the scene does not specify one force amplitude. Pass force=... in N.")
         force = float(level)
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),

@@ -92,7 +92,7 @@ def _integrate(
     comparisons: list[StateSamples] = []
     for begin in range(0, skipped + COMPARED_PERIODS, max_count):
         if is_stopped():
-            raise RunError("stopped: another section failed. See its error.")
+            raise RunError("stopped, because another part of the frequency range failed. See the error of that part.")
         count = min(max_count, skipped + COMPARED_PERIODS - begin)
         compared = max(0, min(count, begin + count - skipped))
         comparisons.append(propagator.propagate_periods(steps, count, compared, level))

@@ -44,7 +44,8 @@ def assemble(scene: Scene) -> HybridSystem:
     if len(free) > limit:
         condition = " with finite-duration contact" if finite_contact else ""
         raise SceneError(
-            f"dampers: {len(free)} dampers are not locked; at most {limit}{condition} may move. Lock or remove some."
+            f"dampers: got {len(free)} dampers that are not locked; expected at most {limit}{condition}. Lock or "
+            "remove some."
         )
     weight = np.zeros(bodies)
     np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)

@@ -77,7 +77,8 @@ def level_of(scene: Scene) -> float:
     """
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
-            f"scene {scene.name!r} has {len(scene.shakers)} shakers. Set test.shaker to the number of the driven one."
+            f"scene {scene.name!r} has {len(scene.shakers)} shakers. Set test.shaker to the number of the driven "
+            "shaker."
         )
     if scene.driven_shaker is None:
         raise SceneError(f"scene {scene.name!r} has no shaker. Add shaker: {{kind: ...}}.")
@@ -260,13 +261,13 @@ def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> A
         ) from None
     if block.ndim != 2 or block.shape[0] != len(inputs):
         raise RunError(
-            f"drive: the array has shape {block.shape}. Give one of shape ({len(inputs)}, samples) for the inputs "
-            f"{', '.join(inputs) or '(none)'}."
+            f"drive: got an array of shape {block.shape}; expected shape ({len(inputs)}, samples), one row for each "
+            f"input: {', '.join(inputs) or '(none)'}"
         )
     if not np.isfinite(block).all():
         row, column = np.argwhere(~np.isfinite(block))[0]
         raise RunError(
-            f"drive: {block[row, column]} at sample {first + column} of input {inputs[row]} is not a finite number. "
-            "Check the signal."
+            f"drive: got {block[row, column]} at sample {first + column} of input {inputs[row]}; expected finite "
+            "numbers"
         )
     return block

@@ -125,8 +125,8 @@ class StructuralModel:
                 response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
             except np.linalg.LinAlgError:
                 raise SceneError(
-                    "frequencies: the response is infinite at one of them (an undamped resonance, or 0 Hz of a "
-                    "structure without support). Add structure.damping, or choose other frequencies."
+                    "frequencies: the response is infinite at one of the frequencies (an undamped resonance, or 0 Hz "
+                    "without support). Add structure.damping, or choose other frequencies."
                 ) from None
         return response
 
@@ -190,7 +190,9 @@ def _validated(frequencies_hz: ArrayLike) -> Array:
     """Return frequencies as an array; raise `SceneError` if one is negative or not finite."""
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
-        raise SceneError("frequencies: not a list of finite numbers of at least 0. Give frequencies in Hz.")
+        raise SceneError(
+            f"frequencies: got {frequencies_hz!r:.60}; expected a list of finite frequencies of at least 0 Hz"
+        )
     return frequencies
 
 
@@ -263,12 +265,15 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     # calls.
     squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
     if info:
-        raise np.linalg.LinAlgError(f"no natural modes of the mass and stiffness matrices (dsygvd: info {info})")
+        raise np.linalg.LinAlgError(
+            "structure: the natural modes cannot be computed. Check that the mass matrix is positive definite, and "
+            f"that both matrices are finite (LAPACK dsygvd: info {info})."
+        )
     rounding = 10 * len(squared_omega) * np.finfo(float).eps * np.abs(squared_omega).max(initial=0.0)
     if squared_omega[0] < -rounding:
         raise SceneError(
-            f"structure: the stiffness is not positive semidefinite (squared frequency {squared_omega[0]:.3g} "
-            "1/s^2), so there are no natural modes. Add springs that stabilize it."
+            "structure: the stiffness matrix is not positive semidefinite (squared natural frequency "
+            f"{squared_omega[0]:.3g} 1/s^2), so the structure is statically unstable. Add springs that stabilize it."
         )
     if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and is_positive_definite(stiffness):
         squared_omega, shapes = _modes_of_extreme_masses(mass, stiffness)

@@ -25,9 +25,9 @@ MAX_EVENTS_PER_PERIOD = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8
 #: Message about a solver with endless events at one instant.
-ENDLESS_EVENTS = "a damper leaves its wall and lands endlessly at {:.6g} s. Use a setting with a guard pause."
+ENDLESS_EVENTS = "a damper leaves its wall and lands endlessly at {:.6g} s, which a guard pause prevents"
 #: Message about a solver that stops before the end.
-SOLVER_STOPPED = "{} stops: {}. Use another tolerance."
+SOLVER_STOPPED = "{} stops with the message: {}"
 
 Guard = Callable[[float, Array], float]
 
@@ -118,7 +118,7 @@ def integrate(
         if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
             raise RunError(ENDLESS_EVENTS.format(now))
         if time.process_time() - cpu_start > max_cpu:
-            raise RunError(f"not done after {max_cpu:.0f} s of CPU time. Use a larger tolerance.")
+            raise RunError(f"not completed within {max_cpu:.0f} s of CPU time; a larger tolerance takes less time")
     return ComputedMotion(np.array(samples).T, contacts.events)
 
 

@@ -58,14 +58,14 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         report(f"{model}, {setting}")
         points.append(_point(model, setting, compute, reference.compliance))
     count = sum(spheres.count for spheres in spheres_of(scene).values())
-    steady = "" if reference.steady else ", and not steady yet"
+    steady = "" if reference.steady else ", so the motion is not steady yet"
     return SteadyStudy(
         tuple(points),
         frequency,
         str(reference.motion_type[0]),
-        f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of CPU time; the last two blocks "
-        f"of {PERIODS}\n           differ by {100 * reference.spread:.2g} %{steady}. Errors below this difference, "
-        "or below that of another packing, are not significant.",
+        f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of CPU time. The last two averages "
+        f"over {PERIODS} periods\n           differ by {100 * reference.spread:.2g} %{steady}. Errors below this "
+        "difference, or below the error of another packing, are not significant.",
     )
 
 

@@ -99,7 +99,7 @@ class DormandPrince:
             self._tables, contacts, start, times, motion, rtol, guard_pause, max_step, steps, *self._work
         ):
             if contacts.logged_events[0] < max_events:
-                raise RunError(f"more than {steps} steps were needed. Allow longer steps or larger errors.")
+                raise RunError(f"not completed within {steps} steps; a larger tolerance takes fewer steps")
             raise RunError(ENDLESS_EVENTS.format(contacts.time[-1]))
         events = slice(contacts.logged_events[0])
         log = zip(contacts.time[events], contacts.damper[events], contacts.kind[events], strict=True)
@@ -110,8 +110,8 @@ def _tables(problem: FirstOrderForm) -> Tables:
     system, dampers = problem.system, len(problem.damper_coordinate)
     if dampers > MAX_DAMPERS:
         raise RunError(
-            f"{dampers} dampers have {2**dampers} combinations of contact, with a matrix for each. Use at most "
-            f"{MAX_DAMPERS} dampers."
+            f"{dampers} dampers have {2**dampers} combinations of contact, each of which needs a matrix; expected at "
+            f"most {MAX_DAMPERS} dampers"
         )
     return Tables(
         matrix=np.array(

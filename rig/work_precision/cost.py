@@ -95,7 +95,7 @@ class Cost(Result):
         study = self.motion
         if study is None:
             return f"{self.scene.name}: models of its beds of grains\n\n{_steady_table(self.steady)}"
-        rows = [("method", "setting", "ms per period", "relative error", "event times / s", "events", "note")]
+        rows = [("method", "setting", "ms per period", "relative error", "event time error / s", "events", "note")]
         for point in study.points:
             times = f"{point.event_error:.0e}" if np.isfinite(point.event_error) else ""
             events = ("right" if point.is_correct else "wrong") if np.isfinite(point.error) else "-"
@@ -166,18 +166,20 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
     if not engine:
         return []
     engine_point = min(engine, key=lambda point: point.cpu)
-    lines = [f"The engine: relative error {engine_point.error:.0e} in {1e3 * engine_point.cpu:.2g} ms per period."]
+    lines = [
+        f"The engine computes a period in {1e3 * engine_point.cpu:.2g} ms (relative error {engine_point.error:.0e})."
+    ]
     if others:
         smallest_error = min(point.error for point in others)
         fastest = min((point for point in others if point.error <= 10.0 * smallest_error), key=lambda point: point.cpu)
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
-            f"Best of the other methods, {fastest.method} ({fastest.setting}): relative error {fastest.error:.0e} in "
-            f"{1e3 * fastest.cpu:.2g} ms per period, {ratio} times as long as the engine."
+            f"The fastest of the most accurate other methods, {fastest.method} ({fastest.setting}), takes "
+            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times as long (relative error {fastest.error:.0e})."
         )
     wrong = sum(np.isfinite(point.error) and not point.is_correct for point in points)
     if wrong:
-        lines.append(f"Wrong events in {wrong} of {len(points)} settings.")
+        lines.append(f"The order of events is wrong in {wrong} of {len(points)} results.")
     return lines
 
 

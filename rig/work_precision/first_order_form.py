@@ -74,7 +74,8 @@ class FirstOrderForm:
     ) -> None:  # fmt: skip
         if system.coupled:
             raise SceneError(
-                "structure: the compared methods require a diagonal mass matrix. Choose a structure with such a matrix."
+                "structure: the compared methods require a diagonal mass matrix and at most one damper in a body. "
+                "Choose a scene without these couplings."
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers

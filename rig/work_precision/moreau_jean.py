@@ -77,7 +77,7 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> ComputedMotion:
         steps // SAMPLES_PER_PERIOD,
     )
     if not np.isfinite(samples).all():
-        raise RunError(f"unstable with {steps} steps a period. Use more steps.")
+        raise RunError(f"unstable with {steps} steps per period; more steps make it stable")
     events = [
         ((k + 1) * length, j, EVENT_KINDS[kind])
         for j in range(dampers)

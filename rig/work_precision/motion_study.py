@@ -131,12 +131,12 @@ def motion_study(
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference is not a thousand times as accurate as the best method. Please report this as a bug and "
-            "attach the scene."
+            "the reference motion is less than a thousand times more accurate than the best method. Please report this "
+            "as a bug, and attach the scene."
         )
     reference = (
-        f"decimal arithmetic of {DIGITS} digits, with every event located again. Fewer digits change the motion by "
-        f"{exact.agreement:.0e}, relative; the error of the most accurate method is {margin:.0e} times as large."
+        f"decimal arithmetic of {DIGITS} digits, with every event located again. With fewer digits, the motion changes "
+        f"by {exact.agreement:.0e} (relative). The error of the most accurate method is {margin:.0e} times this change."
     )
     return MotionStudy(scene, frequency, periods, len(run.events), tuple(points), reference, margin)
 

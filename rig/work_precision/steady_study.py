@@ -78,15 +78,16 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
             "the reference of the steady state is less than a thousand times more accurate than the best method. "
-            "Please report this as a bug and attach the scene."
+            "Please report this as a bug, and attach the scene."
         )
     return SteadyStudy(
         tuple(points),
         frequency,
         orbit.motion_type,
         f"the periodic orbit in decimal arithmetic of {DIGITS} digits. Its state after a period differs from the "
-        f"initial state by {reference.residual:.0e}, relative to the motion. Fewer digits change the compliance by "
-        f"{reference.agreement:.0e}, relative; the error of the most accurate method is {margin:.0e} times as large.",
+        f"initial state by {reference.residual:.0e}, relative to the motion. With fewer digits, the compliance changes "
+        f"by {reference.agreement:.0e} (relative). The error of the most accurate method is {margin:.0e} times this "
+        "change.",
     )
 
 

@@ -68,9 +68,9 @@ def test_explanation_is_a_table_with_a_plot() -> None:
         (lambda scene: rig.design(scene, dampers="2"), "dampers: got '2'"),
         (
             lambda scene: rig.design(scene, levels=[[1.0], [1.0, 2.0]]),
-            "levels: got .*; expected a list of real",
+            "levels: got .*; expected one or more quantities",
         ),
-        (lambda scene: rig.design(scene, band=[1j, 2j]), "band: got .*; expected a list of real numbers"),
+        (lambda scene: rig.design(scene, band=[1j, 2j]), "band: got .*; expected one or more quantities"),
     ],
 )
 def test_argument_of_the_wrong_type_is_named(call: Callable[[rig.Scene], object], message: str) -> None:

@@ -71,7 +71,7 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
             path.touch()
         case "nowhere":
             path = tmp_path / "no" / "out.csv"
-    expected = {"file": "exists", "nowhere": "does not exist"}.get(kind, "not a regular file")
+    expected = {"file": "exists", "nowhere": "does not exist"}.get(kind, "is a folder or a device")
     with pytest.raises(SceneError, match=expected), atomic_write(path, overwrite=kind != "file"):
         pass
     assert path.exists() == (kind != "nowhere")

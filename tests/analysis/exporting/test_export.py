@@ -243,7 +243,7 @@ def test_existing_file_needs_overwrite(recording, tmp_path):
 
 def test_target_folder_is_reported(recording, tmp_path):
     (tmp_path / "a.csv").mkdir()
-    with pytest.raises(SceneError, match="not a regular file"):
+    with pytest.raises(SceneError, match="is a folder or a device"):
         export(Slice.of(recording), tmp_path / "a.csv", overwrite=True)
 
 

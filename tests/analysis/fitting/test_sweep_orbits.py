@@ -68,7 +68,7 @@ def test_chattering_are_reported_as_reason():
     rebounding_curves = replace(curves, scene=rebounding_scene, frequency=frequency, level=level)
     orbits = SweepOrbits(rebounding_curves)
     assert np.isnan(orbits.response(scene_of_test(rebounding_scene, rebounding_curves), level, frequency)).all()
-    assert "rebounds infinitely often" in orbits.uncovered[0]
+    assert "infinitely many rebounds" in orbits.uncovered[0]
     [message] = list_omitted_points(rebounding_curves, np.array([False]), orbits.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
     [message] = list_omitted_points(rebounding_curves, np.array([False]), {})

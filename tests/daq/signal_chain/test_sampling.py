@@ -67,5 +67,5 @@ def test_averages_include_momentum_of_short_impacts():
 
 @pytest.mark.parametrize("filter_key", ["filter: delta_sigma", "preset: NI 9234"])
 def test_point_samples_with_a_filter_are_rejected(filter_key):
-    with pytest.raises(SceneError, match="sampling: point with the filter delta_sigma"):
+    with pytest.raises(SceneError, match="sampling: got point, but the filter delta_sigma"):
         rig.loads(f"structure: {{masses: [1], springs: [1]}}\nconverter: {{rate: 5120, sampling: point, {filter_key}}}")

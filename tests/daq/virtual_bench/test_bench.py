@@ -63,12 +63,12 @@ def test_overload_flags_are_at_full_scale() -> None:
 
 @pytest.mark.parametrize("shape", [(2, 10), (0, 10), (10,)])
 def test_wrong_drive_shape_is_reported(shape: tuple[int, ...]) -> None:
-    with pytest.raises(RunError, match=r"one of shape \(1, samples\)"):
+    with pytest.raises(RunError, match=r"expected shape \(1, samples\)"):
         Bench(rig.load("bare-structure")).acquire(np.zeros(shape))
 
 
 def test_nonfinite_drive_is_rejected() -> None:
-    with pytest.raises(RunError, match="not a finite"):
+    with pytest.raises(RunError, match="expected finite"):
         Bench(rig.load("bare-structure")).acquire(np.full((1, 4), np.nan))
 
 

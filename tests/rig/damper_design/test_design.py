@@ -101,7 +101,7 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     unsteady = replace(
         design, expected=tuple(replace(expectation, compliances=None) for expectation in design.expected)
     )
-    assert "no steady state: values scatter" in describe_check(unsteady, scene)
+    assert "no steady state, so that measured values scatter" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough
@@ -146,7 +146,7 @@ def test_drive_test_uses_forces_as_levels() -> None:
     objective, _ = parse_request(driven_scene, **requested)
     choice = Choice((2,), (0.1,), (1e-3,))
     assert objective.worst(choice) == parse_request(rig.load("fig9"), **requested)[0].worst(choice)
-    with pytest.raises(SceneError, match="levels: not given, and the scene's test specifies a drive level"):
+    with pytest.raises(SceneError, match="levels: not given, and the scene's test specifies a drive instead"):
         parse_request(driven_scene)
 
 
@@ -186,11 +186,11 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
         ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
         ({"bodies": ["1", "7"]}, "bodies: body 7 does not exist; expected 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3, at most one for each body listed in bodies"),
-        ({"band": (2.0, 3.0)}, "without a natural frequency"),
-        ({"levels": [-1.0]}, r"levels: got -1\.0; expected a list of positive"),
+        ({"band": (2.0, 3.0)}, "expected a band that contains a natural frequency"),
+        ({"levels": [-1.0]}, r"levels: got -1\.0; expected one or more positive"),
         ({"clearance": (2e-3, 1e-3)}, "the smaller value first"),
         ({"band": 49.0}, "band: got 49 Hz; expected two values"),
-        ({"uncertain": (2.0, 0.0)}, "relative uncertainties of damping and stiffness"),
+        ({"uncertain": (2.0, 0.0)}, "relative uncertainties, of damping and stiffness"),
         ({"cluster": "nonsense://"}, "no Dask scheduler answers"),
     ],
 )

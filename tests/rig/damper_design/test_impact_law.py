@@ -40,7 +40,10 @@ def test_new_dampers_have_the_contact_of_the_scene() -> None:
 
 def test_contact_of_the_first_damper_is_used() -> None:
     impact_law = impact_law_of(with_dampers(FINITE_CONTACT, {}).dampers)
-    assert (impact_law.restitution, impact_law.origin) == (0.2, "as the first damper of the scene; others differ")
+    assert (impact_law.restitution, impact_law.origin) == (
+        0.2,
+        "as in the first damper of the scene; other dampers differ",
+    )
     walls = {"contact": {"floor": {"duration": "4 ms"}, "ceiling": {"duration": "1 ms"}}}
     assert "duration 4 ms on floors and 1 ms on ceilings" in str(impact_law_of(with_dampers(walls).dampers))
     assert impact_law_of(()) == INSTANTANEOUS and "instantaneous, restitution 0" in str(INSTANTANEOUS)
@@ -48,5 +51,5 @@ def test_contact_of_the_first_damper_is_used() -> None:
 
 def test_contact_by_stiffness_is_rejected() -> None:
     scene = with_dampers({"contact": {"stiffness": "100 kN/m", "damping": "5 N s/m"}})
-    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* Give contact: \{duration"):
+    with pytest.raises(SceneError, match=r"dampers\[1\]\.contact: .* Give a contact duration"):
         impact_law_of(scene.dampers)

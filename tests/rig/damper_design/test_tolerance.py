@@ -72,7 +72,7 @@ def test_tolerance_has_both_ends_of_a_plateau() -> None:
     trials = [_trial(objective, clearance) for clearance in np.geomspace(1e-4, 1e-2, 10)]
     result = clearance_tolerance(objective, SPACE, _trial(objective, 4.6e-3), trials, _evaluator())
     assert result.low == pytest.approx(3.5e-3, rel=0.06) and result.high == pytest.approx(4.62e-3, rel=0.06)
-    assert not any(result.at_limit) and "build to the middle" in str(result)
+    assert not any(result.at_limit) and "Build to the middle" in str(result)
 
 
 @pytest.mark.parametrize("clearance", [1e-3, np.inf])
@@ -166,7 +166,7 @@ def test_levels_below_take_off_are_reported() -> None:
     assert lines[1].endswith("Give --levels 4N.")
     weak_trial = Trial(trial.choice, peaks[:1])
     lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])
-    assert "from 1.41 N. Give such levels" in lines[1]
+    assert "at levels of 1.41 N and more" in lines[1]
     assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
 
 

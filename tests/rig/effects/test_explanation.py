@@ -75,7 +75,7 @@ def test_cost_lists_each_effect_and_its_states(monkeypatch: pytest.MonkeyPatch) 
     ]
     assert sum(cost.states for cost in costs) == sum(rig.explain(scene).states.values())
     assert all(cost.total > 0.0 for cost in costs)
-    assert text(costs).splitlines()[-1].startswith("with all effects:")
+    assert text(costs).splitlines()[-1].startswith("with all effects, one core simulates ")
 
 
 def test_minimal_scene_costs_structure_and_ideal_channels() -> None:

@@ -273,8 +273,8 @@ def test_error_names_the_invalid_argument(change: dict[str, object], message: st
 @pytest.mark.parametrize(
     ("drive", "message"),
     [
-        (np.full((1, 100), np.nan), "drive: nan at sample 0 of input shaker"),
-        (np.zeros((2, 100)), "drive: the array has shape (2, 100). Give one of shape (1, samples)"),
+        (np.full((1, 100), np.nan), "drive: got nan at sample 0 of input shaker"),
+        (np.zeros((2, 100)), "drive: got an array of shape (2, 100); expected shape (1, samples)"),
         ([[1.0, 2.0], [3.0]], "drive: the values are not real numbers, or the rows differ in length"),
         ([[1j] * 101], "drive: the values are not real numbers"),
     ],

@@ -117,7 +117,7 @@ def test_interrupted_output_continues(tmp_path: Path) -> None:
     simulate_to_file(tmp_path / "whole.npz", scene, DURATION_S, RATE_HZ, None, InterruptAfter(0))
     with pytest.raises(KeyboardInterrupt) as stopped:
         simulate_to_file(tmp_path / "run.npz", scene, DURATION_S, RATE_HZ, None, InterruptAfter(2))
-    assert "run.npz.kept contains the computed part" in stopped.value.__notes__[0]
+    assert "run.npz.kept contains the part computed so far" in stopped.value.__notes__[0]
     assert [file.name for file in tmp_path.glob("run*")] == ["run.npz.kept"]
     reported: list[int] = []
 
@@ -152,7 +152,7 @@ def test_damaged_checkpoint_is_reported_and_kept(tmp_path: Path, damage: object)
     stored.write_bytes(damage(stored.read_bytes()))  # type: ignore[operator]
     damaged = stored.read_bytes()
 
-    with pytest.raises(RunError, match="Delete it to start again"):
+    with pytest.raises(RunError, match="Delete the file to start again"):
         rig.simulate(with_grains(), 0.005, RATE_HZ, keep=stored)
 
     assert stored.read_bytes() == damaged

@@ -177,7 +177,7 @@ def test_file_has_a_row_for_every_point(fig9_map: rig.MotionMap, tmp_path: Path)
         rows = list(csv.DictReader(file))
     assert len(rows) == fig9_map.kind.size
     assert {row["damper1_motion"] for row in rows} == set(fig9_map.motion.ravel())
-    assert "riding" in summarize_map(fig9_map) and "not a time on a bench" in summarize_map(fig9_map)
+    assert "riding" in summarize_map(fig9_map) and "not times of a test" in summarize_map(fig9_map)
 
 
 @pytest.mark.thorough

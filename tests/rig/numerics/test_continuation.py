@@ -47,7 +47,7 @@ def test_failed_convergence_reports_the_last_point() -> None:
     curve = trace(semicubical_parabola, np.array([2.0, 1.0]), (-1, 1.5), np.ones(2))
 
     assert curve.ends[1] == "range"
-    assert curve.ends[0].startswith("no convergence: the equations are not finite at parameter ")
+    assert curve.ends[0].startswith("no convergence: the equations have values that are not finite at parameter ")
     assert float(curve.ends[0].split()[-1]) == pytest.approx(curve.points[0, -1], rel=1e-6)
     assert 0 <= curve.points[0, -1] < 1e-6
 

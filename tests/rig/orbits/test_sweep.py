@@ -48,7 +48,7 @@ def test_irregular_motion_is_simulated_with_the_reason() -> None:
     orbits = rig.orbit_response(scene, [33.2, 33.3, 33.6])
 
     assert orbits.simulated.tolist() == [True, True, False]
-    assert "no periodic motion found at 33.2 Hz" in orbits.reasons[0]
+    assert "no periodic motion at 33.2 Hz" in orbits.reasons[0]
     assert orbits.reasons[2] == ""
     assert orbits.repetition.tolist() == [0, 0, 1]
     assert np.isnan(orbits.multiplier[0])
@@ -101,7 +101,7 @@ def test_sweep_may_reverse_or_repeat_values(values: list[float]) -> None:
 
 def test_error_names_invalid_sweep_arguments() -> None:
     scene = rig.load("fig9")
-    with pytest.raises(SceneError, match="expected a list of positive, finite numbers"):
+    with pytest.raises(SceneError, match="expected one or more positive values"):
         rig.orbit_response(scene, [49.0, -1.0])
     with pytest.raises(SceneError, match="Give the frequency at which the force is varied"):
         rig.orbit_response(scene, [3.0], "force")

@@ -47,9 +47,9 @@ def test_change_of_a_shared_damper_affects_it_alone(file) -> None:
     [
         ("dampers[2].clearance=1kg", 'dampers[2].clearance=1kg: dampers[2].clearance: got "1kg"; expected a len'),
         ("dampers.clearence=1mm", "dampers[2].clearence: unknown key 'clearence'. Did you mean 'clearance'?"),
-        ("dampers[3].mass=1kg", "item 3 does not exist. The scene has 2, numbered from 1."),
-        ("channels[1].name=a", "the key is not a list. Remove the [1]."),
-        ("dampers[0].mass=1kg", "lists count from 1"),
+        ("dampers[3].mass=1kg", "item 3 does not exist. The list has 2 items, numbered from 1."),
+        ("channels[1].name=a", "the value of this key is not a list. Remove [1]."),
+        ("dampers[0].mass=1kg", "items are numbered from 1"),
         ("test..force=1N", "no key"),
         ("gravity", "expected KEY=VALUE such as test.force=5N"),
         ("name=\udcff", "bytes that are not UTF-8"),

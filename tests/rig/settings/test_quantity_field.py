@@ -119,5 +119,5 @@ def test_printed_value_is_short_and_recognizable():
     assert format_value("x" * 58) == f'"{"x" * 58}"'
     assert format_value("x" * 59) == f'"{"x" * 56}...'
     assert printable("a b") == "a b"
-    with pytest.raises(PydanticCustomError, match=r"\\x1b.*a line of printable characters"):
+    with pytest.raises(PydanticCustomError, match=r"\\x1b.*one line of text without control characters"):
         printable("a\x1b[2J")

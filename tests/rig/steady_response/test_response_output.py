@@ -43,7 +43,7 @@ def test_every_peak_has_a_row(response: SteadyResponse) -> None:
 
 def test_motion_types_are_given_as_ranges(response: SteadyResponse) -> None:
     assert "motion riding: 10 to 15 and 19 Hz" in format_response(response)
-    assert "not steady: 18 Hz" in format_response(response)
+    assert "no steady state: 18 Hz" in format_response(response)
 
 
 def test_every_frequency_is_printed_on_request(response: SteadyResponse) -> None:

@@ -221,4 +221,4 @@ def test_table_and_file_report_a_failure(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert rows[1]["note"] == "failed: takes too long" and rows[1]["error"] == "nan"
     assert "failed: takes too long" in str(cost)
-    assert "The engine: relative error 1e-15 in 0.001 ms per period." in str(cost)
+    assert "The engine computes a period in 0.001 ms (relative error 1e-15)." in str(cost)

@@ -41,7 +41,17 @@ def test_summary_fits_the_list_of_commands(program, name):
 
 def test_many_options_are_listed_in_groups():
     text = command("rig", "design").get_help(command("rig", "design").make_context("design", ["fig9"]))
-    parts = ("Scene:\n", "--set", "Dampers to choose from:\n", "--budget", "Output:\n", "--overwrite", "\nOptions:\n")
+    parts = (
+        "Scene:\n",
+        "--set",
+        "Dampers to choose from:\n",
+        "--budget",
+        "Criterion:\n",
+        "--watched",
+        "Output:\n",
+        "--overwrite",
+        "\nOptions:\n",
+    )
     positions = [text.index(part) for part in (*parts, "--help")]
     assert positions == sorted(positions)
 

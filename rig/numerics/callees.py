@@ -4,12 +4,16 @@ A *callee* is a function that a kernel calls. A callee is compiled without wrapp
 its callers. A callee is compiled once per argument type, not again for each literal value (`types.unliteral`). Kernels
 create no arrays: they need no numba runtime (`_nrt`), and can be loaded from the cache without refreshing numba's
 registries.
+
+An *entry* is a function that Python calls. No other function contains it, so that its file in the cache needs no
+bitcode, which takes longer to load than the machine code.
 """
 
 import functools
 from collections.abc import Callable
 from typing import Any
 
+import llvmlite.binding
 import numba
 from numba.core import types
 from numba.core.caching import FunctionCache
@@ -18,6 +22,24 @@ from numba.core.compiler import Compiler
 
 # If numba lacks these internals, the import fails with AttributeError, and `rig.numerics.jit` uses public options.
 getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
+
+
+class _EntryLibrary(JITCodeLibrary):
+    """Machine code that is not linked to other functions; its stored copy has the names of its symbols only."""
+
+    def _get_module_for_linking(self) -> Any:
+        symbols = (*self._final_module.functions, *self._final_module.global_variables)
+        names = [symbol.name for symbol in symbols if not symbol.is_declaration]
+        return llvmlite.binding.parse_assembly("\n".join(f'@"{name}" = global i8 0' for name in names))
+
+
+class _EntryCompiler(Compiler):
+    """Compiler of entries."""
+
+    def define_pipelines(self) -> Any:
+        self.state.library = _EntryLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
+        return super().define_pipelines()
 
 
 class _CalleeLibrary(JITCodeLibrary):
@@ -54,7 +76,7 @@ def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
 def njit(function: Callable[..., object], creates_no_arrays: bool, cache: bool, **options: Any) -> Any:
     """Compile a function as `numba.njit` does; `creates_no_arrays`: True for a kernel."""
     options |= {"_nrt": False} if creates_no_arrays else {}
-    dispatcher: Any = numba.njit(cache=cache, **options)(function)
+    dispatcher: Any = numba.njit(cache=cache, pipeline_class=_EntryCompiler, **options)(function)
     callee = functools.cache(lambda: _callee(function, options))
 
     def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:

@@ -159,6 +159,13 @@ def test_callee_is_compiled_once_per_type(kernels: Path) -> None:
     assert run(kernels, PRINT_COMPILED).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]
 
 
+def test_stored_kernel_can_be_called_by_new_kernel(kernels: Path) -> None:
+    (kernels / "twice.py").write_text(TWICE)
+    run(kernels, "from kernels.twice import inner; inner(1.0, 4)")
+    result = run(kernels, "from kernels.twice import inner, outer; print(inner(1.0, 4), outer(1.0))")
+    assert result.stdout == "4.0 5.0\n"
+
+
 def test_other_checkout_uses_the_same_code(kernels: Path, tmp_path: Path) -> None:
     first = run(kernels)
     written = machine_code(kernels)

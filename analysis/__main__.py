@@ -6,6 +6,8 @@ import os
 
 # The matrices are so small that the threads of OpenBLAS would wait for each other longer than they compute.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# No plugin of pydantic is used; looking for plugins reads the metadata of all installed packages.
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ They are imported when they are called, so that the package `rig` does not depen
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -13,7 +14,16 @@ from rig.scene.scene import Scene
 
 def registered_functions(group: str) -> list[Any]:
     """Load the functions of a group of entry points such as "shotrig.effects", in the order of their names."""
-    return [point.load() for point in sorted(entry_points(group=group), key=lambda point: point.name)]
+    return [point.load() for point in sorted(_entry_points().select(group=group), key=lambda point: point.name)]
+
+
+@cache
+def _entry_points() -> Any:
+    """Return the entry points of all installed packages, whose metadata are read only once.
+
+    The type depends on the version of Python; each type has the method `select`.
+    """
+    return entry_points()
 
 
 def test_predictions(scene: Scene) -> list[str]:

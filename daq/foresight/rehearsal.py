@@ -131,15 +131,18 @@ class Rehearsal(BenchLoop):
             return
         motion = block.motion
         self.readings.add(block.first, readings)
-        self.driven_readings.add(block.first, np.where(block.first >= self._powered_on[:, None], readings, 0.0))
+        is_driven = block.first >= self._powered_on
+        self.driven_readings.add(
+            block.first, readings if is_driven.all() else np.where(is_driven[:, None], readings, 0.0)
+        )
         self.accelerations.add(motion.first, motion.acceleration)
         self.displacements.add(motion.first, motion.displacement)
-        for event in motion.events[motion.events["speed"] > 0.0]:
-            damper = int(event["damper"]) - 1
-            self.closing_speed[damper] = max(self.closing_speed[damper], event["speed"])
-            times = self.impact_times[damper]
-            if not times or event["time"] - times[-1] > _MIN_IMPACT_INTERVAL_S:
-                times.append(float(event["time"]))
+        impacts = motion.events[motion.events["speed"] > 0.0]
+        np.maximum.at(self.closing_speed, impacts["damper"] - 1, impacts["speed"])
+        for number, time in zip(impacts["damper"].tolist(), impacts["time"].tolist(), strict=True):
+            times = self.impact_times[number - 1]
+            if not times or time - times[-1] > _MIN_IMPACT_INTERVAL_S:
+                times.append(time)
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""

@@ -2,5 +2,5 @@
 
 It draws the figures of the paper and assesses its claims C1 to C7. Start with `reproduce`; `claims` contains the
 verdicts. A part is a simulation or a recording with its evaluation, whose results are stored. A bed is the granular
-material of a damper, which the paper describes as one mass.
+material of a damper, which the paper describes as a single mass.
 """

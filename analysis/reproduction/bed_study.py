@@ -1,7 +1,7 @@
-"""Study of a bed of grains compared with one mass (`analysis beds`): the evidence for claim C7.
+"""Study of a bed of grains compared with the single-mass model (`analysis beds`): the evidence for claim C7.
 
 A bed is the granular material in the cavity of a damper. The bed is simulated as grains by discrete elements, and as
-one mass without rebound, which is the model of Inoue, Yokomichi, Hiraki (2011). The bed is in a body a thousand times
+a single mass without rebound, the model of Inoue, Yokomichi, Hiraki (2011). The bed is in a body a thousand times
 as heavy, so that both simulations have the same motion of the body. The body vibrates at 50 Hz, near the paper's third
 resonance, or at its first or second resonance. The parameters are its acceleration (*level*), the clearance and the
 depth. A narrow cavity with few grains and a smooth side represents a section of a wide bed. The dissipated energy
@@ -30,7 +30,7 @@ from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 
-#: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances above the flight height of one mass
+#: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances above the flight height of the mass
 #: are equivalent to no ceiling and are omitted.
 SETTINGS = {
     0.9: (math.inf,),
@@ -77,7 +77,7 @@ MODULUS_PA = 1e8
 #: Ratio of the time step to the Rayleigh time: statistics of a bed do not need the rebound of each grain to 1 %. Twice
 #: this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
 TIME_STEP_RATIO = 0.1
-#: Results for grains and for one mass; see `summary_row`.
+#: Results for grains and for the single mass; see `summary_row`.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
 _HEADER = (
     "frequency_hz", "level", "clearance_m", "layers", "seed", "depth_diameters",
@@ -87,7 +87,7 @@ _HEADER = (
 
 TABLE = Table(
     _HEADER,
-    "beds against one mass",
+    "beds of grains compared with the single-mass model",
     "beds.csv",
     integers=("layers", "seed"),
     words=("grains_motion_type", "mass_motion_type"),
@@ -148,7 +148,7 @@ def scene_of_bed(setting: Setting, **grains: float) -> Scene:
 
 
 def compare_beds(setting: Setting) -> Row:
-    """Simulate the bed of a setting as grains and as one mass; return a row of the table."""
+    """Simulate the bed of a setting as grains and as a single mass; return a row of the table."""
     scene = scene_of_bed(setting)
     (spheres,) = spheres_of(scene).values()
     depth = bed_top(spheres, settled_positions(spheres)) / spheres.settings.diameter
@@ -211,7 +211,7 @@ def table(path: Path | None = None) -> Arrays:
 
 @cache
 def _mass_summary(frequency: float, level: float, clearance: float) -> list[str]:
-    """Simulate the bed as one mass; the result does not depend on the depth."""
+    """Simulate the bed as a single mass; the result does not depend on the depth."""
     scene = scene_of_bed(Setting(level, clearance, min(BEDS), 1, frequency))
     return summary_row(scene, steady_mass(scene, frequency))
 
@@ -260,10 +260,15 @@ def point_of(setting: Setting) -> tuple[float, float, float, int]:
     return setting.frequency, setting.level, setting.clearance, setting.layers
 
 
+def describe_clearance(clearance: float) -> str:
+    """Describe a clearance, m, for a line of progress."""
+    return "no ceiling" if math.isinf(clearance) else f"clearance {1e3 * clearance:g} mm"
+
+
 def _describe_row(row: Row) -> str:
     level, clearance, layers, seed, frequency = setting_of(row)
     ratio = float(row["grains_compliance"]) / float(row["mass_compliance"])
     return (
-        f"{level:g} g at {frequency:g} Hz, clearance {1e3 * clearance:g} mm, {layers} layers, seed {seed}: compliance "
-        f"of grains {100 * (ratio - 1.0):+.1f} % relative to one mass"
+        f"{level:g} g at {frequency:g} Hz, {describe_clearance(clearance)}, {layers} layers, seed {seed}: compliance "
+        f"with grains {100 * (ratio - 1.0):+.1f} % relative to the single-mass model"
     )

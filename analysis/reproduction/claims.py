@@ -97,9 +97,10 @@ def _c2(parts: Parts) -> Claim:
         (
             Evidence(
                 f"Force and clearance are not in the text. Scanned: {force.min():g} to {force.max():g} N with "
-                f"{1e3 * clearance.min():g} to {1e3 * clearance.max():g} mm, mass ratio 10 %. The ratio of the peaks "
-                f"runs from {ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in {int(in_range.sum())} of "
-                f"{in_range.size} cells and above 4, better than claimed, in {int((ratio > 4).sum())}.",
+                f"{1e3 * clearance.min():g} to {1e3 * clearance.max():g} mm, mass ratio 10 %. The ratio of the peaks, "
+                f"one damper to three, is from {ratio.min():.2f} to {ratio.max():.2f}; it lies in 2.5 to 4 in "
+                f"{int(in_range.sum())} of {in_range.size} cells and above 4, better than claimed, in "
+                f"{int((ratio > 4).sum())}.",
                 ("scan-single", "scan-three"),
             ),
             Evidence(
@@ -131,7 +132,7 @@ def _describe_type_iii(single: Columns) -> str:
         if is_type_iii.any() and not is_type_iii.all():
             factors.append(np.median(peak[is_type_iii]) / np.median(peak[~is_type_iii]))
     if not factors:
-        return "At no force do peaks of Type III and of other types occur."
+        return "At no force do both peaks of Type III and peaks of other types occur."
     return (
         f"With one damper, at the same force, the median peak of Type III is {min(factors):.1f} to "
         f"{max(factors):.1f} times the median peak of the other types: Type III "
@@ -176,8 +177,9 @@ def _c3(parts: Parts) -> Claim:
             (every_damper_lowers, "a further damper does not lower every peak"),
             (
                 bool(at_level.all()),
-                f"the first mode is the least affected whatever the damping {force_range}, at "
-                f"{FORCE_C3_N:g} N in {int(at_level.sum())} of {at_level.size} settings",
+                f"the first mode is the least affected with every damping ratio and mass ratio {force_range}; at "
+                f"{FORCE_C3_N:g} N, it is the least affected with {int(at_level.sum())} of {at_level.size} "
+                "combinations",
             ),
         )
         if not is_true

@@ -1,6 +1,6 @@
-"""Study of one mass with contacts of finite duration (`analysis contacts`): the contact that fits beds of grains best.
+"""Study of the single-mass model with contacts of finite duration (`analysis contacts`), fitted to beds of grains.
 
-At the settings of `bed_study` at 50 Hz, one mass is simulated with several restitutions and contact durations. A
+At the settings of `bed_study` at 50 Hz, a single mass is simulated with several restitutions and contact durations. A
 fraction of the mass of the bed moves, and the rest is fixed to the body. The dissipated energy is proportional to this
 fraction. Over all settings with a ceiling, the fitted contact minimizes the deviation of the compliance of the body
 from the compliance with grains. Without a ceiling, instantaneous contact is closer. The deviation is cross-validated:
@@ -17,7 +17,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.reproduction.bed_study import BEDS, FREQUENCY, SETTINGS, Setting, compliance_at_peak, scene_of_bed
+from analysis.reproduction.bed_study import (
+    BEDS,
+    FREQUENCY,
+    SETTINGS,
+    Setting,
+    compliance_at_peak,
+    describe_clearance,
+    scene_of_bed,
+)
 from analysis.reproduction.store import Arrays
 from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
@@ -30,7 +38,7 @@ from rig.system.assembly import assemble
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
 #: Nominal contact durations, s.
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
-#: Fractions of the mass of the bed that move as one mass.
+#: Fractions of the mass of the bed that move as a single mass.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
 #: Number of periods before averaging, in which the transient decays.
 _SETTLING_PERIODS = 40
@@ -40,7 +48,7 @@ _AVERAGED_PERIODS = 40
 _SAMPLES_PER_PERIOD = 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),
-    "one mass on finite-duration contacts",
+    "the single-mass model with contacts of finite duration",
     "contacts.csv",
 )
 
@@ -74,12 +82,12 @@ def contacts() -> list[Contact]:
 
 
 def follow(path: Path, print_line: Callable[[str], None], cluster: str | None = None) -> None:
-    """Simulate one mass on every contact at every setting; see `stored_table.complete`."""
+    """Simulate the single mass on every contact at every setting; see `stored_table.complete`."""
     complete(path, TABLE.study(simulate_contact, _contact_of), contacts(), _describe_row, print_line, cluster)
 
 
 def simulate_contact(contact: Contact) -> Row:
-    """Simulate one mass on a contact; return a row of the table.
+    """Simulate the single mass on a contact; return a row of the table.
 
     The energy that is dissipated in a period is relative to the weight of the bed times 1 mm. The ceiling impulse is
     relative to the weight of the bed times a period.
@@ -144,14 +152,14 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
 def deviation_on_contact(
     contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    """Compute the deviation of the compliance with grains from one mass on a contact, shape (settings,)."""
+    """Compute the deviation of the compliance with grains from the single mass on a contact, shape (settings,)."""
     return np.asarray(beds["grains_compliance"] / compliance_on_contact(contact, beds, contacts) - 1.0)
 
 
 def compliance_on_contact(
     contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    """Compute the peak compliance of the body with one mass on a contact, shape (settings,)."""
+    """Compute the peak compliance of the body with the single mass on a contact, shape (settings,)."""
     energy = contact.share * _column_at_settings("energy", contact, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
 
@@ -210,6 +218,6 @@ def _contact_of(row: Row) -> Contact:
 def _describe_row(row: Row) -> str:
     level, clearance, restitution, duration = _contact_of(row)
     return (
-        f"{level:g} g, clearance {1e3 * clearance:g} mm, restitution {restitution:g}, {1e3 * duration:g} ms: "
-        f"energy dissipated per period: {row['energy']} times the bed's weight times 1 mm"
+        f"{level:g} g, {describe_clearance(clearance)}, restitution {restitution:g}, contact of {1e3 * duration:g} ms: "
+        f"energy dissipated in a period, relative to the bed's weight times 1 mm: {row['energy']}"
     )

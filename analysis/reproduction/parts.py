@@ -147,8 +147,8 @@ def all_parts(folder: Path) -> list[PaperPart]:
     bundled = [
         PaperPart(name, f"{name}\n{study.TABLE.bundled.read_text(encoding='utf-8')}", study.table, {}, title, 0.1)
         for name, study, title in (
-            ("beds", bed_study, "beds of grains compared with one mass, stored"),
-            ("contacts", contact_study, "one mass with finite-duration contact, stored"),
+            ("beds", bed_study, "beds of grains compared with the single-mass model, stored"),
+            ("contacts", contact_study, "single-mass model with contacts of finite duration, stored"),
         )
     ]
     return [*_experiments(folder), *(_part(*job) for job in jobs), *bundled]

@@ -132,7 +132,7 @@ def test_verdict_follows_compliance_deviations(deviations: list[float], beginnin
     beds = {"mass_compliance": np.full(3, 2.0), "grains_compliance": 2.0 * (1.0 + np.array(deviations))}
 
     assert verdict(beds).startswith(beginning)
-    assert f"within 10 % in {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
+    assert f"within 10 % at {sum(abs(value) <= 0.1 for value in deviations)} of 3" in verdict(beds)
 
 
 def test_claim_c7_agrees_with_the_bundled_table() -> None:
@@ -151,7 +151,7 @@ def test_claim_c7_agrees_with_the_bundled_table() -> None:
         assert any(evidence.text.startswith(mode) for evidence in claim.evidence)
     assert claim.verdict == verdict(beds)
     assert not any("{" in evidence.text for evidence in claim.evidence), "a value is not formatted"
-    assert any(f"at {len(beds['level'])} settings" in evidence.text for evidence in claim.evidence)
+    assert any(f"at {len(beds['level'])} operating points" in evidence.text for evidence in claim.evidence)
 
 
 def test_bundled_table_has_every_setting() -> None:

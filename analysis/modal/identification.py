@@ -75,7 +75,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         If `count` is below 1, if `frfs` contains no responses, or if their frequencies differ.
     """
     if count is not None and not (isinstance(count, int) and count >= 1):
-        raise SceneError(f"identify: count {count}; expected at least 1 mode")
+        raise SceneError(f"number of modes: got {count}; expected 1 or more")
     is_valid = isinstance(frfs, Sequence | Response) and all(isinstance(frf, Response) for frf in frfs)
     if not is_valid or not len(frfs):
         raise SceneError(
@@ -106,8 +106,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     accepted = are_in_band(weighted, model.poles)
     if not accepted.any():
         raise RecordingError(
-            f"{curves[0].label}: no resonance exceeds the noise and the resolution of the curves. Measure for longer, "
-            "more densely around the resonances, or in another band."
+            f"{curves[0].label}: no resonance is higher than the noise and wider than the frequency resolution. "
+            "Measure for longer, with a smaller frequency step, or in another band."
         )
     included: tuple[str, ...] = ()
     if refinement is None:
@@ -127,12 +127,12 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
     if not accepted.any() and unmeasured.size:
         raise RecordingError(
-            f"{curves[0].label}: the poles ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) lie only where lines were "
-            "excluded. Correct the faults in the warnings and record again."
+            f"{curves[0].label}: all resonances ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) lie where points of "
+            "the curves were left out. `analysis frf` prints the reasons; correct them, and record again."
         )
     if not accepted.any():
         raise RecordingError(
-            f"{curves[0].label}: the poles ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) lie only where the "
+            f"{curves[0].label}: all resonances ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) lie where the "
             "uncertainty of the curves is too large. Reduce the largest contributions to the uncertainty, which "
             "`analysis frf` lists."
         )
@@ -194,8 +194,8 @@ def _remove_unbounded(curves: Sequence[Response]) -> list[Response]:
     if not bounded:
         raise RecordingError(
             f"{curves[0].label}: the uncertainty of the responses at {', '.join(curve.response for curve in curves)} "
-            "is unbounded, because the readings are a few counts or the reference may be zero. Record again with a "
-            "converter range and sensors that suit the level."
+            "is unbounded, because the readings are only a few counts of the converter or the reference may be zero. "
+            "Record again at a higher level, with a smaller converter range or with more sensitive sensors."
         )
     return bounded
 

@@ -52,7 +52,7 @@ def mode_warnings(
     if rejected:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(rejected))} Hz: their damping or height is below the "
-            "uncertainty of these curves. Impacts of dampers cause peaks without poles."
+            "uncertainty of these curves. Impacts of dampers also cause such peaks, which are not modes."
         )
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
@@ -64,7 +64,7 @@ def mode_warnings(
         )
     f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
-        yield f"Identified only {f.size} of the {count} requested modes."
+        yield f"Identified only {f.size} of {count} requested modes: no other mode is significant in these curves."
     half_widths, line_frequency = zeta * f, curves[0].frequency
     resolution = max(curve.resolution for curve in curves)
     widened = resolution > _WIDENING_RATIO * half_widths

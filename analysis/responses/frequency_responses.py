@@ -230,8 +230,8 @@ def frequency_responses(
     if rec.source and unfiltered:
         warnings.append(
             f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty "
-            "excludes aliasing from above half the sample rate. Name the filter in the scene (converter: preset, or "
-            "filter)."
+            "excludes aliasing from above half the sample rate. Name the filter in the scene (converter.preset or "
+            "converter.filter), and import again."
         )
     return [response.warn(*warnings) for response in computed]
 

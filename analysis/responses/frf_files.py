@@ -91,11 +91,13 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         return stack(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
-            raise SceneError(f"{file}: a table has no references to choose from. Leave out {reference!r}.")
+            raise SceneError(
+                f"{file}: a table has no references to choose from. Leave out the reference {reference!r}."
+            )
         try:
             curves = _from_long_table(file, unit)
         except csv.Error as error:
-            raise RecordingError(f"{file}: invalid or damaged table: {error}. Export it again.") from None
+            raise RecordingError(f"{file}: not readable as a CSV table ({error}). Export it again.") from None
         return stack(curves or _from_table(file, unit))
     raise RecordingError(f"{file}: unknown file type; expected one of {', '.join(ENDINGS)}")
 
@@ -117,7 +119,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
         raise SceneError(
-            f"{path}: the file contains {len(references)} references. Choose one with `reference`: "
+            f"{path}: the file contains responses to {len(references)} references. Choose one with --reference: "
             f"{', '.join(references)[:300]}."
         )
     selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
@@ -187,7 +189,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     if not unit:
-        raise SceneError(f"{where}: the file states no unit. Add it, such as --unit m/s^2/N.")
+        raise SceneError(f"{where}: the file states no unit. Give the unit, such as --unit m/s^2/N.")
     for pattern in (
         r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
         r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
@@ -228,14 +230,18 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
                 error, coherence, resolution = columns
                 point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution
             except (TypeError, ValueError):
-                raise RecordingError(f"{path}:{reader.line_num}: a cell is not a number. Correct it.") from None
+                columns_text = f"frequency_Hz, {real}, {imag}"
+                raise RecordingError(
+                    f"{path}:{reader.line_num}: a cell is not a number; expected numbers in the columns "
+                    f"{columns_text}. Correct this row."
+                ) from None
             name = f"{row.get('scene') or ''}\0{row['response']}"
             rows.setdefault(name, []).append(point)
             inputs[name] = (row.get("reference") or "").removeprefix("force at ")
     scenes = {name.partition("\0")[0] for name in rows}
     if len(scenes) > 1:
         raise SceneError(
-            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write a file for each test."
+            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write a separate file for each test."
         )
     curves = []
     for name, points in rows.items():
@@ -253,19 +259,23 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         frequency = first.read(0, first.samples)
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
-        raise RecordingError(f"{path}: the first column is {first.name!r}; expected frequencies in Hz")
+        raise RecordingError(
+            f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'"
+        )
     components: dict[str, dict[str, tuple[str, Array]]] = {}
     for name, column_unit, values in columns:
         match = _COLUMN_NAME.fullmatch(name)
         if match is None:
-            raise RecordingError(f"{path}: column {name!r}; expected names that end in real, imag, magnitude or phase")
+            raise RecordingError(
+                f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase"
+            )
         component = _COMPONENTS[match[2][0].lower()]
         components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)
     curves = []
     for name, pair in components.items():
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
-                f"{path}: {name} has {', '.join(pair)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase"
             )
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
@@ -317,7 +327,7 @@ def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[n
     """Return the indices of the valid lines in order of frequency; reject magnitudes that no structure can have."""
     valid = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
     if not valid.size:
-        raise RecordingError(f"{where} has no number at a frequency above 0 Hz. Export the file again.")
+        raise RecordingError(f"{where} has no finite value at a frequency above 0 Hz. Export the file again.")
     lines = valid[np.argsort(frequency[valid])]
     for hertz in frequency[lines[[0, -1]]]:
         if not FREQUENCY.supports(hertz):
@@ -331,7 +341,7 @@ def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[n
     repeated = np.flatnonzero(np.diff(frequency[lines]) <= _MIN_SPACING_RATIO * frequency[lines[1:]])
     if repeated.size:
         raise RecordingError(
-            f"{where} has the frequency {frequency[lines[repeated[0]]]:.9g} Hz twice. Export it with enough digits to "
-            "distinguish the lines."
+            f"{where} has the frequency {frequency[lines[repeated[0]]]:.9g} Hz twice. Export the file with enough "
+            "digits to distinguish the frequencies."
         )
     return lines

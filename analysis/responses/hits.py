@@ -76,8 +76,8 @@ class Hits:
         interval = int(min(np.diff([*starts, rec.samples])))
         if interval < 0.2 * rec.rate:
             raise RecordingError(
-                f"{rec.path}: a hit is followed by the next hit, or the end, after {interval / rec.rate:.3g} s; "
-                "expected 0.2 s or more. Increase test: interval."
+                f"{rec.path}: only {interval / rec.rate:.3g} s from a hit to the next hit (or to the end of the "
+                "recording); expected 0.2 s or more. Increase test.interval, and record again."
             )
         unmarked, complete_hits = [], []
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):

@@ -51,26 +51,29 @@ def averaged_spectra(
     starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
     if block_samples < 16 or not starts:
         raise SceneError(
-            f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected at least 16 samples, and at most "
-            f"{(rec.samples - begins[0]) / rec.rate:.4g} s, which follow the first hit"
+            f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected {16 / rec.rate:.3g} s (16 samples) to "
+            f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first hit to the end of the recording)"
         )
     weights = sampled_window(window, block_samples)
     averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
     reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
     if not averaged.used:
         raise RecordingError(
-            f"{rec.path}: no complete hit ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
+            f"{rec.path}: no hit can be used ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
         )
     notes = []
     if averaged.used < len(begins):
         notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
     if averaged.used == 1:
-        notes.append("Only one block: its coherence is 1 for any noise, and the scatter is unknown. Record more hits.")
+        notes.append(
+            "Only one hit was used, so that the coherence is 1 for any noise and the random error is unknown. Record "
+            "more hits."
+        )
     has_leakage = averaged.end_ratio > _MAX_END_RATIO
     if has_leakage:
         notes.append(
             f"{averaged.end_ratio:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
-            "Use longer blocks, or leave out --estimator for a response without leakage."
+            "Use longer blocks, or leave out --estimator, --block and --window for a response without leakage."
         )
     segments = [(start, start + block_samples) for start in starts]
     blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]

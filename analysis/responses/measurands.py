@@ -145,8 +145,8 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         info = motion_channel_at(rec, at)
         if info is None:
             raise RecordingError(
-                f"{rec.path}: the spring force k0 (x0 - x{shaker.body}) needs a motion channel at the {at} "
-                f"({_places(rec)}). Add one to the scene's channels."
+                f"{rec.path}: the spring force k0 (x0 - x{shaker.body}) needs a motion channel at {at} "
+                f"({_places(rec)}). Add {{name: {at.replace(' ', '')}, at: {at}}} to the scene's channels."
             )
         ends.append(info.name)
     return Measurand(tuple(ends), (shaker.spring, -shaker.spring), "displacement")

@@ -74,7 +74,7 @@ def best_linear_approximation(
     complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
     if not complete:
         raise RecordingError(
-            f"{rec.path}: no realization of the multisine has two whole periods. {' '.join(notes)} Record again."
+            f"{rec.path}: no realization has two periods without faults. {' '.join(notes)} Record again."
         )
     count, frequency = len(complete), complete[0].frequency
     reference_weights = reference_of(rec, reference).row(rec, names, frequency)
@@ -174,13 +174,13 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     ]
     notes = []
     if marker.fields.get("settled") is False:
-        notes.append(f"Realization {number} was measured before steady state. Increase test: settle.")
+        notes.append(f"Realization {number} was measured before steady state. Choose another level.")
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
         reasons = reasons or "the recording ends"
         notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} left out: {reasons}.")
     if len(clean) < 2:
-        notes.append(f"Realization {number} left out: fewer than two whole periods.")
+        notes.append(f"Realization {number} left out: fewer than two of its periods are without faults.")
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))

@@ -98,12 +98,13 @@ def averaged_spectra(
     if burst_block is None:
         notes.append(
             f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks appear wider and lower, within "
-            "the stated leakage. Leave out --block and --estimator for a response without leakage."
+            "the stated leakage. Leave out --estimator, --block, --overlap and --window for a response without leakage."
         )
     elif has_leakage:
         notes.append(
             f"{averaged.end_ratio:.0%} of the response to a burst remains when the next begins, so the curve has "
-            "leakage. Use longer blocks, a smaller burst share, multisine or stepped sine."
+            "leakage. Use longer blocks, a smaller share of force in each block (test.burst), multisine or stepped "
+            "sine."
         )
     rounding_gain_error = noise_gain_error(power_in_counts(rec, channels, averaged.mean_squares))
     return replace(

@@ -101,7 +101,7 @@ class SegmentFits:
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}
             others = [name for name in response_channels(rec) if name in self.channels and name not in flawed]
-            advice = f"the test is flawed. {remedy(rec, all_flaws)}, and record again"
+            advice = f"no usable segment remains. {remedy(rec, all_flaws)}, and record again"
             if not all_flaws:
                 advice = "the test is too short to average. Record longer"
             elif others and not flawed & set(references):

@@ -93,7 +93,7 @@ class LockIn:
     def __init__(self, frequency: float, rate: float, harmonics: int) -> None:
         if 2.0 * frequency >= rate:
             raise RecordingError(
-                f"a tone of {frequency:.6g} Hz is not resolved by {rate:.6g} samples a second. Record with "
+                f"a tone of {frequency:.6g} Hz cannot be measured at {rate:.6g} samples per second. Record with "
                 f"converter: {{rate: ...}} well above {2.0 * frequency:.6g} Hz."
             )
         # The fit excludes higher harmonics that would alias onto lower harmonics.
@@ -393,8 +393,8 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
     if any(unsteady):
         frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
         notes.append(
-            f"{prefix}No steady state at {frequencies}: these points are marked. The motion is irregular or needs "
-            "a longer test.settle."
+            f"{prefix}No steady state at {frequencies}: these points are marked. Increase test.settle.longest of a "
+            "stepped sine, or choose another level."
         )
     return notes
 
@@ -413,7 +413,7 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
     if _TOO_SHORT in reasons:
         return "every measured window is shorter than a period of its tone. Measure longer (test: measure: periods)."
     if reasons:
-        return "every measured window lacks samples. Record again, or repair the file with `daq recover`."
+        return "samples are lost in every measured window. Record again, or repair the file with `daq recover`."
     if rec.source:
         return (
             f"no step was detected in these {duration}. No tone lasts at least ten periods, so this may not be a "
@@ -421,8 +421,8 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
             "the file again."
         )
     return (
-        f"no steady state was measured in these {duration}: no window is marked 'measure'. Let the test run to its "
-        "first measurement (test: settle, measure)."
+        f"no steady state was measured in these {duration}: no window is marked 'measure'. Record again, and let "
+        "the test run to its first measurement."
     )
 
 

@@ -132,7 +132,9 @@ def sweep_spectra(
             f"{rec.path}: no part of the sweep can be used ({reasons}). {remedy(rec, all_flaws)}, or sweep for longer."
         )
     if marker.fields.get("settled") is False:
-        notes.append("The sweep began before steady state at its first frequency. Increase test: settle.")
+        notes.append(
+            "The sweep began before steady state at its first frequency. Begin at another frequency (test.from)."
+        )
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
     bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
     channel_spectra = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)

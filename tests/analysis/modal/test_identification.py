@@ -317,7 +317,7 @@ def test_damping_from_a_single_line_lies_within_error():
 
 def test_peak_without_lines_is_no_mode():
     # The flanks would determine a single pole with small errors, although there may be two.
-    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) lie only where lines were excluded"):
+    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) lie where points of the curves were left out"):
         analysis.identify(peak_in_gap([]))
 
 

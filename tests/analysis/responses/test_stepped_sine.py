@@ -125,7 +125,7 @@ def test_missing_table_channel_is_explained(tmp_path):
     infos = synthetic.channels()[:3]
     markers = [("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"})]
     path = synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, np.ones((3, 2560)), markers)
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="needs a motion channel at the table"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="needs a motion channel at table"):
         analysis.compliance(rec)
 
 

@@ -18,16 +18,29 @@ if TYPE_CHECKING:
 
 app = create_application("Curves, modes and reports from recordings.")
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings; several are overlaid.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
+Curves = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE...", help="Recordings (.mcap), or responses from other programs (.uff, .csv)."),
+]
+Compared = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE...", help="Recordings (.mcap). The others are compared with the first."),
+]
 Output = Annotated[
     Path | None,
     typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: the folder of the first FILE."),
 ]
 Reference = Annotated[
     str,
-    typer.Option(metavar="force|table", help="Input: the force on the structure, or the displacement of the table."),
+    typer.Option(
+        metavar="force|table", help="Input of the responses: force on the structure, or displacement of the table."
+    ),
 ]
-Block = Annotated[float | None, typer.Option(metavar="S", help="Block length, for random tests and hits.")]
+Block = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Average blocks of this length in seconds, in random and impact tests."),
+]
 Unit = Annotated[
     str | None,
     typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE without a unit, such as g/N."),
@@ -38,43 +51,50 @@ Count = Annotated[
 Table = Annotated[
     Path,
     typer.Option(
-        "--output", "-o", metavar="FILE", help="Table of results; settings that it contains are not computed again."
+        "--output", "-o", metavar="FILE", help="CSV table of results. Points that it contains are not computed again."
     ),
 ]
 
 
 @app.command(example="analysis frf sweep.mcap --response body3")
 def frf(
-    files: Files,
+    files: Curves,
     output: Output = None,
     response: Annotated[
         list[str] | None,
-        typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all bodies."),
+        typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all channels on bodies."),
     ] = None,
     reference: Reference = "force",
     motion: Annotated[
         str,
         typer.Option(
-            metavar="QUANTITY", help="Displacement (receptance), velocity (mobility) or acceleration (accelerance)."
+            metavar="QUANTITY",
+            help="Motion of the response: displacement (receptance), velocity (mobility) or acceleration "
+            "(accelerance).",
         ),
     ] = "displacement",
     estimator: Annotated[
         str | None,
         typer.Option(
             metavar="H1|H2|Hv",
-            help="Average spectra of blocks, for random tests and hits. Default: the whole record, without leakage.",
+            help="Average spectra of blocks, in random and impact tests. H1 assumes noise in the response, H2 in the "
+            "force, Hv in both. Default: a fit to the whole record, without leakage.",
         ),
     ] = None,
     block: Block = None,
     overlap: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Overlap of neighboring blocks. Default: 0.5.")
+        float | None, typer.Option(metavar="SHARE", help="Overlap as a fraction of the block. Default: 0.5.")
     ] = None,
     window: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Window of blocks: hann, none, ... Default: hann, for hits none.")
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Window of the blocks, such as hann or flattop. Default: hann in random tests, none in impact tests.",
+        ),
     ] = None,
     unit: Unit = None,
     theory: Annotated[
-        bool, typer.Option("--theory", help="Add the exact response of the structure without dampers.")
+        bool, typer.Option("--theory", help="Add the exact response of the scene without dampers.")
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -90,7 +110,7 @@ def frf(
 
 @app.command(example="analysis decay impulse.mcap --channel body3")
 def decay(
-    files: Files,
+    files: Recordings,
     output: Output = None,
     channel: Annotated[
         str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
@@ -108,7 +128,7 @@ def decay(
 
 @app.command(example="analysis modes sweep.mcap")
 def modes(
-    files: Files,
+    files: Curves,
     output: Output = None,
     reference: Reference = "force",
     modes: Count = None,
@@ -125,8 +145,8 @@ def modes(
 
 
 @app.command(example="analysis dampers sweep.mcap")
-def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
-    """Estimate impacts and dissipated energy of dampers.
+def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+    """Estimate the impacts of dampers, and the energy they dissipate.
 
     It evaluates each frequency of a sine or stepped sine test.
     """
@@ -138,7 +158,7 @@ def dampers(files: Files, output: Output = None, overwrite: Overwrite = False) -
 
 
 @app.command(example="analysis compare without.mcap with.mcap")
-def compare(files: Files, output: Output = None, overwrite: Overwrite = False) -> None:
+def compare(files: Compared, output: Output = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
     It prints the changes relative to the first recording, with 95 % bounds.
@@ -187,7 +207,7 @@ def fit(
 
 @app.command(example="analysis report without.mcap with.mcap -o report.html")
 def report(
-    files: Files,
+    files: Compared,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -214,7 +234,10 @@ def demo(
     ] = Path("recordings"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Record the tests of the paper and draw its figures."""
+    """Record and analyze tests of Inoue, Yokomichi, Hiraki (2011).
+
+    It makes two stepped sines and two impulse tests, and draws Figs 8 and 10b of the paper from the recordings.
+    """
     from analysis.presentation.demo import demonstrate
 
     with allow_overwriting(overwrite):
@@ -230,15 +253,29 @@ def export(
     channel: Annotated[
         list[str] | None, typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all.")
     ] = None,
-    start: Annotated[float | None, typer.Option("--from", metavar="S", help="Time at which to begin.")] = None,
-    stop: Annotated[float | None, typer.Option("--to", metavar="S", help="Time at which to end.")] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(
+            "--from", metavar="S", help="Start of the exported part, in seconds from the beginning of the recording."
+        ),
+    ] = None,
+    stop: Annotated[
+        float | None,
+        typer.Option(
+            "--to", metavar="S", help="End of the exported part, in seconds from the beginning of the recording."
+        ),
+    ] = None,
     speed: Annotated[
-        float, typer.Option(metavar="X", help="Playback speed of a .wav file: with 10, 30 Hz sounds at 300 Hz.")
+        float, typer.Option(metavar="X", help="Playback speed of a .wav file. At 10, a tone of 30 Hz sounds at 300 Hz.")
     ] = 1.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
     what: Annotated[
         str,
-        typer.Option(metavar="samples|frfs|modes", help="What to write; frfs and modes require .uff (58, 55) or .mat."),
+        typer.Option(
+            metavar="samples|frfs|modes",
+            help="Write the samples, or the frequency responses (frfs) or modes estimated from them. The latter two "
+            "require a .uff or .mat file.",
+        ),
     ] = "samples",
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
@@ -276,7 +313,8 @@ def cost(
         list[float] | None,
         typer.Option(
             metavar="HZ",
-            help="Test frequency. May be repeated. Default: both ends of the test and the largest acceleration.",
+            help="Frequency to measure. May be repeated. Default: both ends of the test, and the frequency of largest "
+            "acceleration.",
         ),
     ] = None,
     output: Annotated[
@@ -310,12 +348,15 @@ def paper(
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for data, figures and the page.")
     ] = Path("recordings/paper"),
     fresh: Annotated[
-        list[str] | None, typer.Option(metavar="PART", help="Part to compute again. May be repeated.")
+        list[str] | None, typer.Option(metavar="PART", help="Part to compute again, such as rec-fig9. May be repeated.")
     ] = None,
     cluster: Cluster = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Reproduce the figures of the paper and assess its claims. A second call continues the first."""
+    """Repeat and check the paper of Inoue, Yokomichi, Hiraki (2011).
+
+    It draws the figures and gives a verdict on each claim. A repeated command computes only what is missing.
+    """
     from analysis.reproduction.reproduce import reproduce
 
     with resumable(), allow_overwriting(overwrite):
@@ -326,13 +367,16 @@ def paper(
 def beds(
     output: Table = Path("recordings/beds.csv"),
     points: Annotated[
-        int | None, typer.Option(min=1, help="Number of settings to compute, spread over all of them; 6 take minutes.")
+        int | None,
+        typer.Option(
+            min=1, help="Number of operating points to compute, spread over all. Six take minutes. Default: all."
+        ),
     ] = None,
     cluster: Cluster = None,
 ) -> None:
-    """Compare beds of grains with one mass.
+    """Compare beds of grains with the single-mass model.
 
-    It tests the claim of the paper and takes over half an hour.
+    It tests claim C7 of the paper, that a bed moves as a single mass. All points take over half an hour.
     """
     from analysis.reproduction.bed_study import follow
 
@@ -343,9 +387,10 @@ def beds(
 
 @app.command(example="analysis contacts")
 def contacts(output: Table = Path("recordings/contacts.csv"), cluster: Cluster = None) -> None:
-    """Compare beds of grains with one mass on compliant walls.
+    """Simulate the single-mass model on compliant walls.
 
-    It uses the settings of `analysis beds` and takes minutes.
+    It computes the operating points of `analysis beds` at 50 Hz, with several contact durations and restitutions,
+    and takes minutes.
     """
     from analysis.reproduction.contact_study import follow
 

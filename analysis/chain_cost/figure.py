@@ -29,11 +29,14 @@ def table(study: ChainStudy) -> str:
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     variants = [point for group in GROUPS for point in study.points if point.group == group]
     scene = study.unchanged
-    summary = f"The scene: relative error {scene.error:.0e}, {_milliseconds(scene)} ms of CPU time per second of test."
+    summary = (
+        f"The unchanged scene: relative error of the compliance {scene.error:.0e}, {_milliseconds(scene)} ms of CPU "
+        "time per second of test."
+    )
     measured = [point for point in variants if np.isfinite(point.error)]
     if measured:
         worst = max(measured, key=lambda point: point.error)
-        summary += f" Largest error of the changes: {worst.error:.0e} ({worst.group}: {worst.setting})."
+        summary += f" Largest error with one part changed: {worst.error:.0e} ({worst.group}: {worst.setting})."
     rows: list[tuple[str, ...]] = [("part", "setting", "CPU ms per s", "error", "uncorrected error", "note")]
     rows += [_row(point) for point in (study.unchanged, study.without_noise, *variants)]
     return "\n".join(
@@ -45,7 +48,7 @@ def table(study: ChainStudy) -> str:
             "",
             "CPU ms per s: CPU time to record and analyze a second of test. Error: relative error of the compliance",
             "after correction with the data sheets. Uncorrected error: of the displacement, without this correction.",
-            "Changes are made without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
+            "Parts are changed without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
             f"Reference: {study.reference}.",
         ]
     )

@@ -55,7 +55,7 @@ REFERENCE_TOLERANCE = 1e-10
 #: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
-UNMEASURABLE = "the unchanged scene cannot be measured: {}. Run `daq record` on it, and correct the reported problems."
+UNMEASURABLE = "the unchanged scene cannot be measured: {}"
 
 
 @dataclass(frozen=True)
@@ -163,8 +163,9 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
-            "the motion repeats every period at none of the tested frequencies, so that there is no reference "
-            "compliance. Choose other frequencies with --frequency, or another level."
+            f"{scene.name}: the motion repeats every period at none of {len(candidates)} frequencies from "
+            f"{candidates[0]:.4g} to {candidates[-1]:.4g} Hz, so that there is no reference for the compliance. Choose "
+            "frequencies with --frequency, or another level in the scene (test.force or test.drive)."
         )
     steady = candidates[is_steady]
     peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]
@@ -237,8 +238,8 @@ class _Bench:
                 duration = rec.samples / rec.rate
                 if measured.shape != reference.shape or not np.isfinite(measured).all():
                     raise RunError(
-                        "; ".join(dict.fromkeys(notes))
-                        or "the channels measured no response. Check their sensitivities"
+                        " ".join(dict.fromkeys(notes))
+                        or "a channel measured no response. Check the sensitivity of each channel in the scene."
                     )
         except ShotrigError as failure:
             nan = float("nan")
@@ -282,7 +283,7 @@ def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexA
     response = frequency_response(scene, [frequency], tolerance=REFERENCE_TOLERANCE)
     if not response.converged[0]:
         raise RunError(
-            f"no steady state at {frequency:g} Hz, so that there is no reference. Choose other frequencies with "
-            "--frequency."
+            f"no steady state at {frequency:g} Hz, so that there is no reference for the compliance. Choose other "
+            "frequencies with --frequency."
         )
     return response.compliance[:, 0]

@@ -309,7 +309,7 @@ def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
         # The error of interpolation falls at least with the square of the step.
         messages.append(
             f"{responses}, near {format_decimals(worst.frequency, 2)} Hz: the points are {worst.step:.2g} Hz "
-            f"apart, and the peak between them may deviate by up to {deviation} %, which the interval includes. "
-            f"Measure every {worst.step * sqrt(_MAX_INTERPOLATION_ERROR / error):.1g} Hz there."
+            f"apart, and the height of the peak between them is uncertain by up to {deviation} %, which the interval "
+            f"includes. Measure every {worst.step * sqrt(_MAX_INTERPOLATION_ERROR / error):.1g} Hz there."
         )
     return messages

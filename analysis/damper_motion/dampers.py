@@ -126,7 +126,9 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
             info = motion_channel_at(rec, f"body {number}")
             if info is None:
                 name = rec.scene.structure.label(number)
-                missing.append(f"{name}: no channel that detects its impacts. Mount a motion sensor there.")
+                missing.append(
+                    f"{name}: no channel measures its motion, so that impacts are not detected. Mount a sensor there."
+                )
                 continue
             try:
                 bodies.append(damper_motion(rec, sweep, info.name, progress))

@@ -57,8 +57,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
     if missing:
         raise RecordingError(
-            f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs all {count} bodies. "
-            "Mount a motion sensor there."
+            f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs the motion of all "
+            f"{count} bodies. Mount a motion sensor there."
         )
     # `driven_bodies` of the structural model rejects several coil springs; here the driven shaker alone counts.
     shaker = rec.scene.driven_shaker

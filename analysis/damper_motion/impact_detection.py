@@ -146,17 +146,17 @@ def detect_impacts(
     min_samples = 4 * models[0].min_separation * decimation
     if stop - start < min_samples:
         raise RecordingError(
-            f"{info.name}: too few samples to distinguish impacts from noise ({stop - start}). Take at least "
-            f"{min_samples}."
+            f"{info.name}: {stop - start} samples are too few to distinguish impacts from noise. Choose a segment of "
+            f"at least {min_samples} samples, or measure for longer."
         )
     if samples is None:
         samples = rec.read(info.name, start, stop)
     valid_samples = _valid_samples(rec, info.name, samples, start, models[0].settling_samples * decimation)
     if np.sum(valid_samples) < max(min_samples, _MIN_VALID_RATIO * valid_samples.size):
         raise RecordingError(
-            f"{info.name}: all but {np.sum(valid_samples)} of {valid_samples.size} samples in this segment are lost or "
-            "overloaded. Choose another segment, or record at a lower level, with a larger converter range or longer "
-            "contacts."
+            f"{info.name}: only {np.sum(valid_samples)} of {valid_samples.size} samples in this segment are usable; "
+            "the others are lost or overloaded. Choose another segment, or record at a lower level or with a larger "
+            "converter range."
         )
     if not valid_samples.all():
         samples = np.interp(np.arange(samples.size), np.flatnonzero(valid_samples), samples[valid_samples])
@@ -240,7 +240,8 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
             f"{info.name}: the acceleration is sampled at instants (sampling: point), so that impacts between samples "
-            "leave no trace. Record with sampling: average, a filter, an integrator or a sensor resonance."
+            "leave no trace. Set converter.sampling: average, or add a filter, an integrator or a sensor resonance, "
+            "and record again."
         )
     return info, pulse, decimation
 

@@ -90,8 +90,8 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     dampers = inside.values()
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{location}: a bed of grains is not one mass, so that its impacts cannot be detected in a channel. Choose "
-            "a body without grains."
+            f"{location}: the grains of a bed hit at different times, so that impacts cannot be detected. Choose a "
+            "body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
     if all(isinstance(wall, TimedContact) and wall.duration * rate <= _MAX_INSTANT_RATIO for wall in walls):
@@ -113,7 +113,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     if any(abs(pulse.velocity_change_ratio(time) - longest_ratio).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses):
         raise RecordingError(
             f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of "
-            "an impact is not known beforehand. Choose a body where they are equal."
+            "an impact is not known beforehand. Choose a body with equal contacts."
         )
     return longest
 

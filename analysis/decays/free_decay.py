@@ -253,7 +253,7 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
                 "again."
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
-        warnings.append(f"{int(lost.sum())} lost samples were interpolated linearly.")
+        warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
             f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
@@ -323,7 +323,7 @@ def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int
     read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(
-            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow hit {hit}. Record at least "
-            f"{_MIN_SAMPLES} after a hit: raise test.interval, or test.duration of a free decay."
+            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow hit {hit}; expected {_MIN_SAMPLES} or "
+            "more. Increase test.interval (for a free decay: test.duration), and record again."
         )
     return read_start, decay_start, decay_stop, read_stop

@@ -44,7 +44,9 @@ for name, scene in chains.items():
     errors[name] = abs(frf.value / exact - 1)
     above.loglog(frequency, abs(response), label=name)
     below.loglog(frf.frequency, errors[name], "o-", label=name)
-    print(f"{name}: reading / true value {abs(response[0]):.2f} at 0.2 Hz; error {errors[name][0]:.1e} at 1 Hz")
+    print(
+        f"{name}: reading / true value {abs(response[0]):.2f} at 0.2 Hz; compliance error {errors[name][0]:.1e} at 1 Hz"
+    )
 above.set(ylabel="reading / true value", ylim=(1e-3, 2))
 above.legend()
 below.set(xlabel="frequency / Hz", ylabel="relative error of the compliance")

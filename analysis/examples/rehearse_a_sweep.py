@@ -38,7 +38,7 @@ for tolerance, response in frfs.items():
     error = abs(frf.value / exact - 1.0)
     errors[tolerance] = float(error.max())
     axes.semilogy(frf.frequency, 100 * error, "o-", label=f"{tolerance}: {durations[tolerance]:.0f} s on the bench")
-    print(f"settled to {tolerance}: {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
+    print(f"transient up to {tolerance}: test of {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
 axes.set(xlabel="frequency / Hz", ylabel="error of the compliance of body 3 / %")
 axes.legend(title="tolerance of the transient")
 

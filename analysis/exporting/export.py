@@ -87,8 +87,8 @@ def write_npz(segment: Slice, path: Path) -> None:
     for name, member in members.items():
         if arrays.count(member) > 1:
             raise SceneError(
-                f"{segment.recording.path}: channel {name!r} cannot be exported to .npz, because another array there "
-                f"has the name {member!r}. Export as .uff or .csv."
+                f"{segment.recording.path}: channel {name!r} cannot be exported to .npz, because another array of the "
+                f"file has the name {member!r}. Export as .uff or .csv."
             )
     with zipfile.ZipFile(path, "w") as archive:
         for name, member in members.items():
@@ -123,11 +123,15 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
     segment.reject_gaps("a WAV file")
     recording, n_channels, rate = segment.recording.path, len(segment.channels), segment.recording.rate * speed
     if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * n_channels)):
-        raise SceneError(f"{recording}: a WAV file cannot play {rate:g} samples per second. Choose another --speed.")
+        limit = 2**31 // (3 * n_channels)
+        raise SceneError(
+            f"{recording}: --speed {speed:g} gives {rate:g} samples per second; a WAV file allows 1 to {limit:.2g}. "
+            "Choose another --speed."
+        )
     if (n_bytes := (segment.stop - segment.start) * n_channels * 3) >= 2**32 - 1024:
         raise SceneError(
             f"{recording}: a WAV file is limited to 4 GB (these samples: {n_bytes / 1e9:.3g} GB). Export fewer "
-            "channels or a segment (--from, --to)."
+            "channels (--channel) or a segment (--from, --to)."
         )
     peaks = np.zeros(n_channels)
     for _, samples in segment.pieces(segment.channels):
@@ -211,7 +215,7 @@ def export(
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError(f"{path}: --speed applies only to sound. Omit it, or choose a name that ends in .wav.")
+        raise SceneError(f"{path}: --speed applies only to sound. Leave it out, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
@@ -222,7 +226,7 @@ def export(
         if needed > 4 * free_bytes:
             raise RunError(
                 f"{path}: the file would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB "
-                "left. Choose another disk (-o), a segment (--from, --to) or fewer channels."
+                "left. Write to another disk (-o), or export a segment (--from, --to) or fewer channels (--channel)."
             )
         if kind == ".wav":
             return write_wav(segment, temporary, speed)

@@ -27,7 +27,7 @@ def write_mat(segment: Slice, path: Path) -> None:
     if count > MAX_SAMPLES:
         raise SceneError(
             f"{segment.recording.path}: a MATLAB file holds at most {MAX_SAMPLES} samples per channel; this segment "
-            f"has {count}. Export a segment (--from, --to), or .npz."
+            f"has {count}. Export a shorter segment (--from, --to), or an .npz file."
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
     rate = segment.recording.rate
@@ -85,10 +85,12 @@ def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
     cleaned = [re.sub(r"\W", "_", name, flags=re.ASCII)[:50] for name in names]
     valid = [f"x{name}" if not name[:1].isalpha() else name for name in cleaned]
     valid = [f"{name}_" if name in reserved else name for name in valid]
-    for name, variable in zip(names, valid, strict=True):
-        if valid.count(variable) > 1:
+    for variable in valid:
+        same = [other for other, other_variable in zip(names, valid, strict=True) if other_variable == variable]
+        if len(same) > 1:
             raise SceneError(
-                f".mat: {name!r} and another channel would both become the variable {variable!r}. Export as .uff."
+                f".mat: the channels {' and '.join(map(repr, same))} would have the same variable name {variable!r}. "
+                "Export as .uff."
             )
     return valid
 

@@ -30,7 +30,7 @@ def write_uff(segment: Slice, path: Path) -> None:
     if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
             f"{segment.recording.path}: UFF 58 as text holds 2 to {MAX_TEXT_SAMPLES} samples per channel; this "
-            f"segment has {count}. Choose another segment (--from, --to), or export .npz."
+            f"segment has {count}. Choose another segment (--from, --to), or export an .npz file."
         )
     recording = segment.recording
     file = universal_file(path)

@@ -94,7 +94,7 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
             break
     if explanations:
         _, text, is_known_mistake = min(explanations)
-        return is_known_mistake, f"{text}. With this correction the scene fits."
+        return is_known_mistake, f"{text}. If this is corrected, the scene fits."
     contradicting = [
         sensor.name
         for sensor in _sensors(linear_curves)
@@ -106,9 +106,9 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
             "location than in the scene. Without this channel, the scene fits. Check its mounting and settings."
         )
     return False, (
-        "Corrections of a channel's sign, unit or delay, of two swapped channels, and of the form of damping do not "
-        "explain the misfit. Check the number of bodies, the driven body and further springs at the frequencies of the "
-        "largest residuals in the figure."
+        "No single mistake explains the misfit: neither a channel's sign, unit or delay, nor two swapped channels, nor "
+        "the form of damping. Check the number of bodies, the driven body and the springs of the scene. The figure "
+        "shows the frequencies with the largest residuals."
     )
 
 
@@ -124,7 +124,7 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     unit_error = _unit_error(1.0 / factor) or _unit_error(factor, _FORCE_UNIT_ERRORS)
     return (
         f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "
-        "differs from that in the recording, or the masses of the scene are wrong. Correct one of them."
+        "differs from that in the recording, or the masses of the scene are wrong. Correct the unit or the masses."
     )
 
 

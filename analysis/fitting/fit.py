@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from daq.recording.recording import Recording
 
+# Printed descriptions of statuses (`Fitted.status`); the others are printed as they are.
+STATUS_TEXTS = {"roughly": "roughly determined"}
 # A value is roughly determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5
 # A damper does not reach its ceiling if the clearance (free height above the damper at rest) is at least this multiple
@@ -146,9 +148,8 @@ class Fit(Result):
     def summary(self) -> str:
         """Return one line: whether the scene fits, and how many values are determined."""
         statuses = [parameter.status for parameter in self.parameters]
-        texts = {"roughly": "roughly determined"}
         counts = ", ".join(
-            f"{statuses.count(status)} {texts.get(status, status)}" for status in dict.fromkeys(statuses)
+            f"{statuses.count(status)} {STATUS_TEXTS.get(status, status)}" for status in dict.fromkeys(statuses)
         )
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
 
@@ -258,8 +259,8 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
         largest = max(comparison.relative for comparison in compared)
         warnings.append(
-            f"The residuals reach {largest:.2%} of the curves, more than their errors explain (reduced chi-square "
-            f"{estimated.variance:.3g}). The intervals are widened accordingly."
+            f"The residuals reach {largest:.2%} of the curves, more than the errors of the curves explain (reduced "
+            f"chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.orbits is None else group.orbits.uncovered
@@ -270,7 +271,10 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
         _fitted_value(parameter, x[k], deviation[k], is_unexplained) for k, parameter in enumerate(problem.parameters)
     )
     if not misfit and all(value.status == "undetermined" for value in fitted):
-        misfit = "The recordings determine none of the free values. `analysis frf` shows the uncertainty of the curves."
+        misfit = (
+            "The recordings determine none of the free values. Reduce the uncertainty of the curves, which `analysis "
+            "frf` shows with its largest contribution, and record again."
+        )
     return Fit(
         scene=scene,
         parameters=fitted,
@@ -345,7 +349,7 @@ def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
 def _implausible_sensors(problem: Problem, x: Array) -> str:
     """Name the sensors whose fitted errors far exceed the tolerances of their data sheets."""
     sensors = [
-        f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its data sheet allows "
+        f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its tolerance is "
         f"{100.0 * sensor.tolerance:.3g} %"
         for sensor in problem.sensors
         if abs(error := problem.deviation(x, sensor)) > _MAX_SENSOR_DEVIATION * sensor.tolerance

@@ -75,8 +75,9 @@ def coupled_values(
     for k in sorted({*range(count)} - {*determined}):
         if k in largest_gaps:
             undetermined.append(
-                f"{problem.parameters[k].key} is at least {1e3 * largest_gaps[k]:.3g} mm; these recordings do not "
-                "determine it further, because the fitted motions have no ceiling impacts."
+                f"{problem.parameters[k].key} is at least {1e3 * largest_gaps[k]:.3g} mm. No upper limit is "
+                "determined, because the damper does not hit its ceiling in these recordings. Record at a higher "
+                "level."
             )
             continue
         never_moves = problem.parameters[k].damper is not None and not moving
@@ -104,6 +105,8 @@ def coupled_values(
         ]
         cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
         names = ", ".join(problem.parameters[determined[k]].key for k in large)
-        line = f"{names} can change {direction} by up to {half_width:.1%} with no visible change of the curves{cause}."
+        line = (
+            f"{names} can change {direction}, by up to {half_width:.1%}, with no visible change of the curves{cause}."
+        )
         coupled.append((half_width, line))
     return *undetermined, *(line for _, line in sorted(coupled, key=lambda entry: -entry[0]))

@@ -155,8 +155,9 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     is_valid = np.isfinite(value).all(axis=0) & is_bounded & ~is_unsteady & (frfs[0].frequency > 0.0)
     if is_valid.sum() < _MIN_POINTS:
         raise RecordingError(
-            f"{label}: too few points with a value and a finite bound ({int(is_valid.sum())}). "
-            f"Record at least {_MIN_POINTS}. " + " ".join(frfs[0].warnings)
+            f"{label}: only {int(is_valid.sum())} points have a value and a finite uncertainty; expected "
+            f"{_MIN_POINTS} or "
+            "more. " + (" ".join(frfs[0].warnings) or "Record again at more frequencies.")
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)

@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 
 from analysis.fitting.figure import fit_figure
-from analysis.fitting.fit import Fit, fit
+from analysis.fitting.fit import STATUS_TEXTS, Fit, fit
 from rig.console import show_activity
 from rig.errors import RunError, SceneError
 from rig.figure_style import save_figure
@@ -63,7 +63,8 @@ def describe(result: Fit) -> list[str]:
         value = f"{parameter.value:.6g}"
         if parameter.status != "undetermined":
             value = format_interval(parameter.value, parameter.half_width * abs(parameter.value))
-        values.append((parameter.key, value, parameter.unit, f"{parameter.start:.4g}", parameter.status))
+        status = STATUS_TEXTS.get(parameter.status, parameter.status)
+        values.append((parameter.key, value, parameter.unit, f"{parameter.start:.4g}", status))
     sensors = [("sensor", "sensitivity deviation / %")] + [
         (name, format_interval(100 * deviation, 100 * bound))
         for name, (deviation, bound) in result.sensitivities.items()

@@ -49,9 +49,9 @@ _HEADING = (
 
 # Warning if the 95 % bound of a peak is infinite.
 _UNBOUNDED_PEAKS = (
-    "A peak may be higher than measured if a jump, an end or excluded points of the curve are next to its "
-    "highest point, or if the curve has only three points. Measure more densely there, upwards and downwards "
-    "(test: direction: both), without overloads."
+    "Some peaks may be higher than measured: the curve has only three points, or jumps, ends or lacks points next to "
+    "its highest point. Measure there with a smaller frequency step, in both directions (test.direction: both) and "
+    "without overloads."
 )
 
 
@@ -189,7 +189,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
             )
         )
         remarks += [
-            f"{change.response}, mode at {mode_text} Hz: the peak {name} may be higher than measured"
+            f"{change.response}, mode at {mode_text} Hz: the peak in the column '{name}' may be higher than measured"
             for name in unbounded
         ]
     return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
@@ -269,7 +269,7 @@ class MeasurementPoints:
         if self.force_on != first.force_on:
             raise SceneError(
                 f"{self.path}: driven at {_bodies(self.force_on)}, {first.path} at {_bodies(first.force_on)}, so that "
-                "their responses differ. Compare recordings with the force on the same body."
+                "their responses cannot be compared. Give recordings with the force on the same body."
             )
         common = [name for name in first.channels if name in self.channels]
         for name in common:

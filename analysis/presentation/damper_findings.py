@@ -104,7 +104,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     channel  motion                frequency
     body2    type I                30 Hz
              at rest on the floor  elsewhere
-    No impact is detected below 1.6 mm/s (body2).
+    Impacts with a velocity step below 1.6 mm/s (body2) are not detected.
     """
     rows = [("channel", "motion", "frequency")]
     for motions in bodies:
@@ -117,7 +117,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     return [
         *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
-        f"No impact is detected below {', '.join(limits)}.",
+        f"Impacts with a velocity step below {', '.join(limits)} are not detected.",
     ]
 
 
@@ -169,7 +169,7 @@ def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) ->
     last column, if the recording contains `true_loss`, is the true share of the impacts.
     """
     indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
-    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "per 10 % error of scene damping / %"]
+    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %"]
     rows = [heading if true_loss is None else [*heading, "true impact loss / %"]]
     for i in indices:
         share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))
@@ -185,4 +185,7 @@ def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) ->
             f"{change:+.2g}",
         ]
         rows.append(row if true_loss is None else [*row, f"{100.0 * true_loss[i] / energy.supplied[i]:.3g}"])
-    return ["Energy per period where most is supplied:", *table_lines(rows, ">" * len(rows[0]))]
+    return [
+        "Energy per period, at the frequencies where the force supplies most:",
+        *table_lines(rows, ">" * len(rows[0])),
+    ]

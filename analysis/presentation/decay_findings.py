@@ -66,7 +66,11 @@ def present_decay(
 def describe_decay(decay: Decay) -> list[str]:
     """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
     time_below_gravity = decay.quiet_from
-    below_text = "not within the recording" if np.isnan(time_below_gravity) else f"after {time_below_gravity:.3g} s"
+    below_text = (
+        "does not stay below 1 g within the recording"
+        if np.isnan(time_below_gravity)
+        else f"stays below 1 g after {time_below_gravity:.3g} s"
+    )
     time_of_6_db = decay.halving
     energy_text = (
         f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
@@ -80,7 +84,7 @@ def describe_decay(decay: Decay) -> list[str]:
         rows.append((frequency, *initial, *final, f"{mode.noise:.1g}"))
     table = table_lines(rows, ">>>>>>") if decay.modes else []
     return [
-        f"{decay.label}, {decay.channel}: below 1 g {below_text}; backward-integrated energy {energy_text}",
+        f"{decay.label}, {decay.channel}: acceleration {below_text}; backward-integrated energy {energy_text}",
         *(f"  {line}" for line in table),
     ]
 

@@ -60,9 +60,9 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     with Workers() as workers:
         for number, seconds in workers.compute(_record, jobs):
             elapsed = time.monotonic() - start
-            print_line(f"  {jobs[number][1]} contains {seconds:.0f} s ({elapsed:.0f} s after the start)")
+            print_line(f"  {jobs[number][1]}: {seconds:.0f} s of test, recorded {elapsed:.0f} s after the start")
     files = list(recordings.values())
-    print_line("Reading the recordings, and nothing else, for compliance, decay and modes ...")
+    print_line("Estimating compliance, decay and modes from the recordings alone ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
     for result in (
         present_frf(sweeps, folder, theory=True),

@@ -101,7 +101,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
     for title, group in groupby(curves, heading):
         frfs = list(group)
         unit, factor = frfs[0].shown_in
-        rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest contribution")]
+        rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest uncertainty")]
         remarks: dict[str, list[str]] = {}
         for frf in frfs:
             if not np.isfinite(frf.value).any():
@@ -133,9 +133,12 @@ def _peak_between_points(frf: Response) -> list[str]:
     if highest is None:
         return []
     if highest.at_end:
-        return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside"]
+        return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"]
     if highest.bound > _MAX_PEAK_UNCERTAINTY * highest.value:
-        return [f"the peak may be higher than at {frequency:.4g} Hz: measure more densely around it"]
+        return [
+            f"the peak may be higher than the highest point, at {frequency:.4g} Hz. Measure with a smaller frequency "
+            "step around this point"
+        ]
     # `peak` estimates displacement.
     scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
     value = scale * highest.value
@@ -213,8 +216,8 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
-        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If they were "
-        "calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: 1 %"
+        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If the sensors "
+        "were calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: 1 %"
     )
     return [remark]
 

@@ -55,7 +55,9 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
             f"{path}: {test.name} contains no free decay. Use `analysis frf {file}` for its frequency responses."
         )
     if command in ("frf", "modes", "dampers") and not test.drives:
-        raise RecordingError(f"{path}: no force drives {test.name}. Use `analysis decay {file}` for its decay.")
+        raise RecordingError(
+            f"{path}: {test.name} has no driving force, from which responses are computed. Use `analysis decay {file}`."
+        )
     if command == "dampers":
         if not rec.scene.dampers:
             raise RecordingError(f"{path}: its scene has no dampers. Use `analysis frf {file}` for its responses.")
@@ -70,7 +72,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
 def duplicate_warnings(paths: Sequence[Path]) -> list[str]:
     """Return a warning for each file that was given twice: equal files are not independent measurements."""
     return [
-        f"{duplicate}: the same content as {first}. Give each measurement once."
+        f"{duplicate}: the same content as {first}. Give each recording once."
         for first, duplicate in duplicate_files(paths)
     ]
 
@@ -98,6 +100,6 @@ def check_inputs(
             without_effect[name].append(f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}")
     for name, files in without_effect.items():
         if len(files) == len(paths):
-            raise SceneError(f"--{name}: without effect ({files[0]}). Leave it out.")
+            raise SceneError(f"--{name} has no effect on {files[0]}. Leave it out.")
     unused_options = [f"--{name} has no effect on {text}" for name, files in without_effect.items() for text in files]
     return [*duplicate_warnings(paths), *unused_options]

@@ -120,9 +120,9 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
     pairs = zip(modes.frequency[mismatched], nearest[mismatched], strict=True)
     listed = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
     return [
-        f"{listed}: the shape matches no mode of the scene's structure near this frequency (MAC above "
-        f"{MIN_SAME_SHAPE_MAC:g}). Check for swapped channels and wrong signs or locations, check the scene (analysis "
-        "fit estimates its values), and measure at a lower level if dampers fly."
+        f"{listed}: the shape matches no mode of the scene's structure near this frequency (a match has a MAC above "
+        f"{MIN_SAME_SHAPE_MAC:g}). Check whether channels are swapped, reversed or at other locations. `analysis fit` "
+        "checks the values of the scene. If dampers fly, measure at a lower level."
     ]
 
 

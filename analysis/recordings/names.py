@@ -51,7 +51,7 @@ def require_recording(recording: object, name: str) -> None:
     """Reject an argument that is neither a path nor a recording; the message begins with `name`."""
     if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
         raise RecordingError(
-            f"{name}: got {recording!r:.60}; expected a recording: its path, or the object of daq.open"
+            f"{name}: got {recording!r:.60}; expected a recording: its path, or the object that daq.open returns"
         )
 
 

@@ -54,7 +54,10 @@ class Slice:
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
         if start >= stop:
             end = recording.samples / recording.rate
-            raise SceneError(f"{recording.path}: no samples to export. Choose times from 0 s to {end:.6g} s.")
+            chosen = "".join(
+                f" {word} {seconds:.6g} s" for word, seconds in (("from", from_s), ("to", to_s)) if seconds is not None
+            )
+            raise SceneError(f"{recording.path}: no samples{chosen}. Choose times from 0 s to {end:.6g} s.")
         recording.reject_mostly_lost(start, stop)
         return cls(recording, names, start, stop)
 
@@ -84,7 +87,7 @@ class Slice:
                 raise RecordingError(
                     f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
                     f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (--from, --to), "
-                    "or use .csv or .npz."
+                    "or use .csv, .npz or .mat."
                 )
 
 

@@ -43,7 +43,7 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
         if not bounded:
             sentences.append(
                 f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks. "
-                "Measure more densely around the peaks, upwards and downwards, without overloads."
+                "Measure around the peaks with a smaller frequency step, in both directions and without overloads."
             )
             continue
         change = max(bounded, key=_initial_height)
@@ -51,7 +51,7 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
         peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
         if low_db <= 0.0 <= high_db:
             interval = f"{low_db:+.1f} to {high_db:+.1f} dB"
-            text = f"“{label}” against “{first.label}”: no significant change of {peak_text}, {interval}"
+            text = f"“{label}” against “{first.label}”: no significant change of {peak_text} (95 % interval {interval})"
         else:
             verb = "lowers" if change_db < 0.0 else "raises"
             smallest, largest = sorted((abs(low_db), abs(high_db)))

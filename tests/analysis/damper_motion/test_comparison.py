@@ -74,7 +74,7 @@ def test_jump_near_peak_removes_upper_bound() -> None:
     assert math.isinf(change.decibel[2])
     _, row, remark = describe_changes([change])
     # The highest measured point is 12.0 m/N, without dampers 1e-3 m/N: at least 81.6 dB.
-    assert "above +81.6" in row and "the peak after may be higher" in remark
+    assert "above +81.6" in row and "the peak in the column 'after' may be higher" in remark
 
 
 def test_omitted_points_near_peak_remove_upper_bound() -> None:

@@ -224,7 +224,7 @@ def test_empty_channel_is_reported(tmp_path):
 
 def test_too_few_samples_are_reported(tmp_path):
     path, _, _ = record_jumps(tmp_path / "a.mcap", count=0)
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="Take at least 96"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="at least 96 samples"):
         detect_impacts(rec, "body1", 0, 50)
 
 

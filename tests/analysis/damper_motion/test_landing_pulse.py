@@ -62,7 +62,7 @@ def test_mixed_contacts_are_reported():
 
 def test_grains_are_rejected():
     scene = with_damper(grains={"diameter": 2e-3})
-    with pytest.raises(RecordingError, match="body 2: a bed of grains is not one mass"):
+    with pytest.raises(RecordingError, match="body 2: the grains of a bed"):
         landing_pulse(scene, "body 2", 5120.0)
 
 

@@ -129,7 +129,7 @@ def test_reversed_channel_is_named_as_cause_of_misfit(noisy_sweep):
     with daq.open(noisy_sweep("0.02")) as recording:
         recording.channels["body2"] = replace(recording.channels["body2"], gain=-1.0)
         result = analysis.fit(recording, initial_scene())
-    assert result.misfit == "The sign of body2 is reversed. With this correction the scene fits."
+    assert result.misfit == "The sign of body2 is reversed. If this is corrected, the scene fits."
 
 
 @pytest.mark.thorough
@@ -142,7 +142,7 @@ def test_error_above_tolerance_gives_misfit(noisy_sweep):
         result = analysis.fit(recording, scene_with_wrong_masses(), free=["structure.masses"])
     assert {parameter.status for parameter in result.parameters} == {"roughly"}
     for text in (
-        "would need an error of", "its data sheet allows 1 %", "body2 reads 1.3 times", "may also differ from the scene"
+        "would need an error of", "its tolerance is 1 %", "body2 reads 1.3 times", "may also differ from the scene"
     ):  # fmt: skip
         assert text in result.misfit
 

@@ -258,7 +258,7 @@ def test_swapped_channels_are_reported():
     assert not theory_warnings(modes, theory) and not theory_warnings(modes, None)
     swapped = theory._replace(shapes=theory.shapes[[2, 1, 0]])
     (note,) = theory_warnings(modes, swapped)
-    assert "49.66 Hz (MAC 0." in note and "swapped channels" in note
+    assert "49.66 Hz (MAC 0." in note and "channels are swapped" in note
     uncertain_shapes = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
     assert not theory_warnings(uncertain_shapes, swapped)
     # With a wrong sign, a shape can be that of a distant mode.

@@ -251,7 +251,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     warnings = [f"{comparison.curves.label}: {note}" for comparison in compared for note in comparison.curves.warnings]
     misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
-        report("searching the cause of the misfit")
+        report("searching for the cause of the misfit")
         is_explained, text = find_cause(problem)
         misfit = text if is_explained else f"{misfit} {text}"
     else:

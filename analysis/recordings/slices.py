@@ -54,10 +54,11 @@ class Slice:
         stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
         if start >= stop:
             end = recording.samples / recording.rate
-            chosen = "".join(
-                f" {word} {seconds:.6g} s" for word, seconds in (("from", from_s), ("to", to_s)) if seconds is not None
+            limits = (("after", from_s), ("before", to_s))
+            chosen = " and ".join(f"{word} {seconds:.6g} s" for word, seconds in limits if seconds is not None)
+            raise SceneError(
+                f"{recording.path}: no samples {chosen or 'in this file'}. Choose times from 0 s to {end:.6g} s."
             )
-            raise SceneError(f"{recording.path}: no samples{chosen}. Choose times from 0 s to {end:.6g} s.")
         recording.reject_mostly_lost(start, stop)
         return cls(recording, names, start, stop)
 

@@ -166,7 +166,10 @@ def _describe_counts(beds: Columns) -> str:
         ("layers", "by depth", " layers", 1.0),
     ):
         groups = [(value, acceptable[beds[axis] == value]) for value in np.unique(beds[axis])]
-        counts = (f"{factor * value:g}{unit} {int(group.sum())} of {group.size}" for value, group in groups)
+        counts = (
+            f"{'no ceiling' if np.isinf(value) else f'{factor * value:g}{unit}'} {int(group.sum())} of {group.size}"
+            for value, group in groups
+        )
         texts.append(f"{label}: {', '.join(counts)}")
     return f"Operating points with a compliance within {100 * MAX_DEVIATION:g} %, {'; '.join(texts)}."
 
@@ -200,8 +203,8 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
     )
     return (
         f"{label}, grains relative to the single-mass model: median {100 * np.median(deviations):+.1f} %, from "
-        f"{100 * deviations.min():+.0f} to {100 * deviations.max():+.0f} %. Within {100 * GOOD_DEVIATION:g} % in "
-        f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % in "
+        f"{100 * deviations.min():+.0f} to {100 * deviations.max():+.0f} %. Within {100 * GOOD_DEVIATION:g} % at "
+        f"{_count_within(deviations, GOOD_DEVIATION)}, within {100 * MAX_DEVIATION:g} % at "
         f"{_count_within(deviations, MAX_DEVIATION)} of {len(deviations)} operating points. {scatter}"
     )
 

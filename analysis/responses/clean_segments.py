@@ -81,7 +81,7 @@ def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     for flaw in all_flaws:
         groups.setdefault(flaw.description, []).append(f"{flaw.first / rec.rate:.4g} s")
     return ", ".join(
-        f"{description} (at {', '.join(times[:3])}{f' and {len(times) - 3} times more' if len(times) > 3 else ''})"
+        f"{description} (at {', '.join(times[:3])}{f' and {len(times) - 3} other times' if len(times) > 3 else ''})"
         for description, times in groups.items()
     )
 

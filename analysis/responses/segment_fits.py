@@ -236,8 +236,8 @@ class SegmentFits:
         first, last = max(int(np.ceil(low - 1e-9)), 1), min(int(high + 1e-9), int(0.45 * size))
         if last <= first:
             raise RecordingError(
-                f"{rec.path}: the resolution of {rec.rate / size:.3g} Hz leaves no lines between {self.low:.4g} and "
-                f"{self.high:.4g} Hz. Record longer."
+                f"{rec.path}: the resolution of {rec.rate / size:.3g} Hz leaves no spectral lines between "
+                f"{self.low:.4g} and {self.high:.4g} Hz. Record longer."
             )
         return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))  # rounded up
 

@@ -63,7 +63,7 @@ def test_flaws_are_listed_by_kind():
     listed_flaws += [Flaw(80, 81, "a1", "overloaded"), Flaw(91, 92, "a1", "overloaded")]
     assert (
         describe_flaws(rec, listed_flaws)
-        == "a1 overloaded (at 0 s, 1 s, 2 s and 2 times more), samples of a2 lost (at 7 s)"
+        == "a1 overloaded (at 0 s, 1 s, 2 s and 2 other times), samples of a2 lost (at 7 s)"
     )
 
 

@@ -83,7 +83,8 @@ def frf(
     ] = None,
     block: Block = None,
     overlap: Annotated[
-        float | None, typer.Option(metavar="SHARE", help="Overlap as a fraction of the block. Default: 0.5.")
+        float | None,
+        typer.Option(metavar="SHARE", help="Overlap of blocks, as a fraction of their length. Default: 0.5."),
     ] = None,
     window: Annotated[
         str | None,
@@ -115,7 +116,7 @@ def decay(
     channel: Annotated[
         str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
     ] = None,
-    hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit, from 1.")] = 1,
+    hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit to analyze, counted from 1.")] = 1,
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate natural frequencies and damping from a free decay."""
@@ -369,7 +370,7 @@ def beds(
     points: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Number of operating points to compute, spread over all. Six take minutes. Default: all."
+            min=1, help="Number of operating points to compute, spread over the study. Six take minutes. Default: all."
         ),
     ] = None,
     cluster: Cluster = None,

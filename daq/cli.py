@@ -25,7 +25,7 @@ OTHER_SUFFIXES = (
     ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
 )  # fmt: skip
 # Help text of the scene that scripts and clients drive.
-BENCH_SCENE_HELP = "Scene on the bench (default: SHOTRIG_SCENE, or three particle dampers)."
+BENCH_SCENE_HELP = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, or a rig with three dampers."
 
 
 def _option(metavar: str | None, text: str, *names: str) -> Any:
@@ -39,11 +39,12 @@ def _output(text: str, metavar: str = "FILE") -> Any:
 
 
 Replace = Annotated[bool, _option(None, "Replace the file if it exists.", "--overwrite")]
-Start = Annotated[float | None, _option("S", "Time at which to begin.", "--from")]
-Stop = Annotated[float | None, _option("S", "Time at which to end.", "--to")]
+Start = Annotated[float | None, _option("S", "Start of the part to use, in seconds from the first sample.", "--from")]
+Stop = Annotated[float | None, _option("S", "End of the part to use, in seconds from the first sample.", "--to")]
 Web = Annotated[bool, _option(None, "Show the viewer in a browser on this machine.", "--web")]
 Clock = Annotated[
-    str | None, _option("real|fast", "Real time, or as fast as possible. Default: SHOTRIG_CLOCK, or real.")
+    str | None,
+    _option("real|fast", "Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real."),
 ]
 
 
@@ -52,7 +53,7 @@ def record(
     scenes: SceneNames,
     changes: Changes = None,
     output: Annotated[
-        Path | None, _output("Recording to write, or folder for SCENE.mcap. Default: recordings.", "FILE|DIR")
+        Path | None, _output("Recording to write, or folder for SCENE.mcap. Default: folder recordings.", "FILE|DIR")
     ] = None,
     overwrite: Replace = False,
     block: Annotated[
@@ -60,7 +61,7 @@ def record(
         typer.Option(
             metavar="N",
             rich_help_panel="Test",
-            help="Largest number of samples acquired at a time; the recording does not depend on it.",
+            help="Largest number of samples per channel acquired at a time; it does not change the recording.",
         ),
     ] = None,
     dry_run: Annotated[
@@ -84,7 +85,7 @@ def record(
     ]
     complete = [path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)]
     for path in complete:
-        print(f"{path}: already contains the complete test of this scene. --overwrite records it again.")
+        print(f"{path}: already contains the complete test of this scene. Use --overwrite to record it again.")
     tests = [
         (scene, scene_settings, _check_new_recording(path, overwrite))
         for scene, scene_settings, path in tests
@@ -109,11 +110,16 @@ def import_recording(
         ),
     ],
     scene: Annotated[
-        str | None, _option("SCENE", "The bench and its channels. Without it, the contents of FILE are listed.")
+        str | None,
+        _option("SCENE", "Scene of the bench and its channels. Without a scene, the contents of FILE are listed."),
     ] = None,
     changes: Changes = None,
     table: Annotated[
-        Path | None, _option("FILE.yaml|csv", "Table that assigns columns to channels. Default: by name.")
+        Path | None,
+        _option(
+            "FILE.yaml|csv",
+            "Table that assigns columns of FILE to channels. Default: the columns with their names.",
+        ),
     ] = None,
     start: Start = None,
     stop: Stop = None,
@@ -144,16 +150,21 @@ def import_recording(
 
 @app.command("replay", example="daq replay sweep.mcap --screenshot sweep.png")
 def replay_recording(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to show.")],
     save: Annotated[
         Path | None, _option("FILE.rrd", "Write a file for the viewer instead of opening a window.")
     ] = None,
     web: Web = False,
-    screenshot: Annotated[Path | None, _option("FILE.png", "Draw a picture instead; needs no display.")] = None,
-    at: Annotated[float | None, _option("S", "Time of the picture. Default: when the dampers fly highest.")] = None,
+    screenshot: Annotated[
+        Path | None, _option("FILE.png", "Draw a picture instead of opening a window; needs no display.")
+    ] = None,
+    at: Annotated[
+        float | None,
+        _option("S", "Time of the picture, s from the start. Default: at the largest damper gap or displacement."),
+    ] = None,
     start: Start = None,
     stop: Stop = None,
-    speed: Annotated[float, _option("X", "Playback speed; 0.1 is slow motion.")] = 1.0,
+    speed: Annotated[float, _option("X", "Playback speed; 1 is real time, 0.1 is ten times slower.")] = 1.0,
     overwrite: Overwrite = False,
 ) -> None:
     """Show a recording in the viewer, or draw a picture of it."""
@@ -188,7 +199,7 @@ def recover(
 ) -> None:
     """Repair an incomplete or damaged recording.
 
-    It lists the lost samples exactly.
+    The intact part is copied to FIXED, and all lost samples are listed.
     """
     from daq.recording.recovery import recover as recover_recording
 
@@ -203,11 +214,19 @@ def run_scope(
     changes: Changes = None,
     output: Annotated[Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")] = None,
     overwrite: Replace = False,
-    frequency: Annotated[float | None, _option("HZ", "Initial drive frequency.", "-f", "--frequency")] = None,
+    frequency: Annotated[
+        float | None,
+        _option(
+            "HZ", "Initial drive frequency, Hz. Default: that of the test, or of the lowest mode.", "-f", "--frequency"
+        ),
+    ] = None,
     force: Annotated[float, _option("N", "Initial force amplitude, N.", "-F", "--force")] = 0.0,
     web: Web = False,
 ) -> None:
-    """Run a rig live: change frequency and force while you watch it. Everything is recorded."""
+    """Drive a rig live: type its frequency and force, watch its motion.
+
+    All channels are recorded.
+    """
     from daq.live_scope.scope import scope
     from daq.measurement.run_report import summary
 
@@ -224,7 +243,7 @@ def run_scope(
     example="daq run --scene fig9 my_script.py",
 )
 def run_a_script(
-    script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="A script that uses nidaqmx.")],
+    script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="Python script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
         # This callback replaces the common callback, which would check the arguments as options of `daq run`.
@@ -234,10 +253,11 @@ def run_a_script(
     changes: Changes = None,
     clock: Clock = None,
     seconds: Annotated[
-        float | None, _option("S", "Bench time after which the script receives Ctrl-C, or Enter at a prompt.")
+        float | None,
+        _option("S", "Bench time after which the script receives Ctrl-C, or Enter at a prompt. Default: no limit."),
     ] = None,
 ) -> None:
-    """Run an unchanged nidaqmx script against the rig."""
+    """Run a nidaqmx script on the virtual rig, without changes to it."""
     from daq.server.script import run_script
 
     with user_terminal():
@@ -246,7 +266,7 @@ def run_a_script(
         from rig.shadowing import shadowing_files
 
         for note in shadowing_files(script.absolute().parent):
-            typer.echo(f"note: {note}, if that was intended", err=True)
+            typer.echo(f"note: {note}", err=True)
     raise typer.Exit(code)
 
 
@@ -262,30 +282,36 @@ def serve_a_rig(
     certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
     key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
     client_ca: Annotated[
-        Path | None, _option("FILE.pem", "Accept only clients whose certificate this one signed (mutual TLS).")
+        Path | None,
+        _option(
+            "FILE.pem",
+            "Certificate of an authority; only clients with a certificate from it are accepted (mutual TLS).",
+        ),
     ] = None,
-    session_timeout: Annotated[float, _option("S", "Time after which the tasks of a lost client are closed.")] = 30.0,
-    output: Annotated[Path | None, _output("Record all channels.")] = None,
+    session_timeout: Annotated[
+        float, _option("S", "Time without connection after which the tasks of a client are closed.")
+    ] = 30.0,
+    output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
     overwrite: Replace = False,
     viewer: Annotated[bool, _option(None, "Show all channels live in the viewer.", "--viewer")] = False,
     proto_folder: Annotated[
         Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
     ] = None,
 ) -> None:
-    """Serve the instrument to any client of NI's gRPC protocol.
+    """Serve the virtual instrument to clients of NI's gRPC protocol.
 
-    Ctrl-C ends it.
+    Ctrl-C ends the server.
     """
     from daq.server.serve import Certificates, serve
     from daq.server.served_instrument import Limits
 
     if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
-        raise typer.BadParameter("--certificate, --key: TLS, also with --client-ca, requires both. Give both.")
+        raise typer.BadParameter("--certificate and --key belong together, and --client-ca requires both. Give both.")
     if overwrite and output is None:
-        raise typer.BadParameter("--overwrite requires a recording. Give its name with -o FILE.")
+        raise typer.BadParameter("--overwrite requires -o. Add -o FILE, or omit --overwrite.")
     _check_port("--port", port)
     if session_timeout <= 0.0:
-        raise typer.BadParameter(f"--session-timeout: {session_timeout:g} s is too short. Give a time above 0 s.")
+        raise typer.BadParameter(f"--session-timeout: {session_timeout:g} s is not above 0 s. Give a longer time.")
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
@@ -301,7 +327,7 @@ def bench_in_the_browser(
     scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     output: Annotated[
-        Path | None, _output("First recording of the record switch. Default: recordings/SCENE-bench.mcap.")
+        Path | None, _output("First recording; further ones are numbered. Default: recordings/SCENE-bench.mcap.")
     ] = None,
     overwrite: Replace = False,
     address: Annotated[
@@ -337,7 +363,7 @@ def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene
     """Load the scene for a bench; return None for the default scene."""
     scene_name = scene or os.environ.get("SHOTRIG_SCENE")
     if scene_name is None and changes:
-        raise typer.BadParameter("--set requires a scene. Give its name, too.")
+        raise typer.BadParameter("--set requires a scene. Give the name of a scene, too.")
     return None if scene_name is None else load_scene(scene_name, changes)
 
 
@@ -346,7 +372,7 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
     if output is not None and len(scenes) == 1 and (output.suffix == ".mcap" or not output.is_dir()):
         return [output]
     if output is not None and output.suffix == ".mcap":
-        raise typer.BadParameter(f"-o {output}: one file for {len(scenes)} scenes. Give a folder.")
+        raise typer.BadParameter(f"-o {output}: one file cannot contain {len(scenes)} tests. Give a folder.")
     folder = output if output is not None else Path("recordings")
     paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
     if len(set(paths)) < len(paths):
@@ -366,7 +392,9 @@ def _check_new_recording(path: Path, overwrite: bool) -> Path:
             f"{path}: cannot be created ({error.strerror}). Choose another file with -o FILE.mcap."
         ) from None
     if exists and not overwrite:
-        raise RecordingError(f"{path}: exists. Give another name with -o, or replace the file with --overwrite.")
+        raise RecordingError(
+            f"{path}: the file exists. Give another name with -o, or replace the file with --overwrite."
+        )
     return path
 
 
@@ -374,8 +402,8 @@ def _reject_other_suffix(path: Path) -> None:
     """Raise `RecordingError` for the suffix of another format, which programs would misinterpret."""
     if path.suffix.lower() in OTHER_SUFFIXES:
         raise RecordingError(
-            f"{path}: recordings are MCAP files; expected a name such as {path.with_suffix('.mcap')}. Use `analysis "
-            "export` for files of other programs, `analysis frf` for figures and tables."
+            f"{path}: a recording is an MCAP file; expected a name such as {path.with_suffix('.mcap')}. To write "
+            "another format, run `analysis export` on the recording, or `analysis frf` for figures and tables."
         )
 
 

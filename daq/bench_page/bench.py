@@ -78,7 +78,7 @@ def bench(
         address = stack.enter_context(_serve_page(live_bench, host, port))
         gc.collect()
         gc.freeze()
-        print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends.", flush=True)
+        print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends the bench.", flush=True)
         if browser:
             import webbrowser
 
@@ -88,7 +88,7 @@ def bench(
         if monitor.lost_samples:
             end += f"; {monitor.lost_samples} samples were lost"
         if monitor.skipped_blocks:
-            end += f"; the page left out {monitor.skipped_blocks} blocks of samples, which recordings contain"
+            end += f"; {monitor.skipped_blocks} blocks of samples were not shown on the page, but are in the recordings"
         print(end, file=sys.stderr)
     for path in live_bench.recordings.paths:
         print(path)

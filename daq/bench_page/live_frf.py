@@ -134,6 +134,7 @@ def _force_weights(station: Station, frequency: Array) -> ComplexArray:
     if is_impulse_test or shaker is None or shaker.spring is None:
         position = "hammer" if is_impulse_test else "shaker"
         raise SceneError(
-            f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}}."
+            f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}} to the "
+            "channels of the scene."
         )
     return station.force_weights(frequency)

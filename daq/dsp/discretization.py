@@ -141,7 +141,7 @@ def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entri
         fastest = np.abs(np.linalg.eigvals(circuit.a)).max(initial=0.0) / (2.0 * np.pi)
         raise SceneError(
             f"channels: a corner or resonance frequency of {fastest:.3g} Hz is too high for a sample rate of "
-            f"{rate:.6g} Hz. Remove its key (for an ideal component), or choose a higher sample rate."
+            f"{rate:.6g} Hz. Remove the key of this frequency (for an ideal component), or choose a higher rate."
         )
     terms, remainder = 4, norm
     while remainder > 1e-18:

@@ -32,8 +32,8 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
     latest = max(lateness)
     if latest - min(lateness) >= 1.0 / rate:
         raise SceneError(
-            f"converter.skew: the channels are sampled over {latest - min(lateness):g} s, a sample interval "
-            f"({1.0 / rate:g} s) or more. Give a smaller skew."
+            f"converter.skew: the channels are sampled up to {latest - min(lateness):g} s apart; expected less than "
+            f"the sample interval, {1.0 / rate:g} s. Give a smaller skew."
         )
     return tuple(latest - channel_lateness for channel_lateness in lateness)
 

@@ -37,7 +37,7 @@ class ToneControls:
     (True, True)
     """
 
-    HELP = "f 34.8  frequency in Hz;  F 2.6  force amplitude in N;  q  quit"
+    HELP = "`f 34.8` sets the frequency to 34.8 Hz, `F 2.6` the force amplitude to 2.6 N, `q` quits"
 
     def __init__(self, frequency: float, force: float, highest: float) -> None:
         self.highest = highest
@@ -54,10 +54,10 @@ class ToneControls:
             try:
                 value = float(text)
             except ValueError:
-                raise SceneError(f"{text!r}: not a number. Type  {self.HELP}") from None
+                raise SceneError(f"{text!r}: not a number. {self.HELP}.") from None
             self._set(*((value, force) if key == "f" else (frequency, value)))
         elif key:
-            raise SceneError(f"{line.strip()!r}: unknown command. Type  {self.HELP}")
+            raise SceneError(f"{line.strip()!r}: unknown command. {self.HELP}.")
         return bool(key)
 
     def _set(self, frequency: float, force: float) -> None:

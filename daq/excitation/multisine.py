@@ -65,7 +65,8 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 message += f", experiment {experiment + 1} of {len(shakers)}"
             if factor < 1.0:
                 station.warn(
-                    f"{message}: the amplifier reaches only {factor:.0%} of the drive for the level. Lower the level."
+                    f"{message}: the amplifier delivers only {factor:.0%} of the drive that the level requires. "
+                    "Lower the level of the test."
                 )
             waves *= factor
             fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
@@ -77,8 +78,8 @@ def excite(station: Station, test: Multisine) -> Excitation:
             if not settled:
                 max_wait_s = _max_wait(station, period) / station.rate
                 station.warn(
-                    f"{message}: the response did not become periodic within {max_wait_s:g} s. Its periods are marked "
-                    "as not settled. Choose another level."
+                    f"{message}: the response did not become periodic within {max_wait_s:g} s. These periods are "
+                    "marked as not settled. Choose another level."
                 )
             first, n_experiments = station.now, test.realisations * len(shakers)
             for period_index in range(test.periods):

@@ -35,7 +35,7 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
     lines = np.arange(max(1, int(low)), int(high) + 1)
     if lines.size == 0:
         raise SceneError(
-            f"test: no line between {first:g} and {last:g} Hz at a sample rate of {rate:g} Hz. "
+            f"test: no spectral line between {first:g} and {last:g} Hz at a sample rate of {rate:g} Hz. "
             "Widen the band, lengthen the period or raise converter.rate."
         )
     return lines
@@ -99,6 +99,7 @@ def equalize(
     station.mark("settle", first, station.now, level=level, force=rms, settled=is_at_level)
     if not is_at_level:
         station.warn(
-            f"the spring force is {rms:.3g} N rms instead of {level:g} N. Choose a level that the amplifier reaches."
+            f"the spring force is {rms:.3g} N rms; expected its level of {level:g} N rms. Choose a level that the "
+            "amplifier can produce."
         )
     return limited, force / limited, present_wave

@@ -54,7 +54,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
     if unsettled:
         listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
         station.warn(
-            f"{len(unsettled)} of {total} steps did not reach the steady state at the level within "
+            f"{len(unsettled)} of {total} steps did not reach steady state at the required level within "
             f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
         )
     station.report(1.0, "done")

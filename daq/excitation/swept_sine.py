@@ -171,7 +171,7 @@ class LevelMonitor:
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
                 f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
-                f"the sweep; the worst is {worst:.3g} times the level at {format_decimals(worst_frequency, 2)} Hz. "
+                f"the sweep, and most at {format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). "
                 f"The intervals are marked 'level' in the recording. {remedy}"
             )
 

@@ -26,5 +26,5 @@ def reject_certain_abort(name: str, foresight: Foresight) -> None:
     if foresight.limited_by is not None and foresight.largest_level < foresight.level:
         remedy = f"Lower {foresight.key}, raise the limit"
     raise SceneError(
-        f"{name}: the test will abort ({foresight.aborts}). {remedy}, or record it up to the abort with --anyway."
+        f"{name}: the test will abort ({foresight.aborts}). {remedy}, or record the test up to the abort with --anyway."
     )

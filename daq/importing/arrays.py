@@ -51,7 +51,7 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         raise RecordingError(
-            f"{path} is not an .npz or .npy file of numbers, or it is damaged: {error!s:.200}. Save it again."
+            f"{path} cannot be read as an .npz or .npy file of numbers ({error!s:.200}). Save arrays of numbers again."
         ) from error
 
 
@@ -99,7 +99,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             continue
         require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
         if array.ndim == 1:
-            clocks[name] = clock_of_times(array.astype(float), 0.0, where)
+            clocks[name] = clock_of_times(array.astype(float), 0.0, f"{path}: the times in {name!r}")
             continue
         # There are more samples than channels, in either orientation.
         channel_rows = array if array.shape[0] <= array.shape[1] else array.T
@@ -107,7 +107,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         has_times = len(channel_rows) > 1 and looks_like_times(times, float(times[-1]), times.size)
         if has_times:
             warn_used_as_times(f"{where}: its first row or column", times[1] - times[0])
-            clocks[f"{name}(1)"] = clock_of_times(times, 0.0, where)
+            clocks[f"{name}(1)"] = clock_of_times(times, 0.0, f"{path}: the times in {name!r}")
         sample_arrays |= {
             f"{name}({number})": row for number, row in enumerate(channel_rows[int(has_times) :], 1 + has_times)
         }
@@ -116,7 +116,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         ellipsis = " ..." if len(listed) > 8 else ""
         raise RecordingError(
             f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + ellipsis or 'nothing'}. "
-            "Save the samples as numbers: an array for each channel, or one with a row or column for each."
+            "Save the samples as numbers: one array for each channel, or one array with a row or column for each."
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
     # Units as `analysis export` writes them: two rows of strings, ``channels`` and ``units``.
@@ -153,7 +153,7 @@ def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mappi
     for key in matching_names(_RATE_NAMES, scalars):
         if not 0 < scalars[key] < 1e12:
             raise RecordingError(
-                f"{path}: {key} = {scalars[key]!r}; expected a sample rate above 0, in Hz. Correct it."
+                f"{path}: {key} = {scalars[key]!r}; expected a sample rate above 0, in Hz. Correct the file."
             )
         return Clock(scalars[key], start)
     for key in matching_names(_INTERVAL_NAMES, scalars):

@@ -86,7 +86,7 @@ def choose_signals(
                 listed = ", ".join(f"{signal.file} ({signal.number}: {signal.name})" for signal in matches)
                 name = channel.name if column is None else column.column
                 raise ValueError(
-                    f"several signals are called {name!r}: {listed}. Give column and file of one in the channel table."
+                    f"several signals are called {name!r}: {listed}. Choose one by column and file in a channel table."
                 )
         except ValueError as error:
             problems.append(f"{channel.name}: {error}")
@@ -107,13 +107,13 @@ def choose_signals(
     if not chosen:
         listed = "\n".join(f"  {signal.file}, {signal.number}: {signal}" for signal in signals)
         raise SceneError(
-            f"none of the scene's channels, {', '.join(missing)}, is the name of a signal. The files contain\n"
+            f"no signal has the name of a channel of the scene ({', '.join(missing)}). The files contain\n"
             f"{listed}\nAssign signals in a channel table (--table FILE.yaml) with lines such as {EXAMPLE}"
         )
     notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
     if unused:
-        notes.append(f"signals without a channel in the scene, left out: {', '.join(unused)[:300]}")
+        notes.append(f"signals left out, because the scene has no channel for them: {', '.join(unused)[:300]}")
     return chosen, notes
 
 
@@ -136,7 +136,7 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
             continue
         notes.append(
             f"{choice.channel.name}: the channel table gives unit {unit}, but {signal.file} gives {signal.unit} for "
-            f"{signal.name!r}. The unit of the table is used: {effect}. If the file is right, remove it there."
+            f"{signal.name!r}. The unit of the table is used: {effect}. If the file is right, remove this unit."
         )
     return notes
 
@@ -169,10 +169,10 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
         unit = f"{converter_range!r} V"
     if not unit:
         has_full_scale = signal.full_scale is not None
-        hint = " (full scale; or state the converter's range in the scene)" if has_full_scale else ""
+        hint = ", or set converter.range in the scene" if has_full_scale else ""
         raise ValueError(
-            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in the table, such as unit: m/s^2, "
-            f"or the value of 1 in the file{hint}, such as unit: 5 V."
+            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, as unit: m/s^2, "
+            f"or as unit: 5 V if the number 1 in the file means 5 V{hint}."
         )
     measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
@@ -182,14 +182,15 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
     if measured == info.quantity:
         if column.sensitivity is not None and measured != "voltage":
             raise ValueError(
-                f"sensitivity given, but {signal.name!r} is in {unit}, not in volts. Remove it, or correct unit."
+                f"sensitivity: only for a signal in volts, but {signal.name!r} is in {unit}. Remove sensitivity, or "
+                "correct unit."
             )
         is_calibrated = measured == "voltage" or _has_sensitivity(channel)
         return AssignedSignal(channel, info, signal, column, column.sign * scale * info.sensitivity, is_calibrated)
     if measured != "voltage":
         raise ValueError(
-            f"{signal.name!r} of {signal.file} is in {unit}, {measured}; the channel measures {info.quantity} at "
-            f"{channel.at}. Check for swapped columns or a wrong unit."
+            f"{signal.name!r} of {signal.file} is in {unit} ({measured}), but the channel measures {info.quantity} at "
+            f"{channel.at}. Assign another column, or correct unit."
         )
     info = replace(info, sensitivity=_volts_per_unit(channel, info, column))
     return AssignedSignal(channel, info, signal, column, column.sign * scale, True)
@@ -213,16 +214,19 @@ def _volts_per_unit(channel: Channel, info: ChannelInfo, column: Column) -> floa
         unit_kinds = {"acceleration": ACCELERATION_SENSITIVITY, "force": FORCE_SENSITIVITY}
         if info.quantity not in unit_kinds:
             raise ValueError(
-                f"a {info.quantity} sensor takes no sensitivity. Give the value of 1 V instead, such as unit: 2.5 mm."
+                f"sensitivity: not available for {info.quantity}. Instead, give the value of 1 V, such as unit: 2.5 mm."
             )
         value = parse(column.sensitivity, unit_kinds[info.quantity])
         if not 0 < value < float("inf"):
-            raise ValueError(f"sensitivity: {column.sensitivity!r} is not above 0. Reverse a sensor with sign: -1.")
+            raise ValueError(
+                f"sensitivity: got {column.sensitivity!r}; expected a finite value above 0. For a reversed sensor, add "
+                "sign: -1."
+            )
         return value
     if not _has_sensitivity(channel):
         raise ValueError(
-            f"{column.column!r} is in volts, and its sensitivity is not stated. Give it in the table (sensitivity: "
-            "100 mV/g) or to the scene's sensor."
+            f"{column.column!r} is in volts, and its sensitivity is not stated. Add it to the channel table "
+            "(sensitivity: 100 mV/g), or to the sensor in the scene."
         )
     return info.sensitivity
 
@@ -238,7 +242,9 @@ def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Si
     files = {signal.file: signal.file.rpartition(".")[0] for signal in signals}
     in_file = [s for s in signals if column.file is None or column.file in (s.file, files[s.file])]
     if not in_file:
-        raise ValueError(f"file {column.file!r} is none of {', '.join(files)}. Correct file in the table.")
+        raise ValueError(
+            f"file: {column.file!r} is not imported; the imported files are {', '.join(files)}. Give one of them."
+        )
     same_name = [signal for signal in in_file if signal.name == column.column]
     same_number = [signal for signal in in_file if str(signal.number) == column.column]
     matches = same_name or same_number or _signals_with_name(column.column, in_file)

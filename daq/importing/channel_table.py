@@ -122,13 +122,15 @@ def _from_csv(path: Path, text: str) -> TableRows:
     except csv.Error as error:
         raise SceneError(f"{path} is not a table of channels: {error}. Save it as CSV.") from None
     if not lines or "channel" not in (column_names := [cell.strip() for cell in lines[0]]):
-        raise SceneError(f"{path}:1: expected the heading channel,column and any of {','.join(_KEYS[1:])}")
+        raise SceneError(
+            f"{path}:1: the heading has no column channel; expected channel,column and any of {','.join(_KEYS[1:])}."
+        )
     rows: TableRows = []
     for number, line in enumerate(lines[1:], 2):
         if len(line) > len(column_names):
             raise SceneError(
-                f"{path}:{number}: {len(line)} cells under a heading of {len(column_names)}. "
-                "Quote cells that contain commas."
+                f"{path}:{number}: {len(line)} cells, but the heading has {len(column_names)}. Put cells that contain "
+                "commas in double quotes."
             )
         if any(cell.strip() for cell in line):
             values = dict(zip(column_names, line, strict=False))

@@ -60,13 +60,13 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     (50000.0, 10000.0)
     >>> rate_of_interval(1e-4, 1e305)
     Traceback (most recent call last):
-    rig.errors.RecordingError: the sample interval 0.0001 s ± 1e+305 s determines no rate. Export more digits.
+    rig.errors.RecordingError: the sample interval 0.0001 s ± 1e+305 s determines no sample rate. Export more digits.
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
-        raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct it.")
+        raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct the file.")
     if max_error >= interval:
         raise RecordingError(
-            f"the sample interval {interval!r} s ± {max_error!r} s determines no rate. Export more digits."
+            f"the sample interval {interval!r} s ± {max_error!r} s determines no sample rate. Export more digits."
         )
     relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval
@@ -94,7 +94,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     """
     missing = missing_rows([times], resolution)
     if times.size < 2:
-        raise RecordingError(f"{where}: got {times.size}; expected at least 2")
+        raise RecordingError(f"{where}: number of times is {times.size}; expected at least 2. Export more samples.")
     first, last = float(times[0]), float(times[-1])
     # Deviations from evenly spaced times show the rounding.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
@@ -113,7 +113,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
             raise RecordingError(f"{where}: {uneven}") from None
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         warn(
-            f"{where} deviate from an even grid by up to {deviation * rate:.0%} of a sample. The "
+            f"{where} deviate from even spacing by up to {deviation * rate:.0%} of the sample interval. The "
             "samples are imported as evenly spaced, because usually only the written times jitter."
         )
     else:
@@ -222,7 +222,7 @@ def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
 
 def warn_used_as_times(column: str, step: float) -> None:
     """Warn that the numbers of an unnamed column are used as times."""
-    warn(f"{column} rises evenly, by {step:.6g}, and is used as times in s. If it is a signal, give it a name.")
+    warn(f"{column} rises evenly, by {step:.6g}, and is used as times in s. If it is a signal, save it under a name.")
 
 
 def warn(text: str) -> None:

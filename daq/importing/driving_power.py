@@ -72,6 +72,6 @@ class DrivingPower:
             return ""
         return (
             f"{self._motion.name} / {self._force.name}: the structure would supply energy at the driving point, "
-            f"so a channel is reversed. Give sign: -1 in the channel table for {self._force.name}, or for "
-            f"{self._motion.name} if it alone is reversed."
+            f"so one channel is reversed. Give sign: -1 in the channel table for {self._force.name}, or instead for "
+            f"{self._motion.name} if only this sensor is reversed."
         )

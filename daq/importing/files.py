@@ -39,17 +39,17 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
     if not path.exists():
         raise RecordingError(f"{path}: no such file. Check the path.")
     if not path.is_file():
-        raise RecordingError(f"{path} is not a file. Give the files themselves.")
+        raise RecordingError(f"{path} is not a file. Give the path of each file to import.")
     if path.suffix.lower() not in READERS:
         raise RecordingError(
-            f"{path}: files of this type cannot be imported. Export it as one of {', '.join(READERS)}."
+            f"{path}: this type of file cannot be imported. Export the data as one of {', '.join(READERS)}."
         )
     module, function = READERS[path.suffix.lower()]
     read: Callable[[Path, ExitStack], list[Signal]] = getattr(import_module(f"daq.importing.{module}"), function)
     try:
         signals = [signal for signal in read(path, stack) if signal.samples > 1]
     except OSError as error:
-        raise RecordingError(f"cannot read {path}: {error.strerror or error}") from error
+        raise RecordingError(f"cannot read {path}: {error.strerror or error}. Check the file and its disk.") from error
     except MemoryError:
         raise RecordingError(
             f"{path} does not fit into memory. Export it as TDMS, WAV or CSV, which are read in pieces."

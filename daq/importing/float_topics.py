@@ -77,9 +77,9 @@ def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
         raise
     except Exception as error:
         # A damaged file can cause any exception in a decoder.
+        reason = str(error) if isinstance(error, Damage) else f"{type(error).__name__}: {error}"
         raise RecordingError(
-            f"{path} is not an MCAP file, or it is truncated or damaged ({type(error).__name__}: {error!s:.200}). "
-            "Export it again."
+            f"{path} is not an MCAP file, or it is truncated or damaged ({reason:.200}). Export it again."
         ) from error
     if not reader.fields:
         raise RecordingError(
@@ -114,7 +114,7 @@ class _TopicReader:
 
         end = file.seek(0, SEEK_END)
         if read(0, len(MAGIC)) != MAGIC:
-            raise Damage("it does not begin with the MCAP signature")
+            raise Damage("the file does not begin with the MCAP signature")
         position, opcode = len(MAGIC), 0
         while opcode != Opcode.DATA_END:
             opcode, content = record_at(read, position, end, end)

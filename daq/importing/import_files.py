@@ -148,7 +148,10 @@ def import_files(
             if assignment.signal.samples < longest
         ]
         if shorter:
-            notes.append(f"fewer than {longest} samples: {', '.join(shorter)}. The missing samples are marked as lost.")
+            notes.append(
+                f"channels with fewer than {longest} samples: {', '.join(shorter)}. The missing samples are marked as "
+                "lost."
+            )
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", RunWarning)
             writer = _RecordingWriter(_scene_as_measured(bench_scene, assigned, rate), assigned, rate)
@@ -171,7 +174,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
     table_rates = {choice.column.rate for choice in chosen if choice.column.rate is not None}
     if len(table_rates) > 1:
         raise SceneError(
-            f"the channel table gives several rates, {rate_list(table_rates)}. Give one rate: a recording has one."
+            f"the channel table gives several rates, {rate_list(table_rates)}. Give the same rate for all channels."
         )
     if table_rates:
         return table_rates.pop()
@@ -187,14 +190,14 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
         return converter.sample_rate
     if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
         raise RecordingError(
-            f"the signals have several sample rates, {rate_list(rates)}; a recording has one. Import them one by one, "
-            "or choose those of one rate in a channel table."
+            f"the signals have several sample rates, {rate_list(rates)}; a recording has one. Import the signals of "
+            "each rate separately, by files or by channel tables."
         )
     rate = rates[0]
     if rate_in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
-            f"the files state {rate:.10g} Hz, the scene's converter {converter.sample_rate:.10g} Hz. Correct the wrong "
-            f"value: --set converter.rate={rate:.10g}Hz, or rate: in the channel table."
+            f"the files state {rate:.10g} Hz, but the scene's converter {converter.sample_rate:.10g} Hz. If the files "
+            f"are right, use --set converter.rate={rate:.10g}Hz; otherwise, give rate: in the channel table."
         )
     return rate
 
@@ -215,7 +218,7 @@ def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSigna
             raise RecordingError(
                 f"{assignment.signal.name!r} of {assignment.signal.file} begins {delay_s:.6g} s after "
                 f"{undelayed[0].name!r} of {undelayed[0].file}: their samples are not simultaneous. Import them one "
-                "by one or, if the stated times are wrong, give delay: 0 s for both in the channel table."
+                "by one or, if these times are wrong, give delay: 0 s for both in the channel table."
             )
         delayed.append(
             replace(assignment, info=replace(assignment.info, delay=assignment.info.delay - delay_s))
@@ -236,7 +239,9 @@ def _cut_to_times(
     start = 0 if from_s is None else max(0, math.ceil(from_s * rate))
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
     if stop - start < 2:
-        raise SceneError(f"no samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s.")
+        raise SceneError(
+            f"fewer than 2 samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s."
+        )
 
     def cut_signal(signal: Signal) -> Signal:
         return replace(
@@ -254,8 +259,8 @@ def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: f
     converter = scene.converter.replace(rate=rate, remove_delay=True, dropped_blocks=(), skew=None)
     if abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
         raise SceneError(
-            f"the files state {rate:.10g} Hz, a rate that {converter.preset} does not have. Give the "
-            "scene the converter that was used, or none."
+            f"the files state {rate:.10g} Hz, a rate that {converter.preset} does not have. Set converter.preset to "
+            "the converter that was used, or remove the preset."
         )
     samples = "float32" if scene.recording.samples == "float32" else "float64"
     return scene.replace(
@@ -338,7 +343,7 @@ class _RecordingWriter:
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
             count = sum(stop - first for first, stop in lost if first < signal.samples)
             if count:
-                yield f"{where}: {count} of {signal.samples} samples are not numbers; marked as lost"
+                yield f"{where}: {count} of {signal.samples} samples are not numbers; they are marked as lost"
             yield from _implausible_readings(where, assignment, overloads)
             clipped = merge_spans(overloads.clipped_intervals(), round(_OVERLOAD_PAUSE_S * self._rate))
             for first, stop in clipped:
@@ -375,7 +380,7 @@ class _RecordingWriter:
         if isinstance(test, Impulse):
             yield (
                 "no hit was detected: the scene's test is an impulse, but no channel contains a force pulse. "
-                "Check for swapped columns or another test."
+                "Check whether columns are swapped, or whether the scene has another test."
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
             yield (

@@ -85,9 +85,11 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
         return _H5PY_MISSING
     except MemoryError:
         return _MEMORY_MISSING
+    except RecordingError as error:
+        return str(error)
     except Exception as error:
         # A damaged file can cause any exception in the reader.
-        return f"is not a MATLAB file, or it is damaged: {type(error).__name__}: {error}"[:300]
+        return f"cannot be read as a MATLAB file ({type(error).__name__}: {error!s:.200}). Save it again."
     return {key: value for key, value in content.items() if key[:2] != "__"}
 
 
@@ -122,7 +124,9 @@ class _HdfReader:
     def _count(self, count: int) -> None:
         self._value_count += count
         if self._value_count > _MAX_VALUES:
-            raise ValueError(f"its structures and cells hold more than {_MAX_VALUES} values")
+            raise RecordingError(
+                f"has more than {_MAX_VALUES} values in its structures and cells. Save only the arrays of samples."
+            )
 
     def _unread_value(self, item: Any, depth: int) -> Any:
         if hasattr(item, "keys"):

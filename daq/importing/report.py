@@ -65,7 +65,7 @@ def _detection_lines(recording: Recording) -> Iterator[str]:
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
-        yield f"{len(hits)} hits detected in the force, of {min(peaks):.3g} to {max(peaks):.3g} N"
+        yield f"{len(hits)} hits detected in the force, with peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
     steps = [marker for marker in recording.markers if "settled" in marker.fields]
     if steps:
         frequencies = [float(step.fields["frequency"]) for step in steps]
@@ -76,4 +76,4 @@ def _detection_lines(recording: Recording) -> Iterator[str]:
         )
         unsettled_count = sum(not step.fields["settled"] for step in steps)
         if unsettled_count:
-            yield f"{unsettled_count} of them did not reach steady state: marked as such"
+            yield f"{unsettled_count} of these steps did not reach steady state; they are marked as not settled"

@@ -40,7 +40,8 @@ class Signal:
         if values.ndim != 1 or values.dtype.kind not in "fiub":
             content = "complex numbers" if values.dtype.kind == "c" else f"{values.dtype} of shape {values.shape}"
             raise RecordingError(
-                f"{path}: {name!r} (number {number}) contains {content}; expected a row of real numbers"
+                f"{path}: {name!r} (number {number}) contains {content}; expected a row of real numbers. Export it as "
+                "real samples."
             )
 
         def read(first: int, stop: int) -> Array:

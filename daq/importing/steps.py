@@ -60,8 +60,8 @@ class StepDetector:
         if not tones:
             return [
                 f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} contains "
-                "no tone of constant frequency for ten periods above its noise. Check for swapped columns or another "
-                "test (test: kind: swept_sine, random)."
+                "no tone of constant frequency for ten periods above its noise. Check whether columns are swapped, or "
+                "the test was another (such as kind: swept_sine)."
             ]
         for pass_number, (direction, indices) in enumerate(_passes([tone.frequency for tone in tones])):
             tones_of_pass = [tones[index] for index in indices]

@@ -50,7 +50,7 @@ def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         raise RecordingError(
-            f"{path} is not a TDMS file, or it is damaged: {_error_text(error)}. Export it again."
+            f"{path} cannot be read as a TDMS file ({_error_text(error)}). Export it again."
         ) from error
 
 
@@ -71,7 +71,10 @@ def log_as_warning(path: Path) -> Iterator[None]:
             stack.callback(logger.removeFilter, collect)
         yield
     if messages:
-        warn(f"{path} is truncated or damaged ({messages[0]}). The readable part is imported.")
+        warn(
+            f"{path} is truncated or damaged ({messages[0]}). Only the readable part is imported; for the rest, export "
+            "the file again."
+        )
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:
@@ -111,12 +114,15 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
         channel_clock = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
     except (TypeError, ValueError):
         raise RecordingError(
-            f"{where}: wf_increment {interval!r} and wf_start_offset {offset!r} are not times in s. Correct them."
+            f"{where}: wf_increment is {interval!r}, wf_start_offset is {offset!r}; expected numbers, in s. Correct "
+            "the file."
         ) from None
     except RecordingError as error:
         raise RecordingError(f"{where}: {error}") from None
     if interval is not None and channel.dtype is not None and channel.dtype.kind not in "fiu":
-        raise RecordingError(f"{where} contains values of type {channel.dtype}; expected real numbers")
+        raise RecordingError(
+            f"{where} contains values of type {channel.dtype}; expected real numbers. Export it as real samples."
+        )
     clock = clock or channel_clock
 
     def read(first: int, stop: int) -> Array:

@@ -60,7 +60,7 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
         head = binary.read(1 << 18)
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\0" in head and not is_utf16:
-        raise RecordingError(f"{path} is not text; expected a table of numbers")
+        raise RecordingError(f"{path} is not a text file. Export the data as a table of numbers.")
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
         text = head.decode(encoding)
@@ -96,7 +96,9 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
             return Layout(
                 encoding, delimiter, decimal_comma, heading, *_names_and_units(rows_above, column_count), read_cells
             )
-    raise RecordingError(f"{path}: no line of numbers among its first {len(lines)} lines; expected a table of numbers")
+    raise RecordingError(
+        f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
+    )
 
 
 def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[list[str], list[str]]:
@@ -206,8 +208,8 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     ends = [number for number, line in enumerate(lines) if line.startswith(_LABVIEW_END)]
     if len(ends) < 2 or len(lines) <= ends[1] + 1:
         raise RecordingError(
-            f"{where}: its LabVIEW heading does not end; expected {_LABVIEW_END} twice, then "
-            "a line of names, then numbers"
+            f"{where}: its LabVIEW heading has no end; expected {_LABVIEW_END} twice, then a line of names, then "
+            "numbers. Export it again."
         )
     separator = "," if _cells_by_key(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"
     file_keys = _cells_by_key(lines[: ends[0]], separator)
@@ -221,13 +223,13 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     try:
         count = int(segment.get("Channels", ["0"])[0])
         if not 0 < cells_per_channel * count < len(names) + cells_per_channel - 1:
-            raise ValueError(f"{count} channels under {len(names)} names")
+            raise ValueError(f"{count} channels, but {len(names)} names of columns")
         channels = [
             _labview_channel(segment, names[1 + cells_per_channel * k], cells_per_channel * k, decimal_comma)
             for k in range(count)
         ]
     except ValueError as error:
-        raise RecordingError(f"{where}: its LabVIEW heading contradicts itself: {error}. Export it again.") from None
+        raise RecordingError(f"{where}: its LabVIEW heading cannot be used ({error}). Export it again.") from None
     return LabviewHeading(separator, decimal_comma, ends[1] + 2, columns == "One", channels)
 
 

@@ -98,20 +98,20 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     stated_samples = max(channel.samples for channel in channels)
     if stated_samples > table.rows:
         warn(
-            f"{path}: the heading states {stated_samples} samples, the table has {table.rows}. Check that the file is "
-            "complete."
+            f"{path}: the heading states {stated_samples} samples, but the table has only {table.rows}. Check that the "
+            "file is complete."
         )
     if 0 < stated_samples < table.rows and not has_times:
         warn(
-            f"{path}: the heading states {stated_samples} samples, the table has {table.rows}. They are imported "
-            "without a gap. If there was a pause in the measurement, import the parts one by one with --from and --to."
+            f"{path}: the heading states {stated_samples} samples, but the table has {table.rows}, which are imported "
+            "without a gap. If the measurement was paused, import the parts one by one with --from and --to."
         )
     uncertain = [each for each in channels if each.rate and each.rate_error > _MAX_RATE_UNCERTAINTY * each.rate]
     if uncertain and not has_times:
         rate, error = uncertain[0].rate or 0.0, uncertain[0].rate_error
         warn(
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
-            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. If that is wrong, give rate: in the channel table."
+            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. If this rate is wrong, give rate: in the channel table."
         )
     signals = []
     for position, channel in enumerate(channels, 1):
@@ -145,7 +145,7 @@ class _Table:
             previous_line, last_line = last_line[1], numbered_line
             self.rows += 1
         if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
-            warn(f"{path}: its last line is truncated and is omitted ({reason})")
+            warn(f"{path}: the last line is truncated, and is not imported ({reason})")
             self.rows -= 1
             self._examined_lines = self._examined_lines[: self.rows]
             last_line = (0, previous_line)
@@ -162,7 +162,8 @@ class _Table:
         try:
             self._parse_line(line_number, line)
         except RecordingError as error:
-            return str(error)
+            # Without the remedy: the line is omitted.
+            return str(error).rsplit(". ", 1)[0]
         last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
         lengths = [len(cell.lstrip("+-")) for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
@@ -192,7 +193,7 @@ class _Table:
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
-            raise RecordingError(f"{where}: got {self.rows}; expected at least 2")
+            raise RecordingError(f"{where}: number of times is {self.rows}; expected at least 2. Export more samples.")
         first, last = (self._parse_line(0, self._examined_lines[end])[0] * scale for end in (0, -1))
         time_cells = [self._first_cell(line) for line in self._examined_lines]
         if self.has_times_of_day:
@@ -262,8 +263,8 @@ class _Table:
                 continue
             if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT_BEGINS):
                 raise RecordingError(
-                    f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file, or "
-                    "log to TDMS."
+                    f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file "
+                    "before this line, or log to TDMS."
                 )
             yield line_number, line
 
@@ -289,7 +290,8 @@ class _Table:
             row = [row[position] for position in layout.cells]
         if len(row) != len(layout.names):
             raise RecordingError(
-                f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers"
+                f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers. Correct "
+                "or remove the line."
             )
         values = []
         for column, cell in enumerate(row, 1):
@@ -297,6 +299,8 @@ class _Table:
             if value is None and column == 1:
                 value = stamp_seconds(cell)
             if value is None:
-                raise RecordingError(f"{where}, column {column}: {cell!r:.40} is not a number. Correct or remove it.")
+                raise RecordingError(
+                    f"{where}, column {column}: {cell!r:.40} is not a number. Correct the cell, or remove the line."
+                )
             values.append(value)
         return values

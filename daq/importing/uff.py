@@ -69,9 +69,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
         file = pyuff.UFF(str(path))
         set_types = [int(set_type) for set_type in file.get_set_types()]
     except Exception as error:
-        raise RecordingError(
-            f"{path} is not a Universal File, or it is damaged: {error!s:.200}. Export it again."
-        ) from error
+        raise RecordingError(f"{path} cannot be read as a Universal File ({error!s:.200}). Export it again.") from error
     sets: list[dict[str, Any]] = []
     units = None
     for index, set_type in enumerate(set_types):
@@ -84,7 +82,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
                 continue
             value_count, stated_count = np.asarray(content["data"]).size, int(content["num_pts"])
             if value_count != stated_count:
-                raise ValueError(f"its header states {stated_count} values, it contains {value_count}")
+                raise ValueError(f"its header states {stated_count} values, but it contains {value_count}")
         except Exception as error:
             raise RecordingError(
                 f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is truncated or damaged "
@@ -93,7 +91,10 @@ def functions(path: Path) -> list[dict[str, Any]]:
         sets.append(content)
     if not sets:
         other_types = ", ".join(map(str, sorted(set(set_types) - {0}))) or "none"
-        raise RecordingError(f"{path} contains no data set 58 (functions), but {other_types}. Export functions.")
+        raise RecordingError(
+            f"{path} contains no data set 58 (functions); its data sets are: {other_types}. Export time histories or "
+            "frequency responses as data set 58."
+        )
     for data_set in sets:
         data_set["si"] = units == _UNITS_SI
     return sets
@@ -130,7 +131,7 @@ def is_time(data_set: Mapping[str, Any]) -> bool:
 
 
 def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> Signal:
-    where, scale = f"{path}: times of {name!r}", _time_unit(data_set)
+    where, scale = f"{path}: the times of {name!r}", _time_unit(data_set)
     if int(data_set["abscissa_spacing"]):
         interval = scale * float(data_set["abscissa_inc"])
         try:

@@ -33,14 +33,14 @@ def wav_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     sample_bytes = frame_bytes // tracks if tracks else 0
     if sample_bytes not in _SAMPLE_BYTES.get(format_tag, ()) or frame_bytes != sample_bytes * tracks:
         raise RecordingError(
-            f"{path}: a WAV file of format {format_tag} with {bits_per_sample} bits and {tracks} tracks; expected "
-            "uncompressed samples: integers of 8, 16, 24 or 32 bits, or floats of 32 or 64"
+            f"{path}: a WAV file of format {format_tag} with {bits_per_sample} bits and {tracks} tracks. Export "
+            "uncompressed samples: integers of 8, 16, 24 or 32 bits, or floats of 32 or 64 bits."
         )
     samples = size // frame_bytes
-    if rate < 1 or samples < 2:
-        raise RecordingError(
-            f"{path}: its header states {rate} samples per second, and it contains {samples} samples. Export it again."
-        )
+    if rate < 1:
+        raise RecordingError(f"{path}: its header states a sample rate of {rate} Hz. Export it again.")
+    if samples < 2:
+        raise RecordingError(f"{path}: number of samples is {samples}; expected at least 2. Export a longer signal.")
     data = np.memmap(path, np.uint8, "r", offset, (samples, tracks, sample_bytes))
     full_scale = None if format_tag == _FLOAT else 1.0 - 2.0 ** (1 - 8 * sample_bytes)
 
@@ -86,10 +86,13 @@ def _find_samples(path: Path) -> tuple[bytes, int, int]:
                 if size == _SIZE_ELSEWHERE or riff_head[:4] == b"RF64":
                     size = ds64_size or size
                 if len(format_chunk) < 16:
-                    raise RecordingError(f"{path} is damaged: no format precedes its samples. Export it again.")
+                    raise RecordingError(
+                        f"{path} is damaged: its samples are not preceded by a description of their format. Export it "
+                        "again."
+                    )
                 if size != _SIZE_ELSEWHERE and position + size > file_size:
                     raise RecordingError(
-                        f"{path} is truncated: its header states {size} bytes of samples, it contains "
+                        f"{path} is truncated: its header states {size} bytes of samples, but it contains "
                         f"{file_size - position}. Export it again."
                     )
                 return format_chunk, position, min(size, file_size - position)

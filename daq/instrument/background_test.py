@@ -80,8 +80,8 @@ class BackgroundTest:
             self._on_end(reason)
         else:
             warnings.warn(
-                f"the test of scene {self._station.scene.name!r} {failure}: {reason.rstrip('.')}. Until a script "
-                "writes to an output, nothing drives the bench.",
+                f"the test of scene {self._station.scene.name!r} {failure}: {reason.rstrip('.')}. Nothing drives "
+                "the bench until a script writes to an output.",
                 RuntimeWarning,
                 stacklevel=2,
             )

@@ -53,8 +53,8 @@ class Events:
             return
         if event != (EverySamples.TRANSFERRED if has_outputs else EverySamples.ACQUIRED):
             raise DaqError(
-                f"the task has {'outputs' if has_outputs else 'inputs'}, which cause no events for samples "
-                f"{event.name.lower()}. Register for samples {'transferred' if has_outputs else 'acquired'}.",
+                f"the task has {'outputs' if has_outputs else 'inputs'}: no event for {event.name.lower()} samples can "
+                f"occur. Register an event for {'transferred' if has_outputs else 'acquired'} samples.",
                 _NOT_SUPPORTED[event],
             )
         if self._every_n_samples is not None:

@@ -115,7 +115,7 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
         )
     if not 0 <= pretrigger < samples:
         raise DaqError(
-            f"{pretrigger} pretrigger samples are impossible in a record of {samples}. Give 0 to {samples - 1}.",
+            f"{pretrigger} of {samples} samples cannot be before the trigger. Give 0 to {samples - 1}.",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference
@@ -163,8 +163,8 @@ def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source |
         names, slopes, levels = unflatten(setting("srcs")), setting("slopes"), setting("lvls")
         if not len(names) == len(slopes) == len(levels):
             raise DaqError(
-                f"the trigger has {len(names)} sources, {len(slopes)} slopes and {len(levels)} levels. Give equal "
-                "numbers.",
+                f"the trigger has {len(names)} sources, {len(slopes)} slopes and {len(levels)} levels. Give the "
+                "same number of each.",
                 Code.MISMATCHED_INPUT_ARRAY_SIZES,
             )
         conditions = [
@@ -209,7 +209,7 @@ def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> t
     An output on the sample clock of the inputs starts with the inputs. `tick_rate` is in ticks of the bench per second.
     """
     if isinstance(start, AnalogSource):
-        raise unsupported("an analog start trigger of an output", "Start it by ai/StartTrigger.")
+        raise unsupported("an analog start trigger of an output", "Start the output by ai/StartTrigger.")
     clock_task = None
     if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
         start = clock_task = OtherTask("", "ai", reference=False)

@@ -135,7 +135,7 @@ class TaskOutput:
                 raise DaqError(str(run.error), run.error.code, n_written)
             if run is not None and run.done:
                 raise DaqError(
-                    "the output has ended. Stop the task before writing.",
+                    "the output has ended. Stop the task before writing again.",
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     n_written,
                 )
@@ -152,10 +152,12 @@ class TaskOutput:
                 return run is None or run.done or space() >= chunk_size()
 
             if run is None or not chassis.wait(ready, lambda: chunk_size() - space(), time_left):
-                cause = "the task is not running" if run is None else "the timeout has expired"
+                cause, remedy = "the timeout has expired", "Increase the timeout"
+                if run is None:
+                    cause, remedy = "the task is not running", "Start the task"
                 raise DaqError(
                     f"{n_written} of {n_requested} samples per channel were written: the buffer is full, and {cause}. "
-                    "Start the task, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
+                    f"{remedy}, write fewer samples at a time, or enlarge out_stream.output_buf_size.",
                     Code.SAMPLES_CAN_NOT_YET_BE_WRITTEN,
                     n_written,
                 )
@@ -192,7 +194,7 @@ def check_volts(channels: Sequence[Channel], volts: Array) -> None:
         if is_outside.any():
             raise DaqError(
                 f"{channel.name}: {row[is_outside][0]:g} V is outside the limits, {low:g} to {high:g} V. Write "
-                "voltages within the limits, or extend them.",
+                "voltages within the limits, or extend the limits.",
                 Code.INVALID_AO_DATA_WRITE,
                 samples_done=0,
             )

@@ -172,7 +172,7 @@ def scope(
                 return
         controls.quit = True
 
-    viewer_context = server(print_line) if web else window("Use --web for a browser.")
+    viewer_context = server(print_line) if web else window("Use --web to show the rig in a browser.")
     bench = Bench(loaded_scene)
     # The kernels are compiled before real time starts; the run uses a new bench.
     bench.acquire(np.zeros((len(bench.inputs), 64)))
@@ -185,7 +185,7 @@ def scope(
             if viewer.process.poll() is not None:
                 controls.quit = True
 
-        print_line(f"{ToneControls.HELP}; recording to {recording_path}")
+        print_line(f"Commands: {ToneControls.HELP}. Recording to {recording_path}")
         # A daemon thread: it may wait for input when the program ends.
         threading.Thread(target=read_commands, name="operator", daemon=True).start()
         try:

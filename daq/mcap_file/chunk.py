@@ -52,26 +52,26 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     `largest` limits the unpacked bytes; by default `LARGEST_CHUNK` and the compression ratio do. Raises `Damage`.
     """
     if len(content) < CHUNK_HEAD.size + 8:
-        raise Damage("it is truncated")
+        raise Damage("the chunk is truncated")
     _, _, size, checksum, name_length = CHUNK_HEAD.unpack_from(content)
     begin = CHUNK_HEAD.size + name_length
     if name_length > 16 or len(content) < begin + 8:
-        raise Damage("its compression is not named")
+        raise Damage("the chunk does not name its compression")
     compression = bytes(content[CHUNK_HEAD.size : begin])
     (packed,) = struct.unpack_from("<Q", content, begin)
-    if size > (LARGEST_CHUNK if largest is None else largest):
-        raise Damage(f"it claims to unpack to {size} bytes; at most {largest or LARGEST_CHUNK} are accepted")
-    if largest is None and size > _UNLIMITED_RATIO_BYTES + _MAX_RATIO * len(content):
-        raise Damage(f"it claims to unpack from {len(content)} bytes to {size}")
+    if largest is None:
+        largest = min(LARGEST_CHUNK, _UNLIMITED_RATIO_BYTES + _MAX_RATIO * len(content))
+    if size > largest:
+        raise Damage(f"the chunk states {size} bytes after decompression; at most {largest} are accepted")
     if begin + 8 + packed != len(content):
-        raise Damage(f"it claims {packed} bytes of records, but has {len(content) - begin - 8}")
+        raise Damage(f"the chunk states {packed} bytes of records, but has {len(content) - begin - 8}")
     records = _unpack(compression, content[begin + 8 :], size)
     if len(records) != size:
-        raise Damage(f"it unpacks to {len(records)} bytes instead of {size}")
+        raise Damage(f"the chunk decompresses to {len(records)} bytes instead of {size}")
     if checksum and zlib.crc32(records) != checksum:
-        raise Damage("its checksum is wrong")
+        raise Damage("the checksum of the chunk is wrong")
     if checksum_needed and not checksum:
-        raise Damage("it has no checksum")
+        raise Damage("the chunk has no checksum")
     return memoryview(records)
 
 
@@ -85,10 +85,10 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
         try:
             claimed = zstandard.get_frame_parameters(packed).content_size
             if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-                raise Damage(f"it unpacks to {claimed} bytes instead of {size}")
+                raise Damage(f"the chunk decompresses to {claimed} bytes instead of {size}")
             return _decompressor().decompress(packed, max_output_size=size, allow_extra_data=False)
         except zstandard.ZstdError as error:
-            raise Damage(f"it cannot be unpacked ({error})") from error
+            raise Damage(f"the chunk cannot be decompressed ({error})") from error
     if compression == b"lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
@@ -97,11 +97,11 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
             # Request one byte more than expected, to detect a chunk that is too large.
             records = unpacker.decompress(packed, max_length=size + 1)
         except (RuntimeError, ValueError, EOFError) as error:
-            raise Damage(f"it cannot be unpacked ({error})") from error
+            raise Damage(f"the chunk cannot be decompressed ({error})") from error
         if not unpacker.eof or unpacker.unused_data:
-            raise Damage("it does not unpack to the stated size")
+            raise Damage(f"the chunk does not decompress to {size} bytes, as it states")
         return bytes(records)
-    raise Damage(f"its compression {compression!r} is not known")
+    raise Damage(f"the compression {compression!r} of the chunk is not known; expected zstd, lz4 or none")
 
 
 def _decompressor() -> Any:
@@ -125,7 +125,7 @@ def record_at(read: Callable[[int, int], bytes], position: int, end: int, larges
     opcode, length = RECORD_HEAD.unpack(head)
     longest = min(largest, end - position - RECORD_HEAD.size)
     if length > longest:
-        raise Damage(f"a record with opcode {opcode} claims a length of {length} bytes; at most {longest} are possible")
+        raise Damage(f"a record with opcode {opcode} states a length of {length} bytes; at most {longest} are possible")
     return opcode, memoryview(read(position + RECORD_HEAD.size, length))
 
 
@@ -138,15 +138,17 @@ def records_in(records: memoryview, stored_bytes: int) -> Iterator[tuple[int, me
     while position < end:
         records_left -= 1
         if records_left < 0:
-            raise Damage(f"it has more than {_MAX_EXCESS_RECORDS + stored_bytes} records in {stored_bytes} bytes")
+            raise Damage(
+                f"the chunk has more than {_MAX_EXCESS_RECORDS + stored_bytes} records in {stored_bytes} bytes"
+            )
         if end - position < RECORD_HEAD.size:
-            raise Damage("a record in it is truncated")
+            raise Damage("a record in the chunk is truncated")
         opcode, length = RECORD_HEAD.unpack_from(records, position)
         begin, position = position + RECORD_HEAD.size, position + RECORD_HEAD.size + length
         if position > end:
-            raise Damage(f"a record in it claims a length of {length} bytes")
+            raise Damage(f"a record in the chunk states a length of {length} bytes, but is truncated")
         if opcode not in _CHUNK_OPCODES:
-            raise Damage(f"a record in it with opcode {opcode} does not belong in a chunk")
+            raise Damage(f"a record with opcode {opcode} does not belong in a chunk")
         yield opcode, records[begin:position]
 
 
@@ -158,6 +160,6 @@ def messages_in(records: memoryview, stored_bytes: int) -> list[StoredMessage]:
 def parse_message(content: memoryview) -> StoredMessage:
     """Parse a message record; raise `Damage` if the record is truncated."""
     if len(content) < MESSAGE_HEAD.size:
-        raise Damage("a message in it is truncated")
+        raise Damage("a message is truncated")
     channel, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(content)
     return StoredMessage(channel, sequence, log_time, publish_time, content[MESSAGE_HEAD.size :])

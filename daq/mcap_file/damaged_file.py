@@ -91,7 +91,7 @@ class DamagedFile:
         position = len(MAGIC)
         if self._read(0, position) != MAGIC:
             position = self._next_record(0)
-            yield Unreadable(0, position, "it does not begin with the MCAP signature")
+            yield Unreadable(0, position, "the file does not begin with the MCAP signature")
         while position < self.size:
             if self._read(position, RECORD_HEAD.size) == RECORD_HEAD.pack(Opcode.DATA_END, _DATA_END_BYTES):
                 return
@@ -159,9 +159,9 @@ class DamagedFile:
                 records = unpack_chunk(memoryview(content), checksum_needed=True)
                 return Intact(records, content_length), begin + content_length
             except Damage as damage:
-                reason = f"a chunk: {damage}"
+                reason = str(damage)
         if length == fields_size + packed and begin + length <= self.size and self._is_consistent(begin + length):
-            return Unreadable(position, begin + length, reason or "a chunk that is too large"), begin + length
+            return Unreadable(position, begin + length, reason or "the chunk is too large"), begin + length
         return None
 
     def _is_consistent(self, position: int) -> bool:

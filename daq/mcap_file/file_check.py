@@ -139,7 +139,7 @@ class _Check:
             self._counts[message.channel] += 1
             self._extend_times(message.log_time, message.log_time)
         elif opcode != Opcode.DATA_END and (opcode < _FIRST_PRIVATE_OPCODE or self._is_own_file):
-            raise Damage(f"a record with opcode {opcode} does not belong there")
+            raise Damage(f"a record with opcode {opcode} does not belong at this position")
 
     def _check_record(self, record: Any, content: memoryview) -> None:
         """Reject a record that shotrig's writer would encode differently, because no checksum covers its lengths."""
@@ -172,7 +172,7 @@ class _Check:
         times = [messages["log_time"] for messages in self._messages.values()]
         stamps = [int(stamp) for each in times for stamp in (each.min(), each.max())]
         if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
-            raise Damage("the times of a chunk are not those of its messages")
+            raise Damage("the times that the chunk states are not those of its messages")
         if stamps:
             self._extend_times(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
@@ -196,7 +196,7 @@ class _Check:
         """Compare a message index with the messages of the chunk before it."""
         chunk = self._chunk
         if chunk is None or len(content) < 6:
-            raise Damage("a message index without a chunk")
+            raise Damage("a message index does not follow a chunk")
         channel, size = struct.unpack_from("<HI", content)
         if size != len(content) - 6 or size % _ENTRY.itemsize or channel in chunk.message_index_offsets:
             raise Damage("a message index is malformed")
@@ -243,7 +243,7 @@ class _Check:
             if opcode < _FIRST_PRIVATE_OPCODE:
                 self._summary_record(opcode, parse_record(opcode, content), written)
         if self.position != self._file.size - len(MAGIC) or footer.summary_start not in (0, begin):
-            raise Damage("the footer does not agree with the file")
+            raise Damage("the footer is not at the end of the file, or states a wrong position of the summary")
         if footer.summary_offset_start not in (0, offsets or self.position):
             raise Damage("the footer states a wrong position of the summary offsets")
         for kind, unlisted in self._unlisted.items():
@@ -260,7 +260,7 @@ class _Check:
                 raise Damage(f"an index of the summary does not agree with the record at byte {position}")
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             if self._descriptions[opcode].get(record.id, record) != record:
-                raise Damage(f"the summary describes the schema or channel {record.id} differently")
+                raise Damage(f"the summary describes the schema or channel {record.id} differently from the data")
         elif opcode == Opcode.STATISTICS:
             self._statistics(record, written)
 

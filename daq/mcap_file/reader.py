@@ -100,7 +100,7 @@ class Container:
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
         """Return the content of a record, given the position and length in its index."""
         if length > largest:
-            raise Damage(f"a record at byte {offset} claims a length of {length} bytes; at most {largest} are accepted")
+            raise Damage(f"a record at byte {offset} states a length of {length} bytes; at most {largest} are accepted")
         if offset > self.size - length:
             raise Damage(f"a record of {length} bytes at byte {offset} lies beyond the end of the file")
         data = memoryview(self.read(offset, length))
@@ -131,7 +131,7 @@ class Container:
 
     def _chunk_error(self, number: int, damage: Damage) -> RecordingError:
         offset = int(self.summary.offsets[number])
-        return self.error(f"is damaged: the chunk at byte {offset} cannot be used: {damage}")
+        return self.error(f"is damaged at byte {offset}: {damage}")
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Return the fields of the metadata records by their names; the last record of a name counts."""

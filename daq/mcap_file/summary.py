@@ -64,7 +64,7 @@ def parse_record(opcode: int, content: memoryview, checksum_needed: bool = False
         Opcode.CHUNK_INDEX: records.ChunkIndex, Opcode.SUMMARY_OFFSET: records.SummaryOffset,
     }  # fmt: skip
     if opcode not in kinds:
-        raise Damage(f"a record with opcode {opcode} does not belong there")
+        raise Damage(f"a record with opcode {opcode} does not belong at this position")
     stream = ReadDataStream(BytesIO(content))
     try:
         record = kinds[opcode].read(stream)
@@ -118,7 +118,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
         opcode, length = RECORD_HEAD.unpack_from(data, position)
         position += RECORD_HEAD.size
         if position + length > end:
-            raise Damage(f"a record in the summary claims a length of {length} bytes")
+            raise Damage(f"a record in the summary states a length of {length} bytes, but is truncated")
         if opcode == Opcode.CHUNK_INDEX:
             chunk_positions[length].append(position)
         elif opcode in records_of_kind:

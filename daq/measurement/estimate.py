@@ -89,8 +89,8 @@ def check_resources(resources: Estimate, path: Path) -> None:
     free = shutil.disk_usage(folder).free
     if resources.disk * MIN_COMPRESSION_RATIO + RESERVE > free:
         raise SceneError(
-            f"{path}: the test requires about {_bytes_text(resources.disk)}, and {_bytes_text(free)} are free. Choose "
-            "another disk (-o FILE.mcap), a shorter test, or a lower rate."
+            f"{path}: the test requires about {_bytes_text(resources.disk)}, but only {_bytes_text(free)} are free. "
+            "Choose another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
 
 

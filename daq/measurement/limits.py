@@ -190,10 +190,10 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
     settling, integrated = "", ""
     if sensor.bias_settling is not None:
         settling = f" (time constant {sensor.bias_settling:g} s)"
-    remedies = ["bias: 0 V in its accelerometer (a sensor that was switched on long before)"]
+    remedies = ["bias: 0 V in its accelerometer (for a sensor that was switched on long before the test)"]
     if channel.integrator is not None:
         integrated = " after integration"
-        remedies.append("a low_cutoff of several hertz or less gain in the integrator")
+        remedies.append("a higher low_cutoff (several hertz) or a smaller gain in the integrator")
     elif complete_from_preset(scene.converter).coupling != "AC":
         remedies.append("coupling: AC in the converter")
     return (

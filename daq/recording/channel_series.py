@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
-from daq.recording.layout import CLOCK_CHECKS, Timebase
+from daq.recording.layout import CLOCK_CHECKS, WRITER_REMEDY, Timebase
 from daq.recording.sample_block import SCHEMAS, SampleBlock, decode, decode_contiguous, times_agree
 from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
@@ -98,7 +98,7 @@ class Series:
             for block, _ in self._stored_blocks(int(chunk)):
                 return block.clock
         raise self._error(
-            "no samples and no sample rate. Remove the topic, or add its rate and start_ns to the metadata."
+            "the topic has no samples and no sample rate. Remove it, or add its rate and start_ns to the metadata."
         )
 
     @cached_property
@@ -149,13 +149,17 @@ class Series:
     def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
         """Raise `RecordingError` if the times of a block contradict its sample indices."""
         if block.stop > MAX_SAMPLES:
-            raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}.")
-        if block.rate != clock.rate or not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
-            expected_times = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
+            raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}. {WRITER_REMEDY}")
+        if block.rate != clock.rate:
             raise self._error(
-                f"the block at sample {block.first_sample} states {block.rate:g} Hz, start {block.t0_ns} ns, log time "
-                f"{log_time} ns; expected {clock.rate:g} Hz, start {expected_times[0]} ns, log time (end of the block) "
-                f"{expected_times[1]} ns."
+                f"the block at sample {block.first_sample} states a rate of {block.rate:.17g} Hz; expected "
+                f"{clock.rate:.17g} Hz, as in the metadata or the first block. {WRITER_REMEDY}"
+            )
+        if not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
+            start_ns, end_ns = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
+            raise self._error(
+                f"the block at sample {block.first_sample} is from {block.t0_ns} ns to {log_time} ns (its log time); "
+                f"expected {start_ns} ns to {end_ns} ns from its sample numbers and the rate. {WRITER_REMEDY}"
             )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
@@ -166,7 +170,9 @@ class Series:
             for block in blocks:
                 if block.first_sample < next_sample:
                     first = block.first_sample
-                    raise self._error(f"a block begins at sample {first}; expected {next_sample} or later.")
+                    raise self._error(
+                        f"a block begins at sample {first}; expected {next_sample} or later. {WRITER_REMEDY}"
+                    )
                 next_sample = block.stop
                 if block.stop > start and block.first_sample < stop:
                     yield block

@@ -62,7 +62,7 @@ class CommittedFile:
                     f"{path}: another process created it in the meantime. Choose another name."
                 ) from None
             except OSError as error:
-                raise RecordingError(f"{path}: cannot create ({_creation_error(error, path.parent)}") from error
+                raise RecordingError(f"{path}: cannot be created ({_creation_error(error, path.parent)}") from error
             _lock(self._file, path)
             open_files.pop_all()
 
@@ -87,7 +87,7 @@ class CommittedFile:
         except OSError as error:
             self.failed = True
             os.ftruncate(self._file.fileno(), self._committed)
-            raise DiskError(f"{self.current_path}: cannot write ({error.strerror})") from error
+            raise DiskError(f"{self.current_path}: cannot be written ({error.strerror})") from error
         self._committed = self._end
 
     def free(self) -> int:
@@ -109,7 +109,7 @@ class CommittedFile:
             rename_complete(self.current_path, self._final, overwrite=True)
         except OSError as error:
             raise RunError(
-                f"{self.path}: cannot replace ({error.strerror}). Use the new recording {self.current_path}."
+                f"{self.path}: cannot be replaced ({error.strerror}). Use the new recording {self.current_path}."
             ) from error
         self.current_path = self._final
 

@@ -34,6 +34,8 @@ ROBOT = "/robot_description"
 TRANSFORMS = "/tf"
 # Name of the attachment with the scene.
 SCENE_FILE = "scene.yaml"
+# Remedy for a file whose content contradicts this layout.
+WRITER_REMEDY = "Correct the program that wrote the file, or record again."
 
 # Approximate duration of a block, s.
 BLOCK_S = 0.1

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.recording.layout import EVENTS, MARKERS
+from daq.recording.layout import EVENTS, MARKERS, WRITER_REMEDY
 from daq.recording.protobuf import Schema
 from daq.signal_chain.field_checks import (
     BOOLEAN,
@@ -30,7 +30,6 @@ from daq.signal_chain.field_checks import (
 )
 from rig.errors import RecordingError
 
-_REMEDY = "Correct the program that wrote the file, or record again."
 _FIELD_CHECKS = {
     **dict.fromkeys(("frequency", "from", "to", "duration"), POSITIVE),
     **dict.fromkeys(("period", "periods", "block", "number", "realisation"), COUNT),
@@ -136,11 +135,12 @@ class Marker:
         kind, first = content.pop("kind", None), content.pop("first_sample", None)
         last = content.pop("last_sample", None)
         end = first if last is None else last
-        is_interval = type(first) is int and type(end) is int and 0 <= first <= end <= MAX_SAMPLES
-        if not isinstance(kind, str) or not is_interval:
+        if not isinstance(kind, str):
+            raise RecordingError(f"{MARKERS}: a marker has the kind {kind!r:.80}; expected text. {WRITER_REMEDY}")
+        if not (type(first) is int and type(end) is int and 0 <= first <= end <= MAX_SAMPLES):
             raise RecordingError(
-                f"{MARKERS}: a message has kind {kind!r:.80} and samples {first!r:.40} to {last!r:.40}; expected text "
-                f"and whole numbers from 0, in order. {_REMEDY}"
+                f"{MARKERS}: a marker of kind {kind!r:.80} has samples {first!r:.40} to {last!r:.40}; expected whole "
+                f"numbers from 0, in ascending order. {WRITER_REMEDY}"
             )
         check(content, _FIELD_CHECKS)
         return cls(kind, first, last, _Fields(kind, content))
@@ -154,7 +154,7 @@ class _Fields(dict[str, Any]):
         self._kind = kind
 
     def __missing__(self, key: str) -> Any:
-        raise RecordingError(f"{MARKERS}: a marker of kind {self._kind!r} lacks the field {key}. {_REMEDY}")
+        raise RecordingError(f"{MARKERS}: a marker of kind {self._kind!r} lacks the field {key}. {WRITER_REMEDY}")
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
             if not isinstance(names, list):
                 raise RecordingError(
                     f"{MARKERS}: a marker of kind {marker.kind!r} has channels {names!r}; expected a list such as "
-                    f'["a1"]. {_REMEDY}'
+                    f'["a1"]. {WRITER_REMEDY}'
                 )
             reason = str(marker.fields.get("reason", "never acquired"))
             gaps.append(Gap(marker.first_sample, marker.end, tuple(map(str, names)), reason))
@@ -218,7 +218,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
     try:
         check(content, _EVENT_CHECKS)
     except RecordingError as error:
-        raise RecordingError(f"{EVENTS}: a message is not a valid contact event ({error}). {_REMEDY}") from error
+        raise RecordingError(f"{EVENTS}: a message is not a valid contact event ({error}). {WRITER_REMEDY}") from error
     return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
 
 
@@ -238,7 +238,7 @@ def _object(data: memoryview, topic: str) -> dict[str, Any]:
     try:
         content = json.loads(bytes(data))
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{topic}: a message is not JSON ({error}). {_REMEDY}") from error
+        raise RecordingError(f"{topic}: a message is not JSON ({error}). {WRITER_REMEDY}") from error
     if not isinstance(content, dict):
-        raise RecordingError(f"{topic}: a message is not a JSON object (named fields in braces). {_REMEDY}")
+        raise RecordingError(f"{topic}: a message is not a JSON object (named fields in braces). {WRITER_REMEDY}")
     return content

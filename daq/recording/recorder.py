@@ -164,7 +164,9 @@ class Recorder:
         self._require_truth(samples.shape[1])
         are_counts = np.issubdtype(samples.dtype, np.integer)
         if self._storage_type == "counts" and not are_counts:
-            raise RunError("recording.samples: counts, but the samples are volts. Give the converter bits and a range.")
+            raise RunError(
+                "recording.samples: counts, but the samples are volts. Set converter.bits and converter.range."
+            )
         if self._storage_type != "counts" and are_counts:
             samples = samples * np.array([[info.volts_per_count or 1.0] for info in self.channels])
         consumed = 0
@@ -250,7 +252,7 @@ class Recorder:
 
     def _require_open(self) -> None:
         if not self.accepts_samples:
-            raise RunError(f"{self.path}: the recording has ended. Make a new one for more samples.")
+            raise RunError(f"{self.path}: the recording has ended. Start another recording for more samples.")
 
     def _require_truth(self, samples: int) -> None:
         """Raise `RunError` unless the true motion of the next samples was written; both are committed together."""

@@ -125,7 +125,10 @@ class Recording(Result):
                 f"{self.path}: no samples on topics {layout.RAW}*. Import files of other programs with `daq import`."
             )
         if not summary.chunks_of_channel and summary.statistics is not None and summary.statistics.message_count:
-            raise RecordingError(f"{self.path}: no index of its chunks. Write the file again with an index.")
+            raise RecordingError(
+                f"{self.path}: the file has no chunk index. Enable the chunk index (summary section) in the program "
+                "that wrote the file, and write the file again."
+            )
         self.truth_points = tuple(self._truth.get("displacement", ()))
 
     def _channel_info(self, name: str, series: Series) -> ChannelInfo:
@@ -136,9 +139,13 @@ class Recording(Result):
         if "quantity" not in metadata:
             metadata["quantity"] = next((key for key, unit in UNITS.items() if unit == metadata.get("unit")), "")
         if metadata["quantity"] not in UNITS:
-            raise RecordingError(f"{place}: its metadata state no quantity; expected one of {', '.join(UNITS)}.")
+            stated = f"the quantity {metadata['quantity']!r:.80}" if metadata["quantity"] else "no quantity"
+            raise RecordingError(f"{place}: the metadata state {stated}; expected one of {', '.join(UNITS)}.")
         if series.clock != next(iter(self._series.values())).clock:
-            raise RecordingError(f"{place}: another sample clock than the first channel; expected one clock for all.")
+            raise RecordingError(
+                f"{place}: its sample rate or start time differs from that of the first channel. Write channels with "
+                "different sample clocks to separate files."
+            )
         try:
             defaults = ChannelInfo(name, "", "force", 1.0, 1.0).to_metadata()
             return ChannelInfo.from_metadata(defaults | metadata)

@@ -181,7 +181,7 @@ class _Salvager:
             schema_numbers[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
         for number, channel in sorted(channels.items()):
             if channel.schema_id not in schema_numbers:
-                self._notes.append(f"{channel.topic} has no schema")
+                self._notes.append(f"{channel.topic} is left out, because its schema is lost")
                 continue
             self._new_numbers[number] = self._file.add_channel(
                 channel.topic, channel.message_encoding, schema_numbers[channel.schema_id], channel.metadata
@@ -213,7 +213,7 @@ class _Salvager:
         try:
             messages = messages_in(records, stored_bytes)
         except Damage as damage:
-            self._notes.append(f"a chunk with a correct checksum is malformed and left out: {damage}")
+            self._notes.append(f"a chunk with a correct checksum is left out, because it is malformed: {damage}")
             return
         readable_messages = []
         for message in messages:

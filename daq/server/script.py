@@ -61,7 +61,9 @@ def run_script(
     """
     path = Path(path)
     if seconds is not None and not 0 < seconds < math.inf:
-        raise SceneError(f"seconds: {seconds:g} is not a time above 0 s. Give a longer time, or omit it for no limit.")
+        raise SceneError(
+            f"seconds: got {seconds:g}; expected a time above 0 s. Correct the time, or omit it for no limit."
+        )
     if not path.is_file():
         raise SceneError(f"{path}: the script does not exist. Give the path of a Python file.")
     chassis = connect_scene(scene, clock)

@@ -99,7 +99,7 @@ def serve(
     credentials = None if certificates is None else certificates.credentials()
     if protocol is not None:
         proto_paths = write_proto_files(protocol)
-        print(f"{protocol}: {len(proto_paths)} files of the protocol", flush=True)
+        print(f"{protocol}: contains the {len(proto_paths)} .proto files of the protocol", flush=True)
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
     with contextlib.ExitStack() as stack:
@@ -115,7 +115,7 @@ def serve(
         if viewer:
             from daq.viewing import outputs
 
-            viewer_window = stack.enter_context(outputs.window("omit --viewer to serve without it"))
+            viewer_window = stack.enter_context(outputs.window("Omit --viewer to serve without the viewer."))
             stream = stack.enter_context(outputs.recording_stream())
             stream.connect_grpc(viewer_window.url)
             stack.callback(LiveView(chassis, stream).close)

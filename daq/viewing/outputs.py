@@ -138,7 +138,7 @@ def draw_picture(
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
-        raise RunError(f"{file} is written, but incomplete: {'; '.join(problems)}")
+        raise RunError(f"{file}: parts of the picture could not be drawn ({'; '.join(problems)}). Draw it again.")
     return time_s
 
 
@@ -157,7 +157,8 @@ def show(
         gigabytes = replay.n_values * _BYTES_PER_VALUE / 1e9
         if gigabytes > _NOTE_ABOVE_GB:
             print(
-                f"note: the viewer will take about {gigabytes:.0f} GB of memory. Show a part with --from and --to.",
+                f"note: the viewer will take about {gigabytes:.0f} GB of memory. To use less, show a part of the "
+                "recording with --from and --to.",
                 file=sys.stderr,
             )
         with recording_stream() as stream:

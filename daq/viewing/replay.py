@@ -57,7 +57,7 @@ class Replay:
         if self.stop <= self.start:
             raise SceneError(
                 "nothing to replay: no sample of the recording is between --from and --to; its length is "
-                f"{recording.samples / rate:.3f} s. Choose times within it."
+                f"{recording.samples / rate:.3f} s. Choose times within this length."
             )
         seconds = (self.stop - self.start) / rate
         frames_per_s = min(_MAX_FRAMES_PER_S, max(_MIN_FRAMES_PER_S, _MAX_FRAMES / seconds))

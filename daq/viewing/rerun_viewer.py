@@ -74,7 +74,8 @@ class Viewer:
                     return
             time.sleep(_POLL_S)
         raise RunError(
-            f"the rerun viewer did not start within {_MAX_START_S:g} s. Its output:\n{_last_lines(self.output())}"
+            f"the rerun viewer did not start within {_MAX_START_S:g} s. Close other programs, and try again. Output of "
+            f"the viewer:\n{_last_lines(self.output())}"
         )
 
     @contextmanager

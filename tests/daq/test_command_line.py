@@ -18,7 +18,7 @@ from rig.errors import RecordingError, SceneError
         ("replay r.mcap --save x.rrd --at 1", "requires --screenshot"),
         ("replay r.mcap --at 1", "requires --screenshot"),
         ("replay r.mcap --screenshot x.png --speed 2", "combined with --screenshot"),
-        ("serve fig9 --overwrite", "Give its name with -o"),
+        ("serve fig9 --overwrite", "--overwrite requires -o"),
         ("serve --set seed=1", "--set requires a scene"),
         ("serve --port 65536", "--port: 65536 is out of range"),
         ("bench --port 65536", "--port: 65536 is out of range"),

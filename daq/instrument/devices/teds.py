@@ -42,7 +42,7 @@ def basic_teds(data: bytes) -> dict[str, Any]:
     """
     if len(data) < _MIN_BYTES:
         raise DaqError(
-            f"the TEDS has {len(data)} bytes, but the minimum is {_MIN_BYTES}. Give a complete data sheet.",
+            f"the TEDS has {len(data)} bytes, but the minimum is {_MIN_BYTES}. Give the complete content of a TEDS.",
             Code.TEDS_SENSOR_DATA_ERROR,
         )
     bits = int.from_bytes(data, "little")
@@ -100,7 +100,7 @@ class TedsMemory:
             data = read_file(Path(path))
         except OSError as error:
             raise DaqError(
-                f"{path}: {error.strerror}. Give a file with a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+                f"{path}: {error.strerror}. Give the path of a virtual TEDS file.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
             ) from None
         if not set(data) - {0, 1}:
             # A header, then one byte per bit.

@@ -28,8 +28,8 @@ def allocate(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDAr
         except MemoryError:
             pass
     raise invalid_value(
-        f"{samples} samples of {channels} channels exceed the memory of this instrument. Use fewer at a time; "
-        "for a long acquisition, use AcquisitionType.CONTINUOUS."
+        f"{samples} samples of {channels} channels exceed the memory of this instrument. Use fewer samples at a "
+        "time; for a long acquisition, use AcquisitionType.CONTINUOUS."
     )
 
 

@@ -157,8 +157,8 @@ class Channel:
         supplies = settings.get("ai_excit_src") == Excitation.INTERNAL
         if supplies and module.supply_coupling == "AC" and settings["ai_coupling"] != Coupling.AC:
             raise invalid_value(
-                f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Leave "
-                "ai_coupling at AC, or set ai_excit_src to NONE."
+                f"channel {self.name}: {module.product_type} supplies sensors with AC coupling only. Set "
+                "ai_coupling to AC, or ai_excit_src to NONE."
             )
 
     def check(self) -> None:
@@ -171,11 +171,12 @@ class Channel:
             raise invalid_value(f"channel {self.name}: limits {low:g} to {high:g} are not finite. Give finite limits.")
         if not sys.float_info.min <= self.volts_per_unit < math.inf:
             raise invalid_value(
-                f"channel {self.name}: the sensitivity is not positive and finite. Give the value of the data sheet."
+                f"channel {self.name}: the sensitivity, {self.volts_per_unit:g} V per {self.unit}, is not positive and "
+                "finite. Give the sensitivity from the sensor's data sheet."
             )
         if not low < high:
             raise DaqError(
-                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Change a limit.",
+                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Change one.",
                 Code.MIN_NOT_LESS_THAN_MAX,
             )
         full_scale = self.module.output_range if self.measurement is None else (self.module.ranges or (math.inf,))[-1]

@@ -43,7 +43,7 @@ class Scale:
         settings = self.settings
         if name not in settings or name == "type":
             raise DaqError(
-                f"a scale of this type has no {name}. Set a property of its type.",
+                f"a scale of this type has no {name}. Set a property that this type of scale has.",
                 Code.PROPERTY_NOT_SUPPORTED_FOR_SCALE_TYPE,
             )
         return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
@@ -56,7 +56,9 @@ class Scale:
         elif settings["type"] == MAP_RANGES:
             low, high = settings["map_pre_scaled_min"], settings["map_pre_scaled_max"]
             if low == high:
-                raise invalid_value("the limits of a map scale before scaling are equal. Give two different limits.")
+                raise invalid_value(
+                    f"map_pre_scaled_min and map_pre_scaled_max of a scale are both {low:g}. Give two different values."
+                )
             first, last = settings["map_scaled_min"], settings["map_scaled_max"]
             scaled = first + (values - low) * (last - first) / (high - low)
         elif settings["type"] == POLYNOMIAL:
@@ -98,7 +100,7 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         largest_power = np.abs(y).max() ** max(degree, 1)
     if not (np.isfinite(x).all() and np.isfinite(largest_power)):
         raise invalid_value(
-            "the powers of the polynomial are not finite over the range. Give smaller coefficients or limits."
+            "powers of the polynomial are not finite between the limits. Give smaller coefficients or limits."
         )
     # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)

@@ -108,7 +108,7 @@ class TaskSettings:
             )
         if self.direction not in ("", direction):
             raise DaqError(
-                "a task cannot have inputs and outputs. Use two tasks, and start one by the other's start trigger.",
+                "a task has either inputs or outputs. Use two tasks, and start one by the other's start trigger.",
                 Code.TASK_NOT_IN_DATA_NEIGHBORHOOD,
             )
         names = [port.name for port in ports]
@@ -116,7 +116,7 @@ class TaskSettings:
             listed = [part.strip() for part in name.split(",")]
             if len(listed) > len(names):
                 raise invalid_value(
-                    f"there are {len(listed)} names for {len(names)} channels. Give at most one for each channel."
+                    f"there are {len(listed)} names for {len(names)} channels. Give at most one name per channel."
                 )
             names[: len(listed)] = listed
         elif name:

@@ -26,7 +26,7 @@ def _check_width(count_type: _CountType, width: int, code: Code) -> None:
     bits = np.iinfo(count_type).bits
     if width > bits:
         raise DaqError(
-            f"the converter's counts have {width} bits, this call transfers {bits} bits. Use numbers of {width} bits.",
+            f"the converter's counts have {width} bits, but this call transfers {bits} bits. Use the call for 32 bits.",
             code,
             samples_done=0,
         )

@@ -74,7 +74,7 @@ def _teds(action: str) -> Handler:
                 teds.write(port, read_file(Path(path)) if path else b"")
             except OSError as error:
                 raise DaqError(
-                    f"{path}: {error.strerror}. Give a file with a data sheet.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+                    f"{path}: {error.strerror}. Give the path of a virtual TEDS file.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
                 ) from None
         else:
             teds.write(port, call.fields["bit_stream"])

@@ -132,7 +132,7 @@ def test_multisine_has_given_number_of_lines() -> None:
 
 def test_band_without_line_is_rejected() -> None:
     test = {"kind": "random", "from": "300.001 Hz", "to": "300.002 Hz", "force": "1 N", "duration": "4 s"}
-    with pytest.raises(SceneError, match=r"no line between 300\.001 and 300\.002 Hz"):
+    with pytest.raises(SceneError, match=r"no spectral line between 300\.001 and 300\.002 Hz"):
         run(scene_with(test, shaker=FORCE_SHAKER, converter={"rate": "1 kHz"}))
 
 

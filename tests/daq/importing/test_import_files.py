@@ -332,7 +332,7 @@ def test_uneven_times_are_reported(tmp_path):
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
         _, messages = import_recording(tmp_path / f"{name}.npz", make_scene(), tmp_path / f"{name}.mcap", table=table)
-        assert any("from an even grid by up to" in text for text in messages) == (name == "uneven")
+        assert any("from even spacing by up to" in text for text in messages) == (name == "uneven")
 
 
 def test_missing_value_in_first_line_keeps_its_column(tmp_path):
@@ -374,7 +374,7 @@ def test_uncertain_labview_clock_is_reported(tmp_path):
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
     recording, messages = import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
     recording.close()
-    assert any("9 samples, the table has 3" in text for text in messages)
+    assert any("9 samples, but the table has only 3" in text for text in messages)
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
 
 
@@ -390,11 +390,11 @@ WRONG_TABLES = {
     "body1: {column: 1, delay: 2 kg}": "expected a time",
     "body1: {column: 1, rate: -3}": "expected a frequency",
     "body1: {column: 1, unit: furlong}": "unknown unit 'furlong'",
-    "body1: {column: 1, sensitivity: 100 mV/g}": "not in volts",
+    "body1: {column: 1, sensitivity: 100 mV/g}": "only for a signal in volts",
     "body1: {column: 1, unit: V, sensitivity: 1 kg}": "not a unit of voltage per acceleration",
-    "body1: {column: 3}\nforce: {column: 1}": "swapped columns or a wrong unit",
+    "body1: {column: 3}\nforce: {column: 1}": "Assign another column, or correct unit",
     "body1: {column: 7}": "no column '7'; there are 1: body1",
-    "body1: {column: 1, file: z.csv}": "file 'z.csv' is none of a.csv",
+    "body1: {column: 1, file: z.csv}": "file: 'z.csv' is not imported; the imported files are a.csv",
     "bodi1: {column: 1}": r"not a channel of the scene.*'body1'\?",
     "body1: 1\nbody2: 1": "the same signal",
     "body1: {column: 1, rate: 10}\nbody2: {column: 2, rate: 20}": "several rates",
@@ -412,7 +412,9 @@ def test_wrong_table_is_rejected_with_message(text, tmp_path):
 
 def test_contradicting_rates_name_the_remedy(tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(100))
-    with pytest.raises(SceneError, match=r"files state 2048 Hz.*5120 Hz. Correct.*converter.rate=2048Hz"):
+    with pytest.raises(
+        SceneError, match=r"files state 2048 Hz.*5120 Hz\. If the files are right, use --set converter.rate=2048Hz"
+    ):
         import_recording(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
     table = {name: Column(name, rate=5120.0) for name in NAMES}
     recording, _ = import_recording(

@@ -121,7 +121,7 @@ def test_truncated_last_line_is_omitted(cut_bytes, tmp_path):
     with recording:
         assert recording.samples == 3999
         np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
-    assert any("last line is truncated and is omitted" in message for message in messages)
+    assert any("last line is truncated, and is not imported" in message for message in messages)
 
 
 def test_truncated_inner_line_is_rejected(tmp_path):

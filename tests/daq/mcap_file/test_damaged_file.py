@@ -229,8 +229,8 @@ def test_inconsistent_record_is_skipped(tmp_path, foreign):
 @pytest.mark.parametrize(
     ("damaged", "reason"),
     [
-        (PLAIN_CHUNK, "a chunk: "),
-        (ZSTD_CHUNK, "a chunk: "),
+        (PLAIN_CHUNK, "the checksum of the chunk"),
+        (ZSTD_CHUNK, "the chunk "),
         (ATTACHMENT, "an attachment"),
         (METADATA, "the checksum of the metadata"),
     ],
@@ -268,7 +268,7 @@ def test_largest_chunk_is_read_and_larger_rejected(tmp_path, largest, monkeypatc
     assert recovered_from(parts_of(tmp_path / "a", data)) == expected_of(largest)
     monkeypatch.setattr(damaged_file_module, "LARGEST_CHUNK", packed_size - 1)
     end = len(BEGINNING) + len(largest.stored)
-    assert parts_of(tmp_path / "a", data) == [Unreadable(len(BEGINNING), end, "a chunk that is too large")]
+    assert parts_of(tmp_path / "a", data) == [Unreadable(len(BEGINNING), end, "the chunk is too large")]
 
 
 def test_wrong_beginning_is_reported_and_records_searched(tmp_path):
@@ -282,7 +282,7 @@ def test_wrong_beginning_is_reported_and_records_searched(tmp_path):
     ("content", "reason"),
     [
         (chunk(b"", MESSAGES[0], checksum=0), "no checksum"),
-        (chunk(b"zstd", MESSAGES[0], checksum=1), "its checksum is wrong"),
+        (chunk(b"zstd", MESSAGES[0], checksum=1), "checksum of the chunk is wrong"),
         (chunk(b"zstd", MESSAGES[0], size=60), "instead of 60"),
     ],
 )
@@ -290,7 +290,7 @@ def test_unverified_chunk_is_not_used(tmp_path, content, reason):
     wrong_chunk = record(Opcode.CHUNK, content)
     parts = parts_of(tmp_path / "a", BEGINNING + wrong_chunk + ZSTD_CHUNK.stored + DATA_END)
     assert unreadable_spans(parts) == [(len(BEGINNING), len(BEGINNING) + len(wrong_chunk))]
-    assert parts[0].reason.startswith("a chunk: ") and reason in parts[0].reason
+    assert reason in parts[0].reason
     assert recovered_from(parts) == expected_of(ZSTD_CHUNK)
 
 

@@ -40,7 +40,10 @@ INTEGRATOR = ", integrator: {order: 2, corner: 1 Hz, gain: 1000"
 @pytest.mark.parametrize(
     ("integrator", "cause"),
     [
-        (f"{INTEGRATOR}}}", r"overloads the input after integration even with .* rest. Set bias: 0 V .* low_cutoff of"),
+        (
+            f"{INTEGRATOR}}}",
+            r"overloads the input after integration even with .* rest. Set bias: 0 V .* higher low_cutoff",
+        ),
         ("", r"overloads the input even with .* rest. Set bias: 0 V .* coupling: AC in the converter, or a larger"),
     ],
 )

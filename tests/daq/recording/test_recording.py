@@ -224,7 +224,7 @@ def test_file_of_another_program_is_read(tmp_path, compression):
         ({"metadata": {"unit": "m", "gain": "[1]", "poles": "7"}}, "poles = 7; expected"),
         ({"metadata": {"unit": "m", "rate": "999", "start_ns": "0"}}, "expected 999 Hz"),
         ({"metadata": {"unit": "m", "rate": "x", "start_ns": "0"}}, "invalid sample clock"),
-        ({"use_chunking": False}, "no index"),
+        ({"use_chunking": False}, "no chunk index"),
         ({"topics": ("/raw/a", "/raw/a")}, "two channels"),
     ],
 )
@@ -365,7 +365,7 @@ def limited_memory():
 def test_zip_bomb_is_rejected_in_little_memory(tmp_path, packed_bombs, compression, claimed, limited_memory):
     data = record(Opcode.CHUNK, packed_chunk(compression, packed_bombs[compression], claimed, checksum=0))
     path = write_malicious_file(tmp_path / "bomb.mcap", data, chunk_index(len(BEGINNING), len(data), claimed))
-    with pytest.raises(RecordingError, match=r"bomb\.mcap: the file is damaged: the chunk .*(unpack|claims)"):
+    with pytest.raises(RecordingError, match=r"bomb\.mcap: the file is damaged at byte \d+: the chunk .*decompress"):
         daq.open(path)
 
 
@@ -438,8 +438,8 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
         return
     with pytest.raises(
         RecordingError,
-        match=f"/raw/a: the block at sample 5 states 100 Hz, start 50000000 ns, log time {end_ns} ns; "
-        r"expected 100 Hz, start 50000000 ns, log time \(end of the block\) 70000000 ns",
+        match=rf"/raw/a: the block at sample 5 is from 50000000 ns to {end_ns} ns \(its log time\); "
+        "expected 50000000 ns to 70000000 ns",
     ):
         daq.open(path).read("a", 5, 7)
 
@@ -480,7 +480,7 @@ def test_attachment_named_like_a_path_touches_no_file(tmp_path):
     path = write_malicious_file(tmp_path / "a.mcap", stored_attachment + data, index, attachment_index)
     with daq.open(path) as recording:
         assert recording.read("a").tolist() == [1.0]
-        with pytest.raises(RecordingError, match="the times of a chunk"):
+        with pytest.raises(RecordingError, match="the times that the chunk states"):
             recording.check()
         with pytest.raises(RecordingError, match="scene"):
             _ = recording.scene

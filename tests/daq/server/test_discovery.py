@@ -139,7 +139,7 @@ def test_proto_files_do_not_replace_other_files(tmp_path):
     assert {f"{path.relative_to(tmp_path)}" for path in paths} >= {"nidaqmx.proto", "session.proto"}
     assert write_proto_files(tmp_path) == paths
     paths[0].write_text("something else")
-    with pytest.raises(SceneError, match="other text"):
+    with pytest.raises(SceneError, match="a different file of this name exists"):
         write_proto_files(tmp_path)
 
 

@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType
+from typer.testing import CliRunner
 
 import rig
+from daq.cli import app
 from daq.server.script import run_script
 from daq.virtual_bench.bench import Bench
 from rig.errors import SceneError
@@ -124,6 +126,15 @@ def test_syntax_error_shows_only_the_script(script, capfd):
     assert str(path) in stderr
     assert "Error: " in stderr
     assert "daq/server" not in stderr
+
+
+def test_file_that_hides_a_module_is_named(script):
+    path = script("1 / 0")
+    path.with_name("colorsys.py").write_text("")
+    result = CliRunner().invoke(app, ["run", "--scene", "bare-structure", "--clock", "fast", str(path)])
+    assert result.exit_code == 1
+    assert result.output.startswith(f"note: {path.with_name('colorsys.py')} is imported instead of")
+    assert result.output.endswith("Rename the file.\n")
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, float("nan"), float("inf")])

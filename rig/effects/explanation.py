@@ -22,7 +22,7 @@ from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableSha
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
-from rig.system.structural_model import structural_model
+from rig.system.structural_model import StructuralModel, structural_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -148,20 +148,20 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     noun = "body" if bodies == 1 else "bodies"
     form = "by matrices" if scene.structure.matrices is not None else "on springs"
     names = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
-    detail = f"{bodies} {noun} {form}{names}, {_natural_frequencies_text(scene)}, {_damping_text(scene)}"
+    detail = f"{bodies} {noun} {form}{names}, {_frequencies_text(structural_model(scene))}, {_damping_text(scene)}"
     yield Effect("motion", "structure", 2 * bodies, detail)
     if system.coupled and system.dampers:
         has_shared_body = np.unique(system.damper_coordinate).size < system.dampers
         reason = "several dampers in a body" if has_shared_body else "full mass matrix"
         yield Effect("motion", "coupled impacts", 0, f"{reason}: all simultaneous contacts are solved together")
     for shaker in scene.shakers:
-        yield from _shaker_effects(shaker, scene.structure)
+        yield from _shaker_effects(shaker, scene)
     yield from _damper_effects(scene, system)
 
 
-def _natural_frequencies_text(scene: Scene) -> str:
-    """List the natural frequencies of the structure alone; they reveal a wrong unit in the scene."""
-    texts = [f"{frequency:.4g}" for frequency in structural_model(scene).modes.frequency]
+def _frequencies_text(model: StructuralModel) -> str:
+    """List the natural frequencies of a structure; they reveal a wrong unit in the scene."""
+    texts = [f"{frequency:.4g}" for frequency in model.modes.frequency]
     if len(texts) > _MAX_LISTED:
         texts = [*texts[: _MAX_LISTED - 1], "...", texts[-1]]
     return f"{', '.join(texts)} Hz"
@@ -181,15 +181,19 @@ def _damping_text(scene: Scene) -> str:
     return "undamped" if matrices is None or matrices.damping is None else "a damping matrix"
 
 
-def _shaker_effects(shaker: Shaker, structure: Structure) -> Iterable[Effect]:
+def _shaker_effects(shaker: Shaker, scene: Scene) -> Iterable[Effect]:
     """List the effects of a shaker: force, or coil spring and table, coil current, amplifier clipping."""
-    bodies = structure.listed(shaker.bodies)
+    bodies = scene.structure.listed(shaker.bodies)
     if isinstance(shaker, ForceShaker):
         yield Effect("motion", "force", 0, f"on {bodies}, nothing attached")
         return
     spring = f"spring of {shaker.spring:.4g} N/m to {bodies}"
     if isinstance(shaker, TableShaker):
-        yield Effect("motion", "coil spring and table", 2, f"{spring}; position servo of {shaker.bandwidth:.4g} Hz")
+        # A hammer test excites these modes, because the coil spring remains attached.
+        with_spring = structural_model(scene).with_ground_springs([body - 1 for body in shaker.bodies], shaker.spring)
+        modes = f"with it and the table at rest {_frequencies_text(with_spring)}"
+        servo = f"position servo of {shaker.bandwidth:.4g} Hz"
+        yield Effect("motion", "coil spring and table", 2, f"{spring}, {modes}; {servo}")
         return
     yield Effect("motion", "coil spring and table", 2, f"{spring}; armature of {shaker.armature.mass:.4g} kg")
     if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":

@@ -91,3 +91,11 @@ def test_natural_frequencies_are_listed_first_and_last() -> None:
     extreme_masses = rig.load("bare-structure", {"structure.masses": [1e-9, 1e9, 1.0]})
     assert "0.0005395, 22.4, 1.081e+06 Hz" in str(rig.explain(extreme_masses))
     assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(nine_bodies)))
+
+
+def test_frequencies_with_attached_coil_spring_are_listed() -> None:
+    bench = {"kind": "table", "body": 1, "spring": "3 kN/m"}
+    one_body = rig.loads("structure: {masses: [1 kg], springs: [1 kN/m]}", where="test").replace(shaker=bench, test=None)
+    # sqrt(1 kN/m / 1 kg) and sqrt(4 kN/m / 1 kg), over 2 pi
+    assert "1 body on springs, 5.033 Hz" in str(rig.explain(one_body))
+    assert "with it and the table at rest 10.07 Hz" in str(rig.explain(one_body))

@@ -11,7 +11,7 @@ from typing import Any
 from daq.recording.recorder import Recorder
 from daq.recording.sample_block import stored_as
 from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import describe_output
+from daq.signal_chain.converter import describe_clock, describe_output
 from daq.signal_chain.oversampling import choose_oversampling
 from daq.virtual_bench.bench import Bench
 from rig.arrays import Array
@@ -33,7 +33,7 @@ def measurement_effects(scene: Scene) -> Iterable[Effect]:
         part = f"channel {channel.name} ({channel.quantity} at {scene.structure.label(channel.at)})"
         for name, states in chain.effects[channel.name].items():
             yield Effect(part, name, states)
-        yield Effect(part, "sample clock", 0, f"{scene.converter.sample_rate:.6g} Hz")
+        yield Effect(part, "sample clock", 0, describe_clock(scene.converter))
     for number in range(1, len(scene.shakers) + 1):
         yield Effect("outputs", f"ao{number - 1}", 0, describe_output(scene, number))
     if intervals > 1:

@@ -5,7 +5,7 @@ A rehearsal simulates the test on the virtual bench without a recording.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,7 @@ from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
 from daq.foresight.foresight import Expectation, Foresight, format_quantity
-from daq.foresight.linear import lowest_signal_to_noise, required_drive
+from daq.foresight.linear import LowestSignalToNoise, lowest_signal_to_noise, required_drive
 from daq.foresight.rehearsal import POWER_ON_RATIO, Rehearsal, recording_size
 from daq.foresight.rehearsal_plan import (
     RehearsalPlan,
@@ -177,6 +177,7 @@ class _Assessment:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
                 largest_level = min(largest_level, second_level)
         seconds = self._test_duration()
+        signals = lowest_signal_to_noise(self.scene, self.bench.channels)
         last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
         return Foresight(
             scene=self.scene.name,
@@ -188,8 +189,8 @@ class _Assessment:
             limited_by=limiting if np.isfinite(largest_level) else None,
             nonlinear=dampers_fly,
             aborts=self.rehearsed_test.aborted,
-            signals=lowest_signal_to_noise(self.scene, self.bench.channels),
-            unread=tuple(self._below_resolution(expectations)),
+            signals=signals,
+            unread=(*self._below_resolution(expectations), *self._below_noise(signals)),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
             seconds=seconds,
             disk=recording_size(self.scene, self.bench, last_blocks, seconds),
@@ -229,6 +230,15 @@ class _Assessment:
                     f"{info.name}: the largest reading is below two counts of the converter "
                     f"({format_quantity(count, info.unit)} each){consequence}. Choose a smaller range or a higher "
                     "sensitivity."
+                )
+
+    def _below_noise(self, signals: Mapping[str, LowestSignalToNoise]) -> Iterable[str]:
+        """Yield a warning for each channel whose noise exceeds its signal at a frequency of the test."""
+        for name, lowest in signals.items():
+            if lowest.ratio < 1.0:
+                yield (
+                    f"{name}: at {lowest.frequency:.4g} Hz, the signal is {-lowest.decibels:.0f} dB below the noise. "
+                    f"Raise {self.key or 'the level of the test'}, or use a sensor with a higher sensitivity."
                 )
 
     def _sensors(self) -> Iterable[Expectation]:

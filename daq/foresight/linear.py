@@ -95,8 +95,13 @@ class LowestSignalToNoise:
     ratio: float  # not in dB
     frequency: float  # Hz
 
+    @property
+    def decibels(self) -> float:
+        """The ratio in dB."""
+        return float(20.0 * np.log10(max(self.ratio, 1e-30)))
+
     def __str__(self) -> str:
-        return f"{20.0 * np.log10(max(self.ratio, 1e-30)):.0f} dB at {self.frequency:.4g} Hz"
+        return f"{self.decibels:.0f} dB at {self.frequency:.4g} Hz"
 
 
 def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.recording.recorded_test import TestKind
+from daq.signal_chain.converter import describe_clock
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import format_frequencies
@@ -32,10 +33,8 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     import daq
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
-    requested, rate = scene.converter.rate, scene.converter.sample_rate
-    if rate != requested:
-        module = scene.converter.preset
-        print(f"{module} samples at {rate:.10g} Hz, the next rate of its clock above {requested:g} Hz", file=sys.stderr)
+    if scene.converter.sample_rate != scene.converter.rate:
+        print(f"sample clock: {describe_clock(scene.converter)}", file=sys.stderr)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", daq.RunWarning)
         try:

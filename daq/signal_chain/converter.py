@@ -97,6 +97,14 @@ class Outputs:
         return output
 
 
+def describe_clock(converter: Settings) -> str:
+    """Describe the sample rate; for a module whose clock has other rates, also the rate that the scene asks for."""
+    rate = f"{converter.sample_rate:.6g} Hz"
+    if converter.sample_rate == converter.rate:
+        return rate
+    return f"{rate}, the next rate of the {converter.preset} above {converter.rate:.6g} Hz"
+
+
 def describe_output(scene: Scene, number: int) -> str:
     """Describe the quantity that the output of shaker `number` (from 1) drives, and its value per volt.
 

@@ -176,6 +176,13 @@ def test_smallest_signal_is_that_of_weakest_tone() -> None:
     assert signal.ratio == pytest.approx(steady_acceleration(scene, np.array([5.0])) / noise, rel=0.02)
 
 
+def test_channel_below_its_noise_is_named() -> None:
+    noisy = accelerometer(accelerometer={"sensitivity": "100 mV/g", "noise": "1 g/sqrt(Hz)"})
+    (line,) = daq.foresee(one_body(TONE | {"force": "0.1 N"}, channels=noisy)).unread
+    assert line.startswith("a1: at 30 Hz, the signal is")
+    assert daq.foresee(one_body(TONE | {"force": "1 kN"}, channels=noisy)).unread == ()
+
+
 def test_channel_below_two_counts_is_named() -> None:
     converter = {"rate": 1024, "bits": 8, "range": "10 V"}
     (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread

@@ -95,7 +95,13 @@ def test_natural_frequencies_are_listed_first_and_last() -> None:
 
 def test_frequencies_with_attached_coil_spring_are_listed() -> None:
     bench = {"kind": "table", "body": 1, "spring": "3 kN/m"}
-    one_body = rig.loads("structure: {masses: [1 kg], springs: [1 kN/m]}", where="test").replace(shaker=bench, test=None)
+    structure = {"masses": ["1 kg"], "springs": ["1 kN/m"]}
+    one_body = rig.Scene(structure=structure, shaker=bench)
     # sqrt(1 kN/m / 1 kg) and sqrt(4 kN/m / 1 kg), over 2 pi
     assert "1 body on springs, 5.033 Hz" in str(rig.explain(one_body))
     assert "with it and the table at rest 10.07 Hz" in str(rig.explain(one_body))
+
+
+def test_next_rate_of_module_is_stated() -> None:
+    scene = rig.load("fig9", {"converter": {"preset": "NI 9234", "rate": "5 kHz"}})
+    assert "5120 Hz, the next rate of the NI 9234 above 5000 Hz" in str(rig.explain(scene))

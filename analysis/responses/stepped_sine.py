@@ -53,6 +53,8 @@ class ToneFit:
     # amplitude of the tone in each part of the window; complex, shape (parts, channels)
     parts: ComplexArray
     residual: Array  # root mean square of the residual; shape (channels,)
+    # lower estimate of the root mean square of noise, which is different in every period; shape (channels,)
+    noise: Array
 
     def scatter(self) -> ComplexArray:
         """Compute the square-root factor of the covariance of the tone's amplitudes, shape (parts, channels)."""
@@ -149,12 +151,22 @@ class LockIn:
         residual -= self._tones(samples[:-1] - firsts)[:, :, None] * moved[:-1, None]
         residual += self._tones(samples[1:] - firsts)[:, :, None] * moved[1:, None]
         local = np.linalg.solve(grams[:, 2:, 2:], residual)
-        rotation = np.exp(-2j * np.pi * np.fmod(self.frequency * firsts / self.rate, 1.0))
-        parts = amplitude[:, 0] + (local[:, 0] + 1j * local[:, 1]) * rotation[:, None]
+        cycles = np.outer(self.frequency * firsts / self.rate, np.arange(1, self.harmonics + 1))
+        rotation = np.exp(-2j * np.pi * np.fmod(cycles, 1.0))
+        deviations = (local[:, ::2] + 1j * local[:, 1::2]) * rotation[:, :, None]
+        parts = amplitude[:, 0] + deviations[:, 0]
         # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
         deviation = factors.mT @ (np.stack([part.coefficients for part in self._parts]) - common)
         squares = np.sum([part.residual for part in self._parts], axis=0) + np.sum(np.square(deviation), axis=(0, 1))
-        return ToneFit(self.frequency, amplitude, parts, np.sqrt(squares / max(self._samples - n_terms, 1)))
+        noise_power = np.zeros(len(amplitude))
+        residual_power = squares / max(self._samples - n_terms, 1)
+        if len(deviations) > 1:
+            # The residual contains all harmonics that are not fitted, and these repeat in every period. White noise of
+            # the power s² scatters each amplitude of n samples with the variance 4 s²/n. Irregular motion scatters some
+            # harmonics more: the harmonic with the least scatter is nearest to the noise.
+            least_variance = deviations.var(axis=0, ddof=1).min(axis=0)
+            noise_power = np.minimum(least_variance * lengths.mean() / 4.0, residual_power)
+        return ToneFit(self.frequency, amplitude, parts, np.sqrt(residual_power), np.sqrt(noise_power))
 
     def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
         """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
@@ -480,7 +492,7 @@ def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> Array:
     step = np.where(steps > 0.0, steps, 1.0)
     amplitude_counts = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
     first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(amplitude_counts), 0.5) * reproducible_rounding(
-        (tone.residual / step) ** 2
+        (tone.noise / step) ** 2
     )
     # Twice the first term is an upper bound of the sum of all terms.
     return np.asarray(steps * np.minimum(2.0 * first_term, 0.5))

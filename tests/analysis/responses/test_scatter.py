@@ -107,6 +107,20 @@ def test_harmonics_change_all_parts_of_a_window_equally():
     assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
+def test_noise_excludes_harmonics_that_repeat():
+    frequency, rate, deviation = 12.8, 5120.0, 0.01
+    parts = parts_of_whole_periods(0, 8000, frequency, rate)
+    cycles = frequency / rate * np.arange(parts[-1][1])
+    pulses = np.exp(-0.5 * (((cycles % 1.0) - 0.07) / 0.02) ** 2)
+    noise = deviation * np.random.default_rng(1).standard_normal(cycles.size)
+    lock_in = LockIn(frequency, rate, 3)
+    lock_in.add((np.cos(2 * np.pi * cycles) + pulses + noise)[None], [stop - first for first, stop in parts])
+
+    tone = lock_in.tone()
+    assert tone.residual[0] > 10.0 * deviation
+    assert 0.7 * deviation < tone.noise[0] < 1.1 * deviation
+
+
 def test_bound_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j

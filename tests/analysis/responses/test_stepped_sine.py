@@ -246,6 +246,26 @@ def test_slow_transients_with_damper_are_nearly_within_uncertainty(tmp_path):
     assert np.all(abs(frf.value - exact) < 1.5 * frf.bound(0.95))
 
 
+def test_rounding_error_of_impacts_lies_within_resolution(tmp_path):
+    # In every period, the pulse of an impact and the rounding of the tone to counts are equal.
+    frequency, count = 12.804, 4000
+    cycles = frequency / synthetic.RATE * np.arange(count)
+    pulses = np.exp(-0.5 * (((cycles + 0.2) % 1.0 - 0.5) / 0.01) ** 2)
+    offsets = np.array([[0.0], [0.15], [0.3], [0.45]])
+    motion = 20.4 * np.cos(2.0 * np.pi * cycles) + 60.0 * pulses + offsets
+    marks = [("measure", 0, count - 1, {"frequency": frequency, "level": 1.0, "direction": "up"})]
+    means, bounds = [], []
+    for steps, samples in ((None, motion), (1.0, np.rint(motion).astype(np.int32))):
+        infos = synthetic.channels(volts_per_count=steps)
+        path = synthetic.write(tmp_path / f"{steps}.mcap", synthetic.scene(), infos, samples, marks)
+        with daq.open(path) as rec:
+            [sweep] = sweeps(rec)
+            means.append(sweep.lines.mean[:, 0])
+            bounds.append(sweep.lines.resolution[:, 0])
+    error = abs(means[1] - means[0])
+    assert np.all(error < bounds[1]) and error.max() > 0.5 * bounds[1].max()
+
+
 PARTS = 4  # of a window
 LINES = 120  # frequencies
 

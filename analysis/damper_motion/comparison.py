@@ -6,15 +6,16 @@ The *bare* structure is the structure without dampers. Its modes define a freque
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from math import floor, inf, isinf, log10, sqrt
+from dataclasses import dataclass, replace
+from math import floor, hypot, inf, isinf, log10, prod, sqrt
 
 import numpy as np
+from scipy import special
 
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
 from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY
+from rig.results.uncertainty import CLOCK, SENSITIVITY, known_degrees
 
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
@@ -23,6 +24,10 @@ _BAND_BELOW_RATIO = 0.15
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
+# Largest relative difference between tolerances at different frequencies that counts as a rounding error.
+_SAME_TOLERANCE = 1e-6
+# An acceleration is divided by the square of its frequency, so that its error is this multiple of a clock error.
+_CLOCK_ERRORS_IN_HEIGHT = 2.0
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
@@ -42,13 +47,34 @@ class Peak:
     interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
+    # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `bound`
+    tolerances: tuple[float, ...] = ()
+    clock: float = 0.0  # largest relative error of the sample clock, included in `bound` and in the limits of frequency
 
     @property
     def low(self) -> float:
         """Lower 95 % bound of the height, m/N."""
         if self.at_end:
             return 0.0
-        return self.value if isinf(self.bound) else max(self.value - self.bound, self.lower_limit)
+        if isinf(self.bound):
+            return self.value
+        return max(self.value - self.bound, self.lower_limit - self.common_bound)
+
+    @property
+    def common_bound(self) -> float:
+        """Part of `bound` due to errors that are common to all frequencies: of sensors and clock, m/N."""
+        clock = _CLOCK_ERRORS_IN_HEIGHT * self.clock
+        return self.value * (prod(1.0 + tolerance for tolerance in (*self.tolerances, clock)) - 1.0)
+
+    @property
+    def decibel_range(self) -> tuple[float, float]:
+        """Lower and upper 95 % bound of the deviation of the height, without `common_bound`; dB, 0 or more."""
+        low = self.low if isinf(self.bound) else self.low + self.common_bound
+        high = self.value + self.bound - self.common_bound
+        return (
+            inf if low <= 0.0 else max(20.0 * log10(self.value / low), 0.0),
+            inf if isinf(high) else max(20.0 * log10(high / self.value), 0.0),
+        )
 
 
 def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
@@ -56,26 +82,33 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
 
     Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
     mode). Therefore 1/H is interpolated through the three points around the highest point, and through five points as a
-    check. The bound is the sum of the propagated bounds of these points, twice the difference of the two
+    check. The errors of these points are propagated to height and frequency of the maximum to first order, the random
+    errors with their covariance over frequency (GUM, section 5.2.2). To both are added twice the difference of the two
     interpolations, and twice the leave-one-out error of the points, because widely spaced points may miss the top of a
     peak with dampers. In a test on computed curves with dampers, with one to nine points in the half-power bandwidth,
-    the bound contained the true peak in 98 % of cases. The limits of the frequency enclose all frequencies at which the
-    curve is within the bound of its peak.
+    the bound contained the true peak in 98 % of cases. The limits of the frequency also enclose all points that may be
+    the highest. A tolerance of the sensors that is common to all frequencies changes the height only.
 
     `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
     points in the band.
     """
-    in_band = frf.to("displacement").sorted().between(band_low, band_high)
-    valid = np.isfinite(in_band.value) & (abs(in_band.value) > 0)
-    f, inverse_frf, magnitude = in_band.frequency[valid], 1.0 / in_band.value[valid], abs(in_band.value[valid])
+    with_tolerances = frf.to("displacement").sorted().between(band_low, band_high)
+    valid = np.isfinite(with_tolerances.value) & (abs(with_tolerances.value) > 0)
+    with_tolerances = with_tolerances.at(valid)
+    tolerances, clock = _common_tolerances(with_tolerances), with_tolerances.uncertainty.clock
+    in_band = with_tolerances.without(*([SENSITIVITY] if tolerances else []), *([CLOCK] if clock else []))
+    f, inverse_frf, magnitude = in_band.frequency, 1.0 / in_band.value, abs(in_band.value)
     if f.size < 3:
         return None
-    random_bound = np.nan_to_num(in_band.random_bound()[valid])
-    point_bound = np.nan_to_num(in_band.bound()[valid])
+    random_bound = np.nan_to_num(in_band.random_bound())
+    point_bound = np.nan_to_num(in_band.bound())
     highest = _highest_local_maximum(magnitude, random_bound)
     five_points = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
     if highest in (0, f.size - 1):
-        return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True)
+        return Peak(
+            float(magnitude[highest]), inf, float(f[highest]), float(f[0]), float(f[-1]), at_end=True,
+            tolerances=tolerances, clock=clock,
+        )  # fmt: skip
     three_points = slice(highest - 1, highest + 2)
     others = five_points[five_points != highest]
     predicted = _interpolate(f[others], inverse_frf[others], f[[highest]])
@@ -84,33 +117,79 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     )
     has_omitted_neighbor = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
     if has_jump or f.size < 4 or has_omitted_neighbor:
-        return Peak(float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]))
+        return Peak(
+            float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]),
+            tolerances=tolerances, clock=clock,
+        )  # fmt: skip
     grid = np.linspace(f[highest - 1], f[highest + 1], _GRID_POINTS)
     curve = abs(1.0 / _interpolate(f[three_points], inverse_frf[three_points], grid))
     curve_of_five = abs(1.0 / _interpolate(f[five_points], inverse_frf[five_points], grid))
     peak_index = int(np.argmax(curve))
-    # Sensitivity of the interpolated 1/H at the peak to each point; the bounds are propagated to the peak.
-    sensitivity = abs(_interpolate(f[three_points], np.eye(3), grid[[peak_index]]))[:, 0]
-    measured_bound = curve[peak_index] ** 2 * float(
-        sensitivity @ (point_bound[three_points] / magnitude[three_points] ** 2)
-    )
-    leave_one_out_error = _leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest)
-    interpolation_bound = 2.0 * float(
-        abs(curve_of_five.max() - curve[peak_index]) + leave_one_out_error * curve[peak_index]
-    )
-    bound = measured_bound + interpolation_bound
-    possible_on_grid = grid[(curve >= curve[peak_index] - bound) | (curve_of_five >= curve_of_five.max() - bound)]
-    possible_frequencies = np.concatenate([possible_on_grid, f[magnitude + point_bound >= curve[peak_index] - bound]])
-    return Peak(
-        float(curve[peak_index]),
+    frequency, height = float(grid[peak_index]), float(curve[peak_index])
+    sensitivity = _peak_sensitivity(f[three_points], inverse_frf[three_points], frequency)
+    measured = _propagated_bounds(in_band.at(np.arange(f.size)[three_points]), sensitivity)
+    leave_one_out_error = max(_leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest), 0.0)
+    difference = abs(curve_of_five.max() - height), abs(grid[np.argmax(curve_of_five)] - frequency)
+    left_out = leave_one_out_error * np.linalg.norm(sensitivity * magnitude[three_points], axis=1)
+    interpolation = 2.0 * (np.array(difference) + left_out)
+    bound = hypot(measured[0], interpolation[0])
+    possible = f[height - magnitude <= np.hypot(point_bound, bound)]
+    frequency_bound = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
+    limits = np.append(possible, [frequency - frequency_bound, frequency + frequency_bound])
+    estimate = Peak(
+        height,
         bound,
-        float(grid[peak_index]),
-        float(possible_frequencies.min()),
-        float(possible_frequencies.max()),
+        frequency,
+        float(limits.min()) * (1.0 - clock),
+        float(limits.max()) * (1.0 + clock),
         lower_limit=float(magnitude[highest] - point_bound[highest]),
-        interpolation_bound=interpolation_bound,
+        interpolation_bound=float(interpolation[0]),
         step=float(np.diff(f[three_points]).max()),
+        tolerances=tolerances,
+        clock=clock,
     )
+    return replace(estimate, bound=bound + estimate.common_bound)
+
+
+def _common_tolerances(frf: Response) -> tuple[float, ...]:
+    """Return the tolerances of the sensors of output and reference, relative to the response, if they are common.
+
+    They are empty if the effect of the tolerances depends on frequency, as with a reference of several channels.
+    """
+    bound = frf.limits.get(SENSITIVITY)
+    if bound is None or not bound.size:
+        return ()
+    relative = bound / abs(frf.value)
+    if not np.isfinite(relative).all() or np.ptp(relative) > _SAME_TOLERANCE * relative.max():
+        return ()
+    total, reference = float(relative.max()), min(frf.uncertainty.scale, float(relative.max()))
+    return (1.0 + total) / (1.0 + reference) - 1.0, reference
+
+
+def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) -> np.ndarray:
+    """Return the sensitivity of height and frequency of the peak to the FRF at three points, complex, shape (2, 3).
+
+    A change e of the FRF changes height and frequency by ``Re(sensitivity @ e)``. At the peak, ``Re(conj(g) g')`` of
+    the interpolated g = 1/H is zero.
+    """
+    step = 1e-3 * np.ptp(f)
+    at = frequency + step * np.arange(-1.0, 2.0)
+    # Weights of the three points in g and its derivatives; a quadratic function has exact central differences.
+    samples = _interpolate(f, np.eye(3), at)
+    weights = samples[:, 1], (samples[:, 2] - samples[:, 0]) / (2.0 * step)
+    curvature = (samples[:, 2] - 2.0 * samples[:, 1] + samples[:, 0]) / step**2
+    g, slope, second = weights[0] @ inverse_frf, weights[1] @ inverse_frf, curvature @ inverse_frf
+    height = np.conj(g) / abs(g) ** 3 * weights[0]
+    shift = (weights[0] * np.conj(slope) + np.conj(g) * weights[1]) / (abs(slope) ** 2 + (np.conj(g) * second).real)
+    return np.stack([height, shift]) * inverse_frf**2
+
+
+def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
+    """Return the 95 % bounds of height and frequency of a peak due to the errors of its points, shape (2,)."""
+    variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
+    factor = special.stdtrit(known_degrees(points.degrees).min(), 0.975)
+    random_bound = factor * np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
+    return np.hypot(random_bound, abs(sensitivity) @ np.nan_to_num(points.systematic_bound()))
 
 
 def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> int:
@@ -176,21 +255,29 @@ class PeakChange:
     def decibel(self) -> tuple[float, float, float]:
         """Change of the peak height in dB, and its limits (infinite: unbounded on that side)."""
         bare, damped = self._compared
+        estimate = 20.0 * log10(damped.value / bare.value)
+        (bare_below, bare_above), (damped_below, damped_above) = bare.decibel_range, damped.decibel_range
+        tolerance = _decibel_tolerance(bare, damped)
+        clock = sum(20.0 * log10(1.0 + _CLOCK_ERRORS_IN_HEIGHT * compared.clock) for compared in (bare, damped))
         return (
-            20.0 * log10(damped.value / bare.value),
-            _ratio_dB(damped.low, bare.value + bare.bound),
-            _ratio_dB(damped.value + damped.bound, bare.low),
+            estimate,
+            estimate - hypot(damped_below, bare_above, tolerance) - clock,
+            estimate + hypot(damped_above, bare_below, tolerance) + clock,
         )
 
     @property
     def shift(self) -> tuple[float, float, float]:
         """Frequency shift of the peak in Hz, and its limits."""
         bare, damped = self._compared
-        return (
-            damped.frequency - bare.frequency,
-            damped.lowest_frequency - bare.highest_frequency,
-            damped.highest_frequency - bare.lowest_frequency,
-        )
+        estimate = damped.frequency - bare.frequency
+        below = damped.frequency - damped.lowest_frequency, bare.highest_frequency - bare.frequency
+        above = damped.highest_frequency - damped.frequency, bare.frequency - bare.lowest_frequency
+        clock = tuple(compared.frequency * compared.clock for compared in (damped, bare))
+        if isinf(bare.bound + damped.bound):
+            # The peak may be at a limit of its range, next to a jump.
+            return estimate, estimate - sum(below), estimate + sum(above)
+        low, high = (hypot(*np.subtract(limits, clock)) + sum(clock) for limits in (below, above))
+        return estimate, estimate - low, estimate + high
 
     @property
     def shift_decimals(self) -> int:
@@ -203,10 +290,13 @@ class PeakChange:
         return self.damping * self.bare.value / self.damped.value
 
 
-def _ratio_dB(numerator: float, denominator: float) -> float:  # noqa: N802
-    if numerator <= 0.0 or denominator == inf:
-        return -inf
-    return inf if denominator <= 0.0 or numerator == inf else 20.0 * log10(numerator / denominator)
+def _decibel_tolerance(bare: Peak, damped: Peak) -> float:
+    """Return the 95 % bound of the ratio of two peaks due to the tolerances of their different sensors, dB.
+
+    The errors of the sensors are independent, with uniform distributions (GUM, section 4.3.7).
+    """
+    limits = [20.0 * log10(1.0 + tolerance) for compared in (bare, damped) for tolerance in compared.tolerances]
+    return min(sum(limits), float(special.ndtri(0.975)) * hypot(*limits) / sqrt(3.0))
 
 
 def peak_changes(

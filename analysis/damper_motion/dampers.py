@@ -66,13 +66,7 @@ class Dampers(Result):
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, len(self.bodies)
         motions = [body[i] for i in range(count) for body in self.bodies]
-        # If impacts may have been missed, their number is unknown.
-        floor, ceiling = (
-            np.array(
-                [getattr(motion, wall) if motion.pattern_periods else np.nan for motion in motions], dtype=np.float64
-            )
-            for wall in ("floor", "ceiling")
-        )
+        floor, ceiling = np.array([motion.impacts_per_period for motion in motions]).reshape(-1, 2).T
         if not self.bodies:
             return {"frequency_Hz": frequency} | dict(zip(names, energies, strict=True))
         return {

@@ -54,9 +54,9 @@ class DamperMotion:
     channel: str
     """Channel on the damper's body."""
     floor: float
-    """Number of impacts on the floor per period."""
+    """Number of impacts that were detected on the floor, over the number of searched periods."""
     ceiling: float
-    """Number of impacts on the ceiling per period."""
+    """Number of impacts that were detected on the ceiling, over the number of searched periods."""
     stays_at_ceiling: bool | None
     """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
@@ -72,6 +72,17 @@ class DamperMotion:
     """Number of periods after which all impacts recur within the time resolution of the channel; 0: they do not."""
     may_reach_ceiling_unseen: bool = False
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
+
+    @property
+    def impacts_per_period(self) -> tuple[float, float]:
+        """Numbers of impacts on floor and ceiling per period; NaN if impacts may have been missed.
+
+        The ends of the search may add or omit an impact. Recurring impacts are whole numbers in their pattern.
+        """
+        if not self.pattern_periods:
+            return np.nan, np.nan
+        periods = self.pattern_periods
+        return round(self.floor * periods) / periods, round(self.ceiling * periods) / periods
 
     @property
     def name(self) -> str:
@@ -90,9 +101,7 @@ class DamperMotion:
             if self.ceiling and self.stays_at_ceiling is not None:
                 return "III" if self.stays_at_ceiling else "II"
             uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak impacts on the ceiling"
-        floor, ceiling = (
-            round(count * self.pattern_periods) / self.pattern_periods for count in (self.floor, self.ceiling)
-        )
+        floor, ceiling = self.impacts_per_period
         return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
 
 

@@ -92,7 +92,7 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
     panels = []
     impacts = []
     for k, motions in enumerate(result.bodies):
-        count = np.array([m.floor + m.ceiling if m.pattern_periods else np.nan for m in motions])
+        count = np.array([sum(motion.impacts_per_period) for motion in motions])
         impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
     if impacts:
         panels.append(Panel("impacts", "per period", impacts, height=170))

@@ -83,11 +83,12 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
     mode). Therefore 1/H is interpolated through the three points around the highest point, and through five points as a
     check. The errors of these points are propagated to height and frequency of the maximum to first order, the random
-    errors with their covariance over frequency (GUM, section 5.2.2). To both are added twice the difference of the two
-    interpolations, and twice the leave-one-out error of the points, because widely spaced points may miss the top of a
-    peak with dampers. In a test on computed curves with dampers, with one to nine points in the half-power bandwidth,
-    the bound contained the true peak in 98 % of cases. The limits of the frequency also enclose all points that may be
-    the highest. A tolerance of the sensors that is common to all frequencies changes the height only.
+    errors with their covariance over frequency (GUM, section 5.2.2). They are combined (root sum of squares) with twice
+    the difference of the two interpolations and the leave-one-out error of the points, because widely spaced points may
+    miss the top of a peak with dampers. In a test on computed curves with dampers, with one to nine points in the
+    half-power bandwidth, the bound contained the true peak in 98 % of cases. The frequency is also limited to those at
+    which the curve is within the bound of its peak, and its limits enclose all points that may be the highest. A
+    tolerance of the sensors that is common to all frequencies changes the height only.
 
     `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
     points in the band.
@@ -130,12 +131,14 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     measured = _propagated_bounds(in_band.at(np.arange(f.size)[three_points]), sensitivity)
     leave_one_out_error = max(_leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest), 0.0)
     difference = abs(curve_of_five.max() - height), abs(grid[np.argmax(curve_of_five)] - frequency)
-    left_out = leave_one_out_error * np.linalg.norm(sensitivity * magnitude[three_points], axis=1)
-    interpolation = 2.0 * (np.array(difference) + left_out)
+    left_out = height, float(np.linalg.norm(sensitivity[1] * magnitude[three_points]))
+    interpolation = 2.0 * (np.array(difference) + leave_one_out_error * np.array(left_out))
     bound = hypot(measured[0], interpolation[0])
     possible = f[height - magnitude <= np.hypot(point_bound, bound)]
     frequency_bound = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
-    limits = np.append(possible, [frequency - frequency_bound, frequency + frequency_bound])
+    on_grid = grid[(curve >= height - bound) | (curve_of_five >= curve_of_five.max() - bound)]
+    to_first_order = np.clip([frequency - frequency_bound, frequency + frequency_bound], on_grid.min(), on_grid.max())
+    limits = np.append(possible, to_first_order)
     estimate = Peak(
         height,
         bound,

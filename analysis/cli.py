@@ -329,13 +329,12 @@ def cost(
     """
     from analysis.chain_cost.figure import output_files, table, write
     from analysis.chain_cost.study import chain_study
-    from rig.output_files import create_folder
-    from rig.provenance import output_source, reject_foreign_files
+    from rig.output_files import prepare_outputs
+    from rig.provenance import output_source
 
     loaded_scene = load_scene(scene, changes)
-    create_folder(output)
     with allow_overwriting(overwrite), output_source("chain-cost", loaded_scene.to_yaml()):
-        reject_foreign_files(*output_files(loaded_scene, output))
+        prepare_outputs(*output_files(loaded_scene, output))
         with count_progress("recording and analyzing") as progress:
             study = chain_study(loaded_scene, frequency, progress)
         files = write(study, output)

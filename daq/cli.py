@@ -87,7 +87,7 @@ def record(
     for path in complete:
         print(f"{path}: already contains the complete test of this scene. Use --overwrite to record it again.")
     tests = [
-        (scene, scene_settings, _check_new_recording(path, overwrite))
+        (scene, scene_settings, _prepare_recording(path, overwrite))
         for scene, scene_settings, path in tests
         if path not in complete
     ]
@@ -231,9 +231,10 @@ def run_scope(
     from daq.measurement.run_report import summary
 
     default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
-    path = _check_new_recording(output if output is not None else default, overwrite)
+    settings = load_scene(scene, changes)
+    path = _prepare_recording(output if output is not None else default, overwrite)
     with pause_reports():
-        scope(load_scene(scene, changes), path, frequency=frequency, force=force, web=web, overwrite=overwrite)
+        scope(settings, path, frequency=frequency, force=force, web=web, overwrite=overwrite)
     print(summary(path))
 
 
@@ -315,10 +316,10 @@ def serve_a_rig(
     certificates = None
     if certificate is not None and key is not None:
         certificates = Certificates(certificate, key, client_ca)
-    path = None if output is None else _check_new_recording(output, overwrite)
     limits = Limits(disconnect_timeout=session_timeout)
+    bench = _load_bench_scene(scene, changes)
+    path = None if output is None else _prepare_recording(output, overwrite)
     with pause_reports():
-        bench = _load_bench_scene(scene, changes)
         serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, proto_folder)
 
 
@@ -348,10 +349,11 @@ def bench_in_the_browser(
     _check_port("--device-port", device_port)
     scene_name = scene or os.environ.get("SHOTRIG_SCENE") or "default"
     path = Path("recordings") / f"{Path(scene_name).stem}-bench.mcap"
+    settings = _load_bench_scene(scene, changes)
     if output is not None:
-        path = _check_new_recording(output, overwrite)
+        path = _prepare_recording(output, overwrite)
     with pause_reports():
-        bench(_load_bench_scene(scene, changes), address, port, device_port, path, overwrite, browser)
+        bench(settings, address, port, device_port, path, overwrite, browser)
 
 
 def _check_port(option: str, port: int) -> None:
@@ -382,19 +384,12 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
     return paths
 
 
-def _check_new_recording(path: Path, overwrite: bool) -> Path:
+def _prepare_recording(path: Path, overwrite: bool) -> Path:
     """Check the path of a new recording before the bench is switched on; the recorder would check it only later."""
+    from rig.output_files import resolve_output
+
     _reject_other_suffix(path)
-    try:
-        exists = path.exists()
-    except OSError as error:
-        raise RecordingError(
-            f"{path}: cannot be created ({error.strerror}). Choose another file with -o FILE.mcap."
-        ) from None
-    if exists and not overwrite:
-        raise RecordingError(
-            f"{path}: the file exists. Give another name with -o, or replace the file with --overwrite."
-        )
+    resolve_output(path, overwrite, RecordingError)
     return path
 
 

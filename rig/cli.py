@@ -222,7 +222,8 @@ def response(
     The amplitude of the sine is the force or drive of the scene's test.
     """
     import rig
-    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
+    from rig.output_files import prepare_outputs
+    from rig.provenance import allow_overwriting, output_source
     from rig.settings.quantities import FREQUENCY
     from rig.steady_response.response_output import format_response, write_csv
 
@@ -230,7 +231,7 @@ def response(
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
     with allow_overwriting(overwrite), output_source("response", loaded_scene.to_yaml()):
         if output is not None:
-            reject_foreign_files(output)
+            prepare_outputs(output)
         with count_progress("computing the motion") as progress:
             result = rig.response(loaded_scene, *band, points, direction, progress)
         print(format_response(result, verbose))
@@ -310,14 +311,13 @@ def cost(
     finite-duration contact, and softer grains.
     """
     import rig
-    from rig.output_files import create_folder, file_stem
-    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
+    from rig.output_files import file_stem, prepare_outputs
+    from rig.provenance import allow_overwriting, output_source
     from rig.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
-    create_folder(output)
     with allow_overwriting(overwrite), output_source("cost", loaded_scene.to_yaml()), show_activity() as report:
-        reject_foreign_files(*_figure_and_table(output / file_stem("cost", loaded_scene.name)))
+        prepare_outputs(*_figure_and_table(output / file_stem("cost", loaded_scene.name)))
         tone_hz = _quantity(frequency, FREQUENCY, "--frequency")
         result = rig.cost(loaded_scene, tone_hz, periods, report)
         files = result.write(output)
@@ -371,8 +371,8 @@ def map_(
     import rig
     from rig.motion_map.grid import KIND_OF_UNIT, vertical_axis
     from rig.motion_map.motion_map import output_stem, summarize_map, write_map
-    from rig.output_files import create_folder
-    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
+    from rig.output_files import prepare_outputs
+    from rig.provenance import allow_overwriting, output_source
     from rig.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
@@ -380,11 +380,10 @@ def map_(
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     kind = KIND_OF_UNIT[unit]
     limits = _quantity(lowest, kind, "--least"), _quantity(highest, kind, "--most")
-    create_folder(output)
     stem = output_stem(loaded_scene, over, output)
     finished_points = stem.with_suffix(".csv.kept")
     with resumable(), allow_overwriting(overwrite), output_source("map", loaded_scene.to_yaml()):
-        reject_foreign_files(*_figure_and_table(stem))
+        prepare_outputs(*_figure_and_table(stem))
         with count_progress("computing the motion") as progress:
             result = rig.map(loaded_scene, over, *limits, rows, *band, points, cluster, finished_points, progress)
         files = write_map(result, output)
@@ -478,11 +477,10 @@ def design(
     from rig.damper_design.design import design as choose_dampers
     from rig.damper_design.figure import describe_check, summary, write
     from rig.effects.extensions import test_predictions
-    from rig.output_files import create_folder, file_stem
-    from rig.provenance import allow_overwriting, output_source, reject_foreign_files
+    from rig.output_files import file_stem, prepare_outputs
+    from rig.provenance import allow_overwriting, output_source
 
     loaded_scene = load_scene(scene, changes)
-    create_folder(output)
     stem = output / file_stem("design", loaded_scene.name)
     table = stem.with_suffix(".csv")
     with (
@@ -491,7 +489,7 @@ def design(
         output_source("design", loaded_scene.to_yaml()),
         progress("evaluating designs") as report_progress,
     ):
-        reject_foreign_files(*(stem.with_suffix(suffix) for suffix in (".yaml", ".png", ".svg")))
+        prepare_outputs(*(stem.with_suffix(suffix) for suffix in (".yaml", ".png", ".svg")))
         result = choose_dampers(
             loaded_scene,
             budget=budget,

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.escaping import escape_figure
-from rig.output_files import atomic_write, create_folder, csv_text
+from rig.output_files import atomic_write, csv_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,6 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
     import matplotlib
 
     png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
-    create_folder(stem.parent)
     with matplotlib.rc_context(_STYLE):
         layout_engine = figure.get_layout_engine()
         if layout_engine is not None:
@@ -247,7 +246,6 @@ def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]
     Raises `SceneError`, `RunError` if a file cannot be written.
     """
     table = stem.with_name(stem.name + ".csv")
-    create_folder(stem.parent)
     with atomic_write(table) as temporary:
         temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
     return [*save_figure(figure, stem), table]

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from filecmp import cmp
 from pathlib import Path
 from secrets import token_hex
+from tempfile import TemporaryFile
 
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
@@ -23,52 +24,72 @@ from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 
 
-def create_folder(folder: Path) -> None:
-    """Create the output folder if it does not exist, before the work starts.
+def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> None:
+    """Create an output folder if it does not exist, and check that files can be created in it.
 
-    Raises `SceneError` if it is not writable, or does not exist and has the suffix of an output file.
+    `error_type`: type of the error. Raises `ShotrigError` if the folder is not writable, or does not exist and has the
+    suffix of an output file.
     """
-    if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
-        raise SceneError(
-            f"{folder}: this is the name of a file, but the command writes several files. Give the name of a folder, "
-            f"such as -o {folder.with_suffix('')}."
-        )
     try:
+        if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
+            raise error_type(
+                f"{folder}: this is the name of a file, but a folder is expected. Give the name of a folder, such as "
+                f"{folder.with_suffix('')}."
+            )
         folder.mkdir(parents=True, exist_ok=True)
+        # A file is created, because permissions are not sufficient: the folder /proc permits files, but has none.
+        with TemporaryFile(dir=folder):
+            pass
+    except (FileExistsError, NotADirectoryError):
+        raise error_type(f"{folder}: cannot be created, because a file has this name. Choose another folder.") from None
+    except FileNotFoundError:
+        raise error_type(f"{folder}: accepts no new files. Choose another folder.") from None
     except OSError as error:
-        raise SceneError(
-            f"{folder}: cannot create this folder ({error.strerror}). Choose another folder with -o."
-        ) from None
-    if not os.access(folder, os.W_OK):
-        raise SceneError(f"{folder}: no permission to write into this folder. Choose another folder with -o.")
+        raise error_type(f"{folder}: cannot be written ({error.strerror}). Choose another folder.") from None
+
+
+def prepare_outputs(*paths: Path) -> None:
+    """Create the folders of output files, and reject paths that must not be written, before the work starts.
+
+    Raises `SceneError` if `resolve_output` rejects a path, or a file exists that is not an unchanged output from the
+    same source.
+    """
+    for path in paths:
+        file = resolve_output(path, overwrite=True)
+        if file.exists() and not may_overwrite() and not is_unchanged_output(path):
+            raise overwrite_error(path)
 
 
 def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
-    """Resolve the path of an output file, and reject a file that must not be written.
+    """Resolve the path of an output file, create its folder, and reject a file that must not be written.
 
     `path`: file to create or replace; symbolic links are followed; `overwrite`: whether an existing file may be
     replaced; `error_type`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
-    special file exists at this path, or the folder does not exist.
+    special file exists at this path, or `create_folder` rejects its folder.
     """
     try:
         file = path.resolve()
-        existing = file.stat() if os.path.lexists(file) else None
-        if not file.parent.is_dir():
-            if file.parent.exists():
-                raise error_type(f"cannot create {path}: {file.parent} is a file, not a folder. Choose another folder.")
-            raise error_type(f"cannot create {path}: the folder {file.parent} does not exist. Create it first.")
+        existing = _status(file)
     except (OSError, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise error_type(f"cannot create {path}: {reason}. Choose another name or folder.") from None
-    if existing is None:
-        return file
-    if not stat.S_ISREG(existing.st_mode):
-        raise error_type(f"{path} is a folder or a device. Choose another name.")
-    if not overwrite:
-        raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
-    if not os.access(file, os.W_OK):
-        raise error_type(f"{path} is write-protected. Choose another name.")
+    if existing is not None:
+        if not stat.S_ISREG(existing.st_mode):
+            raise error_type(f"{path} is a folder or a device. Choose another name.")
+        if not overwrite:
+            raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
+        if not os.access(file, os.W_OK):
+            raise error_type(f"{path} is write-protected. Choose another name.")
+    create_folder(file.parent, error_type)
     return file
+
+
+def _status(file: Path) -> os.stat_result | None:
+    """Return the status of a file; None if it does not exist."""
+    try:
+        return file.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
 
 
 @contextmanager
@@ -78,7 +99,7 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
     `path` always contains the complete old or the complete new file. If a finished file cannot be renamed, it is saved
     under another name, given in the error message.
 
-    `path`: file to create or replace, in an existing folder; `overwrite`: whether an existing file may be replaced; if
+    `path`: file to create or replace; its folder is created; `overwrite`: whether an existing file may be replaced; if
     None, protected files are not. Yields the temporary file, with the suffix of `path`. Raises `RunError` if the disk
     is full or fails, `SceneError` if `resolve_output` rejects `path` or a protected file was created in the meantime.
     """

@@ -99,18 +99,6 @@ def can_contain_mark(path: Path) -> bool:
     return bool(_source.get()) and path.suffix.lower() in (*_DELIMITERS, ".png", ".npz")
 
 
-def reject_foreign_files(*paths: Path) -> None:
-    """Reject output paths of protected files before the work starts.
-
-    Raises `SceneError` if one of the files exists and is not an unchanged output from the same source.
-    """
-    if may_overwrite():
-        return
-    for path in paths:
-        if path.is_file() and not is_unchanged_output(path):
-            raise overwrite_error(path)
-
-
 def overwrite_error(path: Path) -> SceneError:
     """Return the error for a file that belongs to the user, or was written from another source."""
     reason = "was changed since shotrig wrote it, or was written by another program"

@@ -18,7 +18,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from rig.errors import RunError
-from rig.output_files import atomic_write, csv_text
+from rig.output_files import atomic_write, create_folder, csv_text
 from rig.progress import CountProgress
 from rig.workers import Workers
 
@@ -103,15 +103,15 @@ class StoredValues(Generic[Piece, Value]):
         self.values: dict[Any, Value] = {}
         if path is None:
             return
+        create_folder(path.parent, RunError)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             content = path.read_bytes() if path.exists() else b""
             rows = _parse_rows(path, content, study.columns, study.name) if content else []
             with path.open("ab") as file:
                 file.truncate(_complete_length(content))
         except OSError as error:
             raise RunError(
-                f"{path}: cannot write this table ({error.strerror}). Choose another folder with -o."
+                f"{path}: cannot write this table ({error.strerror}). Choose another name or folder with -o."
             ) from None
         if not content:
             self._append(study.columns)

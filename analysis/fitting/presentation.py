@@ -12,8 +12,8 @@ from analysis.fitting.fit import STATUS_TEXTS, Fit, fit
 from rig.console import show_activity
 from rig.errors import RunError, SceneError
 from rig.figure_style import save_figure
-from rig.output_files import atomic_write, create_folder
-from rig.provenance import allow_overwriting, output_source, reject_foreign_files, relative_paths
+from rig.output_files import atomic_write, prepare_outputs
+from rig.provenance import allow_overwriting, output_source, relative_paths
 from rig.results.text import format_interval, table_lines
 from rig.scene.scene import Scene
 
@@ -38,8 +38,7 @@ def present_fit(
         output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
     ):
         residuals = output.with_name(f"{output.stem}-residuals")
-        create_folder(output.parent)
-        reject_foreign_files(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
+        prepare_outputs(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
         with show_activity() as report:
             result = fit(list(recordings), scene, free, report)
         files = save_figure(fit_figure(result), residuals)

@@ -14,6 +14,7 @@ from analysis.presentation.frf_findings import present_frf
 from analysis.presentation.mode_findings import present_modes
 from daq.measurement.run_report import is_recorded
 from rig.errors import SceneError
+from rig.output_files import create_folder
 from rig.provenance import may_overwrite
 from rig.workers import Workers
 
@@ -46,7 +47,7 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
     """
     start = time.monotonic()
-    folder.mkdir(parents=True, exist_ok=True)
+    create_folder(folder)
     print_line("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
     # The long sweeps are first, so that the short impulse tests use the cores that become free.

@@ -12,8 +12,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from analysis.recordings.names import require_file
 from rig.errors import RunError
-from rig.provenance import is_from_another_source, may_overwrite, output_source, reject_foreign_files, relative_paths
+from rig.output_files import prepare_outputs
+from rig.provenance import is_from_another_source, may_overwrite, output_source, relative_paths
 
 # Maximum number of characters of a channel name in a file name.
 _MAX_CHANNEL_LENGTH = 40
@@ -57,7 +59,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensio
             stem = folder / f"{name}-{kind}"
             files = [with_ending(stem, extension) for extension in extensions]
             if may_overwrite() or not any(is_from_another_source(file) for file in files):
-                reject_foreign_files(*files)
+                prepare_outputs(*files)
                 yield stem
                 return
         raise RunError(
@@ -67,7 +69,9 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensio
 
 
 def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> None:
-    """Raise the errors of `output_stem` before the analysis starts."""
+    """Raise the errors of `output_stem` before the analysis starts; missing recordings are reported first."""
+    for path in paths:
+        require_file(path)
     with output_stem(paths, output, kind, *extensions):
         pass
 

@@ -11,7 +11,7 @@ import numpy as np
 from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
 from rig.escaping import escape_terminal
-from rig.output_files import atomic_write, create_folder
+from rig.output_files import atomic_write
 from rig.results.response import Response
 
 Row = Sequence[str | float | int]
@@ -22,7 +22,6 @@ _ENVELOPE_ROWS = 400
 
 def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path:
     """Write a table with nine significant digits and empty cells for missing values; return its path."""
-    create_folder(path.parent)
     with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heading)

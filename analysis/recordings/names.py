@@ -27,10 +27,8 @@ Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 
 
-def open_existing(path: Path) -> Recording:
-    """Open a recording that must exist."""
-    import daq
-
+def require_file(path: Path) -> None:
+    """Raise `RecordingError` if an input file does not exist; the message suggests how to get it."""
     if not path.exists():
         similar_path = "recordings" / Path(path.name)
         hint = (
@@ -39,6 +37,13 @@ def open_existing(path: Path) -> Recording:
             else f". Make one: `daq record SCENE -o {path}`."
         )
         raise RecordingError(f"{path}: no such file{hint}")
+
+
+def open_existing(path: Path) -> Recording:
+    """Open a recording that must exist."""
+    import daq
+
+    require_file(path)
     return daq.open(path)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from string import Template
 
 from analysis.presentation.outputs import CommandOutput, output_stem, with_ending
+from analysis.recordings.names import require_file
 from analysis.reporting.charts import ChartWriter
 from analysis.reporting.drawing import mode_drawing, rig_drawing
 from analysis.reporting.histories import spectrograms, time_histories
@@ -20,9 +21,9 @@ from analysis.reporting.summary import summarize
 from analysis.reporting.tables import budget, changes_table, decays, resonances, settings, test_text
 from rig.errors import SceneError
 from rig.escaping import escape_html
-from rig.output_files import atomic_write, create_folder
+from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import CountProgress
-from rig.provenance import output_source, reject_foreign_files, relative_paths
+from rig.provenance import output_source, relative_paths
 
 
 def write_report(
@@ -37,6 +38,8 @@ def write_report(
     """
     if not paths:
         raise SceneError("report: no recordings. Give at least one.")
+    for path in paths:
+        require_file(path)
     with _page(paths, output):
         pass  # Raise the error of an existing page before the long analysis.
     with Measurements(paths, progress) as measurements:
@@ -55,10 +58,8 @@ def write_report(
         uplot=template("uPlot.iife.min.js"),
         charts=template("charts.js"),
     )
-    with _page(paths, output) as target:
-        create_folder(target.parent)
-        with atomic_write(target) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+    with _page(paths, output) as target, atomic_write(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
     return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
 
 
@@ -67,7 +68,7 @@ def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
     """Yield the path of the page; raise `SceneError` if a page of other recordings exists there (`rig.provenance`)."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
         with output_source("report", *relative_paths(paths, output.parent)):
-            reject_foreign_files(output)
+            prepare_outputs(output)
             yield output
         return
     with output_stem(paths, output, "report", "html") as stem:

@@ -32,7 +32,6 @@ def open_or_record(scene: Scene, path: Path) -> Recording:
     except ShotrigError:
         # The recording is missing or incomplete: record the scene again.
         pass
-    path.parent.mkdir(parents=True, exist_ok=True)
     partial = partial_name(path)
     with warnings.catch_warnings():
         # The recording stores the warnings of the test as markers, and the analysis reports the markers.

@@ -52,16 +52,21 @@ def _mass_ratio_remark(optimum: Columns) -> str:
     return f" The lowest such peak falls with the mass ratio. Peaks in µm/N: {', '.join(peaks)}."
 
 
+def pages(folder: Path) -> tuple[Path, Path]:
+    """Return the paths of the pages, as Markdown and as HTML."""
+    return folder / "index.md", folder / "index.html"
+
+
 def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[Path]:
     """Write index.md and index.html into the folder of the figures."""
     beyond = beyond_the_paper(parts)
     page = Template((files("analysis.reproduction") / "page.html").read_text(encoding="utf-8"))
     written = []
-    for name, text in (
-        ("index.md", _markdown(assessed, beyond)),
-        ("index.html", page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond))),
-    ):
-        target = folder / name
+    texts = (
+        _markdown(assessed, beyond),
+        page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond)),
+    )
+    for target, text in zip(pages(folder), texts, strict=True):
         with atomic_write(target) as temporary:
             temporary.write_text(text, encoding="utf-8")
         written.append(target)

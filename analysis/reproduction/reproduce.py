@@ -11,11 +11,12 @@ from analysis.reproduction import bed_chart
 from analysis.reproduction import charts as paper_charts
 from analysis.reproduction import figures as paper_figures
 from analysis.reproduction.claims import claims
-from analysis.reproduction.page import write_pages
+from analysis.reproduction.page import pages, write_pages
 from analysis.reproduction.parts import all_parts
 from analysis.reproduction.store import Arrays, PaperPart, remove_partial
 from rig.errors import SceneError
 from rig.figure_style import save_figure
+from rig.output_files import prepare_outputs
 from rig.provenance import output_source
 from rig.workers import Workers, cores
 
@@ -48,7 +49,8 @@ def reproduce(
     `folder`: folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are
     reused; `print_line`: called with one line of text at a time; `fresh`: names of parts to recompute; `cluster`: as
     for `rig.design`; its workers must have access to the folder under the same name. Returns figures and pages. Raises
-    `SceneError` if `fresh` contains an unknown part. Raises `RunError` if the folder cannot be written.
+    `SceneError` if `fresh` contains an unknown part, the folder cannot be written, or an output was changed by the
+    user. Raises `RunError` if the disk is full or fails.
     """
     start = time.monotonic()
     # Workers on other machines have a different working folder.
@@ -59,6 +61,9 @@ def reproduce(
             f"--fresh: unknown part {', '.join(sorted(unknown))}. "
             f"Choose among {', '.join(part.name for part in parts)}."
         )
+    outputs = [folder / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")]
+    with output_source("paper"):
+        prepare_outputs(*outputs, *pages(folder))
     remove_partial(folder)
     stored: dict[str, Arrays] = {}
     missing: list[PaperPart] = []

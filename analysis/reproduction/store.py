@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RunError
+from rig.output_files import create_folder
 from rig.study import code_digest
 
 Arrays = dict[str, np.ndarray]
@@ -74,8 +75,8 @@ class PaperPart:
         """Store results; the file gets its name only when it is complete."""
         target = self.path(folder)
         partial = partial_name(target)
+        create_folder(target.parent, RunError)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
             contents: dict[str, Any] = {"digest": np.array(self.digest), **arrays}
             np.savez_compressed(partial, **contents)
             partial.replace(target)

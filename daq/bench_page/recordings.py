@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.instrument.engines.log import MarkedRecording
-from daq.recording.committed_file import make_folder
 from daq.recording.recorded_test import TestKind
 from rig.errors import ShotrigError
 
@@ -93,7 +92,6 @@ class BenchRecordings:
         if self._recording is None:
             scene, kind = test or (bench.scene, TestKind.NONE)
             path = self._next_path()
-            make_folder(path)
             overwrite = self._overwrite and not self.paths
             self._recording = MarkedRecording(path, scene, channels, bench.rate, start_ns, overwrite, kind)
             self._first_sample, self.problem = block.first, ""

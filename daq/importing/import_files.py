@@ -19,7 +19,6 @@ from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads
 from daq.importing.signal import Signal
 from daq.importing.steps import StepDetector
-from daq.recording.committed_file import make_folder
 from daq.recording.layout import require_ordered_times
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
@@ -135,7 +134,6 @@ def import_files(
             # A recording of the same files may be replaced without `overwrite`.
             names = ", ".join(file.name for file in paths)
             may_replace |= bool(recording.source) and recording.source in names
-        make_folder(target)
         resolve_output(target, may_replace, RecordingError)
         chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)

@@ -15,7 +15,7 @@ from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import check_resources, estimate
 from daq.measurement.limits import FlaggedIntervals
-from daq.recording.committed_file import DiskError, make_folder
+from daq.recording.committed_file import DiskError
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
@@ -130,7 +130,6 @@ class MeasurementRun(BenchLoop):
         warning = missing_force_reference(bench.scene, bench.channels)
         if warning is not None:
             warnings.warn(warning, RunWarning, stacklevel=4)
-        make_folder(path)
         try:
             # An interrupt is deferred while the file is created or completed, so that the file is always valid.
             with (

@@ -26,22 +26,11 @@ class DiskError(RunError):
     """The disk is full or fails."""
 
 
-def make_folder(path: Path) -> None:
-    """Create the folder of a recording; raises `RecordingError` if it cannot be created."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"{path}: cannot make the folder {path.parent.absolute()} ({error.strerror}). Choose a folder that "
-            "you can write to (-o FILE.mcap)."
-        ) from None
-
-
 class CommittedFile:
     """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
-    `current_path` differs from `path` while an existing file is being replaced. If `failed`, the file ends with the
-    previous commit. Raises `RecordingError` if the file exists or cannot be created.
+    The folder of the file is created. `current_path` differs from `path` while an existing file is being replaced. If
+    `failed`, the file ends with the previous commit. Raises `RecordingError` if the file exists or cannot be created.
     """
 
     def __init__(self, path: Path, overwrite: bool) -> None:
@@ -62,7 +51,7 @@ class CommittedFile:
                     f"{path}: another process created it in the meantime. Choose another name."
                 ) from None
             except OSError as error:
-                raise RecordingError(f"{path}: cannot be created ({_creation_error(error, path.parent)}") from error
+                raise RecordingError(f"{path}: cannot be created ({error.strerror}). Choose another file.") from error
             _lock(self._file, path)
             open_files.pop_all()
 
@@ -164,13 +153,3 @@ def _lock(file: IO[bytes], path: Path) -> None:
     except (ImportError, OSError):
         # Some operating systems and disks do not support locks; the file is then not locked.
         return
-
-
-def _creation_error(error: OSError, folder: Path) -> str:
-    """Return the end of a message: why a file could not be created in a folder, and the remedy."""
-    if not isinstance(error, FileNotFoundError):
-        return f"{error.strerror}). Choose a folder that you can write to."
-    if folder.is_dir():
-        # It is a folder of the operating system, such as /proc.
-        return f"the folder {folder} accepts no new files). Choose another folder."
-    return f"there is no folder {folder}). Create it first."

@@ -31,6 +31,7 @@ from daq.recording.sample_block import SAMPLE_TYPE, decode
 from rig.errors import RecordingError, add_path
 from rig.escaping import escape_terminal
 from rig.input_files import as_path
+from rig.output_files import resolve_output
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Metadata, Schema
@@ -107,6 +108,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     if source.exists() and target.exists() and source.samefile(target):
         raise RecordingError(f"{source}: cannot be recovered into itself. Give another name with -o.")
     with DamagedFile(source) as damaged:
+        resolve_output(target, overwrite, RecordingError)
         # Two passes are needed: descriptions may follow the samples, but must be written before them.
         descriptions = _read_descriptions(source, damaged)
         disk = CommittedFile(target, overwrite)

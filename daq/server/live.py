@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.engines.log import MarkedRecording
-from daq.recording.committed_file import make_folder
-from rig.errors import ShotrigError
+from rig.errors import RecordingError, ShotrigError
+from rig.output_files import create_folder
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -63,7 +63,7 @@ class LiveRecording:
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
-        make_folder(path)
+        create_folder(path.parent, RecordingError)
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
         self._recorded_channels: Any = None  # descriptions of the channels in the present file
         self._recording: MarkedRecording | None = None

@@ -28,9 +28,9 @@ from daq.viewing.rerun_viewer import (
 )
 from rig.console import pause_reports
 from rig.errors import RunError, SceneError
-from rig.output_files import atomic_write
+from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import FractionProgress
-from rig.provenance import may_overwrite, output_source, reject_foreign_files, relative_paths
+from rig.provenance import may_overwrite, output_source, relative_paths
 
 APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = (
@@ -127,7 +127,7 @@ def draw_picture(
         )
     source = ("replay", *relative_paths([replay.recording.path], file.parent))
     with output_source(*source):
-        reject_foreign_files(file)
+        prepare_outputs(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         rrd_path = Path(folder) / "replay.rrd"
         save(replay, rrd_path, progress)
@@ -216,5 +216,3 @@ def _send(
 def _check_suffix(file: Path, suffix: str, option: str) -> None:
     if file.suffix.lower() != suffix:
         raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
-    if not file.parent.is_dir():
-        raise RunError(f"{option} {file}: there is no folder {file.parent}. Create it first.")

@@ -10,9 +10,8 @@ import numpy as np
 
 from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
-from rig.output_files import atomic_write
+from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import CountProgress
-from rig.provenance import reject_foreign_files
 from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
@@ -52,7 +51,7 @@ def simulate_to_file(
     """
     if output is not None:
         check_suffix(output)
-        reject_foreign_files(output)
+        prepare_outputs(output)
     checkpoint = None if output is None else output.with_name(f"{output.name}.kept")
     duration = default_duration(scene) if duration is None else duration
     try:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import RunError, SceneError
-from rig.output_files import atomic_write, create_folder
+from rig.output_files import atomic_write, create_folder, prepare_outputs
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_overwriting_a_link_replaces_its_target(tmp_path: Path) -> None:
     assert link.is_symlink() and target.read_text(encoding="utf-8") == "new" and target.stat().st_mode & 0o777 == 0o640
 
 
-@pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file", "nowhere"])
+@pytest.mark.parametrize("kind", ["folder", "fifo", "device", "file"])
 def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "out.csv"
     match kind:
@@ -69,17 +69,45 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
             path = Path(os.devnull)
         case "file":
             path.touch()
-        case "nowhere":
-            path = tmp_path / "no" / "out.csv"
-    expected = {"file": "exists", "nowhere": "does not exist"}.get(kind, "is a folder or a device")
+    expected = "exists" if kind == "file" else "is a folder or a device"
     with pytest.raises(SceneError, match=expected), atomic_write(path, overwrite=kind != "file"):
         pass
-    assert path.exists() == (kind != "nowhere")
+    assert path.exists()
+
+
+def test_missing_folder_of_output_is_created(tmp_path: Path) -> None:
+    path = tmp_path / "no" / "such" / "out.csv"
+    with atomic_write(path) as temporary:
+        temporary.write_text("new")
+    assert path.read_text(encoding="utf-8") == "new"
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("a-folder", "is a folder or a device"),
+        ("a-file/out.csv", "a file has this name"),
+        ("a-file/below/out.csv", "a file has this name"),
+        ("a-file", "written by another program"),
+        (f"{'long' * 100}.csv", "too long"),
+        pytest.param(
+            "/proc/out.csv",
+            "accepts no new files",
+            marks=pytest.mark.skipif(not Path("/proc").is_dir(), reason="Linux only"),
+        ),
+    ],
+)
+def test_unusable_output_is_rejected_in_advance(tmp_path: Path, name: str, expected: str) -> None:
+    (tmp_path / "a-folder").mkdir()
+    (tmp_path / "a-file").write_text("")
+    with pytest.raises(SceneError, match=expected):
+        prepare_outputs(tmp_path / name)
+    assert {path.name for path in tmp_path.iterdir()} == {"a-folder", "a-file"}
 
 
 def test_folder_named_like_a_figure_is_used(tmp_path: Path) -> None:
     folder = tmp_path / "two.png"
-    with pytest.raises(SceneError, match=r"Give the name of a folder, such as -o .*two\.$"):
+    with pytest.raises(SceneError, match=r"Give the name of a folder, such as .*two\.$"):
         create_folder(folder)
     folder.mkdir()
     create_folder(folder)

@@ -72,7 +72,7 @@ def test_other_file_is_rejected_and_kept(tmp_path: Path, content: bytes) -> None
 def test_unwritable_table_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
 
-    with pytest.raises(RunError, match=r"table.csv: cannot write .*-o"):
+    with pytest.raises(RunError, match="a file has this name"):
         add_rows(tmp_path / "file" / "table.csv")
     with pytest.raises(RunError, match=r"table.csv: cannot read"):
         read_rows(tmp_path / "table.csv", HEADER, "gaps")

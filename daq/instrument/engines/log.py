@@ -245,6 +245,9 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
             problem = f"{path}: the file exists. Choose another name, or LoggingOperation.CREATE_OR_REPLACE."
         elif operation == LoggingOperation.OPEN and not exists:
             problem = f"{path}: LoggingOperation.OPEN appends to a file, but the file does not exist. Use CREATE."
+        elif not path.parent.is_dir():
+            # NI's driver does not create folders either.
+            problem = f"{path}: the folder {path.parent} does not exist. Create it first."
         elif suffix == ".mcap" and append:
             problem = (
                 f"{path}: the recording exists and cannot be appended to. Use LoggingOperation.CREATE_OR_REPLACE, or "

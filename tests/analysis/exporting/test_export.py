@@ -193,13 +193,17 @@ def test_missing_segment_names_available_range(recording, selection, message):
         ("a.csv", {"speed": 2.0}, "--speed"),
         ("a.wav", {"speed": 1e9}, "Choose another --speed"),
         ("a.wav", {"speed": 0.0}, "Choose another --speed"),
-        ("missing/a.csv", {}, "does not exist"),
     ],
 )
 def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, message):
     with pytest.raises(SceneError, match=message):
         export(Slice.of(recording), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_folder_of_export_is_created(recording, tmp_path):
+    export(Slice.of(recording), tmp_path / "missing" / "a.csv")
+    assert (tmp_path / "missing" / "a.csv").is_file()
 
 
 def test_full_disk_is_reported_before_writing(recording, tmp_path, monkeypatch):

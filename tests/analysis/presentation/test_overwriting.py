@@ -1,4 +1,7 @@
-"""Commands replace their own output files, with the same bytes, but no file of another command or of the user."""
+"""Commands replace their own output files, with the same bytes, but no file of another command or of the user.
+
+They create the folder of their output, and check before they compute that it can be written.
+"""
 
 from __future__ import annotations
 
@@ -99,3 +102,52 @@ def test_recorded_test_is_not_repeated(folder: Path) -> None:
     assert (folder / "recorded.mcap").stat().st_mtime_ns == before.st_mtime_ns
     other_seed = run_command(*command, "--set", "seed=2", "-o", "recorded.mcap")
     assert isinstance(other_seed.exception, ShotrigError) and "exists" in str(other_seed.exception)
+
+
+@pytest.mark.parametrize(
+    ("command", "output"),
+    [
+        ("rig scenes --copy fig9 new/mine.yaml", "new/mine.yaml"),
+        ("rig simulate fig9 --duration 0.05s -o new/run.npz", "new/run.npz"),
+        ("rig response fig9 --from 20Hz --to 21Hz --points 2 -o new/response.csv", "new/response.csv"),
+        ("daq recover sweep.mcap -o new/repaired.mcap", "new/repaired.mcap"),
+        ("daq replay sweep.mcap --to 0.1 --save new/sweep.rrd", "new/sweep.rrd"),
+        ("analysis export sweep.mcap -o new/out.csv --to 0.1", "new/out.csv"),
+        ("analysis export sweep.mcap --what frfs -o new/out.uff", "new/out.uff"),
+        ("analysis report hit.mcap -o new/page.html", "new/page.html"),
+    ],
+)
+def test_command_creates_the_output_folder(folder: Path, command: str, output: str) -> None:
+    result = run_command(*command.split())
+    assert result.exit_code == 0, (result.output, result.exception)
+    assert (folder / output).is_file()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "rig cost fig9 -o sweep.mcap/out",
+        "rig design fig9 -o sweep.mcap/out",
+        "rig grains fig9 --set dampers[1].grains.diameter=2mm -o sweep.mcap/out.csv",
+        "rig map fig9 -o sweep.mcap/out",
+        "rig response fig9 -o sweep.mcap/out.csv",
+        "rig simulate fig9 -o sweep.mcap/out.csv",
+    ],
+)
+def test_unusable_folder_is_rejected_before_computing(
+    folder: Path, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compute(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    for function in ("rig.cost", "rig.response", "rig.simulation.run_output.simulate", "rig.study.Workers"):
+        monkeypatch.setattr(function, compute)
+    result = run_command(*command.split())
+    assert isinstance(result.exception, ShotrigError) and "a file has this name" in str(result.exception)
+
+
+@pytest.mark.parametrize("command", ["compare", "dampers", "decay", "frf", "modes", "report"])
+def test_missing_recording_creates_no_folder(folder: Path, command: str) -> None:
+    result = run_command("analysis", command, "missing/a.mcap", "missing/b.mcap")
+    assert isinstance(result.exception, ShotrigError) and "no such file" in str(result.exception)
+    assert not (folder / "missing").exists()

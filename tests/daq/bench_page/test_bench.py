@@ -191,7 +191,7 @@ def test_unusable_recording_folder_is_reported(bench, tmp_path):
     bench.controller.start()
     pass_time(bench, 0.5)
     bench.close()
-    assert "cannot make the folder" in bench.recordings.problem
+    assert "a file has this name" in bench.recordings.problem
     assert not bench.recordings.enabled
 
 

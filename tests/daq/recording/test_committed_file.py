@@ -75,7 +75,7 @@ def test_failed_replacement_keeps_the_old_recording(path: Path) -> None:
 
 
 def test_failed_creation_releases_the_old_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patched, pytest.raises(RecordingError, match="accepts no new files") as failure:
+    with monkeypatch.context() as patched, pytest.raises(RecordingError, match="cannot be created") as failure:
         patched.setattr(committed_file, "_unused_name", lambda final: final.parent / "missing" / "run.mcap.part")
         recorder(path)
     # The traceback of the error refers to the failed recorder, whose open file would keep the lock.

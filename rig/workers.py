@@ -6,6 +6,7 @@ that the machines of a cluster need to share only the folder of recordings. The 
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
 from multiprocessing.resource_tracker import ensure_running
+from multiprocessing.synchronize import Semaphore
 from queue import Empty, SimpleQueue
 from threading import Thread, current_thread, main_thread
 from time import monotonic, sleep
@@ -164,7 +166,9 @@ class _OwnProcesses(SpawnContext):
 def _start_processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine."""
     context = _OwnProcesses()
-    pool = ProcessPoolExecutor(cores(), mp_context=context, initializer=_initialize_worker)
+    pool = ProcessPoolExecutor(
+        cores(), mp_context=context, initializer=_initialize_worker, initargs=(context.Semaphore(1),)
+    )
 
     def end() -> None:
         # Waiting pieces are canceled before the workers end, because the pool would otherwise notify them.
@@ -229,8 +233,13 @@ def _deferred_signals() -> Iterator[None]:
             signal.raise_signal(received[0])
 
 
-def _initialize_worker() -> None:
-    """Initialize a worker: a single thread for linear algebra; signals are handled by the parent."""
+def _initialize_worker(first: Semaphore) -> None:
+    """Initialize a worker: a single thread for linear algebra; signals are handled by the parent.
+
+    `first`: acquired by the first worker. Only this worker reports that it compiles, because all compile the same.
+    """
+    if not first.acquire(block=False):
+        logging.getLogger("shotrig.compiling").setLevel(logging.ERROR)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with_parent, daemon=True).start()

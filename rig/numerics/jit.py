@@ -34,7 +34,7 @@ from rig import console
 F = TypeVar("F", bound=Callable[..., object])
 
 _CONFIG: Any = numba.config
-_COMPILING = "compiling machine code for this processor, once"
+_COMPILING = "compiling machine code"
 _LOG = logging.getLogger("shotrig.compiling")
 _ROOT = Path(__file__).parents[2]
 _IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
@@ -149,7 +149,10 @@ class _Compiling(Listener):
         self._gc_thresholds.append((young, *older))
         gc.set_threshold(young and max(young, _GC_THRESHOLD), *older)
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
-            _warn_once(f"{_COMPILING}: about 20 s, or up to a minute if several parts of the program are needed")
+            _warn_once(
+                f"{_COMPILING} for this processor, once: about 20 s, or up to a minute if several parts of the program "
+                "are needed"
+            )
         console.begin_delay(_COMPILING)
 
     def on_end(self, event: Event) -> None:

@@ -20,6 +20,7 @@ from rig.workers import Workers
 from tests.rig.worker_pieces import (
     exit_at_first_call,
     exit_process,
+    log_compilation,
     sigint_is_blocked,
     square,
     wait_forever_unless_zero,
@@ -56,6 +57,16 @@ def test_appended_pieces_are_computed_as_well() -> None:
                 pieces.append(result)
 
     assert pieces == [2, 4, 16]
+
+
+def test_one_worker_reports_that_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("rig.workers.cores", lambda: 2)
+    with Workers() as workers:
+        assert len(list(workers.compute(log_compilation, [tmp_path] * 2))) == 2
+
+    assert capfd.readouterr().err.count("compiling") == 1
 
 
 def test_workers_end_no_other_process() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -31,6 +32,14 @@ def exit_process(_: int) -> None:
 def wait_forever_unless_zero(number: int) -> None:
     if number:
         threading.Event().wait()
+
+
+def log_compilation(folder: Path) -> None:
+    """Log a compilation as soon as two workers run."""
+    (folder / str(os.getpid())).touch()
+    while len(list(folder.iterdir())) < 2:
+        os.sched_yield()
+    logging.getLogger("shotrig.compiling").warning("compiling")
 
 
 def sigint_is_blocked(_: int) -> bool:

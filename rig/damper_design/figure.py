@@ -150,7 +150,7 @@ def describe_check(design: Design, scene: Path) -> str:
             *map(_expected_line, design.expected),
             *overload_lines(overloads, finite_contact),
             "",
-            "commands that check the design, without and with dampers:",
+            "to check the design, record and compare tests without and with dampers:",
             f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
             f"-o {without_dampers}",
             f"daq record {file}{remedies} -o {with_dampers}",
@@ -286,8 +286,7 @@ def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: 
         f"{below.agreeing} of {below.settings} cases with a ceiling.",
         f"With a ceiling, the compliance with grains was typically {smallest_decrease} to {largest_decrease} % lower "
         "(interquartile range).",
-        f"Command that simulates these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm, which may take "
-        "hours:",
+        f"To simulate these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm (which may take hours), run:",
         f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
         f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_BAND_POINTS} "
         f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",

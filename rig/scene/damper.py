@@ -63,7 +63,7 @@ class Grains(Settings):
     diameter: Annotated[float, Quantity(LENGTH, above=0.0)]
     """Diameter of the spheres [m]."""
     spread: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.0
-    """Relative half-width of the uniform distribution of diameters about `diameter`, drawn with the scene's seed."""
+    """Relative half-width of the uniform distribution of diameters about `diameter`; sizes are random (`seed`)."""
     density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
     """Density [kg/m^3]; it is adjusted slightly so that the bed is a whole number of grains."""
     modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e8

@@ -279,7 +279,7 @@ class Impulse(Settings):
     interval: Duration = 6.0
     """Time from one hit to the next, and recording time after the last [s]."""
     double_hit: DoubleHit | None = None
-    """Double hits; None: single hits only."""
+    """Bounces of the hammer, each with a second, weaker pulse; None: single hits only."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""

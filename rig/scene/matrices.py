@@ -68,7 +68,7 @@ class Matrices(Settings):
     stiffness: Matrix
     """Symmetric, (bodies, bodies) [N/m]."""
     damping: Matrix | None = None
-    """Matrix of the same size with which no free motion grows [N s/m]."""
+    """Damping matrix, (bodies, bodies) [N s/m]; it must not add energy to any free motion."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check sizes, symmetry, positive kinetic energy, nonnegative elastic energy, and that no motion grows."""

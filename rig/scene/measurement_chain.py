@@ -56,7 +56,7 @@ class Accelerometer(Settings):
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V per m/s^2]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest relative deviation of the true sensitivity from nominal; the deviation is drawn with the seed."""
+    """Largest relative deviation of the true sensitivity from nominal; the deviation is random (`seed`)."""
     resonance: Corner | None = None
     """Mounted resonance [Hz]."""
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
@@ -72,7 +72,7 @@ class Accelerometer(Settings):
     bias_settling: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Time constant with which the bias settles from zero after power-on [s]; needs `bias`."""
     transverse: Tolerance | None = None
-    """Transverse sensitivity relative to the nominal sensitivity; its direction is drawn with the seed."""
+    """Transverse sensitivity relative to the nominal sensitivity; its direction is random (`seed`)."""
     lateral: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
     """Lateral acceleration of the mounting point relative to the vertical (10 % if only `transverse` is
     given); the structure itself moves vertically only."""
@@ -133,7 +133,7 @@ class Hammer(Settings):
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest relative deviation of the true sensitivity from nominal; the deviation is drawn with the seed."""
+    """Largest relative deviation of the true sensitivity from nominal; the deviation is random (`seed`)."""
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
@@ -165,8 +165,8 @@ class Channel(Settings):
         # The schema also allows a body's name, which `Scene` replaces by its number.
         WithJsonSchema({"type": "string"}),
     ]
-    """A body, by its name or as body 1; table, hammer, shaker or drive: the force of a shaker of kind force, the
-    voltage of its output."""
+    """A body (its name, or as body 1), table, hammer, shaker (force of a shaker of kind force) or drive (voltage of a
+    shaker's output)."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None
@@ -179,7 +179,7 @@ class Channel(Settings):
     abort: Limit | None = None
     """Limit of the measured quantity, in the channel's unit, above which the test ends [m, m/s, m/s^2, N or V]."""
     coupling: Literal["AC", "DC"] | None = None
-    """Coupling of this input; None: as the converter."""
+    """Coupling of this input, AC or DC; None: as the converter."""
     excitation: Supply | None = None
     """Supply current of the sensor at this input [A], 0: none; None: as the converter."""
 
@@ -261,7 +261,7 @@ class Converter(Settings):
     coupling: Literal["AC", "DC"] | None = None
     """Coupling of the inputs; AC: a first-order high pass. None: DC."""
     ac_corner: Corner | None = None
-    """Corner frequency of that high pass [Hz]; None: 0.5."""
+    """Corner frequency of the high pass of AC coupling [Hz]; None: 0.5."""
     excitation: Supply | None = None
     """Constant supply current of IEPE sensors [A]; 0: none, None: an external supply."""
     filter: Literal["delta_sigma"] | None = None
@@ -282,7 +282,7 @@ class Converter(Settings):
     jitter: Time | None = None
     """Standard deviation of the sampling instants [s]."""
     dropped_blocks: tuple[DroppedBlock, ...] = ()
-    """Lost samples."""
+    """Blocks of samples that are lost, as in a real acquisition under load."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that every key on which a given key depends is given too, and that the module supports the values."""
@@ -340,4 +340,4 @@ class RecordingSettings(Settings):
     truth: bool = False
     """Whether to record the true motion, in separate topics."""
     samples: Literal["float64", "float32", "counts"] | None = None
-    """Data type of stored samples. None: counts if the converter has bits, else float64."""
+    """Data type of the stored samples. None: counts if the converter has bits, else float64."""

@@ -94,7 +94,7 @@ class ForceShaker(Settings):
     body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
     """The number of a body, from 1, or its name; or a list of bodies."""
     output: Output = Output()
-    """The output of a module whose voltage is the drive."""
+    """The analog output whose voltage is the drive."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -118,7 +118,7 @@ class TableShaker(Settings):
     """Corner frequency of the position servo [Hz], a critically damped second-order system. The table velocity is
     continuous, as required to measure its acceleration."""
     output: Output = Output()
-    """The output of a module whose voltage is the drive."""
+    """The analog output whose voltage is the drive."""
 
     @property
     def bodies(self) -> tuple[int, ...]:
@@ -180,7 +180,7 @@ class ElectrodynamicShaker(Settings):
     armature: Armature = Armature()
     amplifier: Amplifier = Amplifier()
     output: Output = Output()
-    """The output of a module whose voltage is the drive."""
+    """The analog output whose voltage is the drive."""
 
     @model_validator(mode="before")
     @classmethod

@@ -49,7 +49,7 @@ class RayleighDamping(Settings):
     """Rayleigh damping, proportional to mass and stiffness."""
 
     rayleigh: Rayleigh
-    """Keys alpha and beta."""
+    """Rayleigh damping: alpha times the mass matrix plus beta times the stiffness matrix."""
 
 
 class Dashpots(Settings):

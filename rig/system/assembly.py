@@ -292,8 +292,8 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     stiffness = -(system.force_state + system.contact_forces(system.all_on_floor)[0])[:, :n]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(
-            f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under "
-            "the weight of the dampers. Add springs to ground, gravity: 0, or test: {start: empty}."
+            f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under the weight of "
+            "the dampers. Add springs to ground, or set gravity: 0 or test: {start: empty}."
         )
     return np.linalg.solve(stiffness, load)
 

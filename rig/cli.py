@@ -420,7 +420,7 @@ def design(
         typer.Option(
             metavar="LOW,HIGH",
             help="Range of clearances to search, such as '0.2 mm, 3 mm'. Default: derived from the motion without "
-            "dampers, and also no ceiling.",
+            "dampers; designs without a ceiling are then included.",
         ),
     ] = None,
     levels: Annotated[
@@ -450,7 +450,8 @@ def design(
         typer.Option(
             "--damping-off",
             metavar="SHARE",
-            help="Relative uncertainty of the structure's damping, such as '30 %'. The largest peak within it counts.",
+            help="Relative uncertainty of the structure's damping, such as '30 %'. The dampers are chosen for its "
+            "worst case.",
         ),
     ] = "0 %",
     stiffness_uncertainty: Annotated[
@@ -458,7 +459,8 @@ def design(
         typer.Option(
             "--stiffness-off",
             metavar="SHARE",
-            help="Relative uncertainty of the structure's stiffness, such as '5 %'. The largest peak within it counts.",
+            help="Relative uncertainty of the structure's stiffness, such as '5 %'. The dampers are chosen for its "
+            "worst case.",
         ),
     ] = "0 %",
     cluster: Cluster = None,

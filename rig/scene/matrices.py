@@ -43,7 +43,7 @@ class _Matrix:
             matrix = numbers.astype(np.float64)
         except (TypeError, ValueError, OverflowError):
             raise validation_error(
-                "rows of unequal length, or values that are not numbers; expected a square matrix"
+                "got rows of unequal length, or values that are not numbers; expected a square matrix of numbers"
             ) from None
         if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or matrix.size == 0:
             raise validation_error(f"got a matrix of shape {matrix.shape}; expected a square matrix")

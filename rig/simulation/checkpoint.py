@@ -63,8 +63,8 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
         ) from None
     if different:
         raise RunError(
-            f"{path}: contains an interrupted run with another {', '.join(different)}. Restore these to continue it, "
-            "or delete the file to start again."
+            f"{path}: contains an interrupted run with another {', '.join(different)}. Restore the previous values to "
+            "continue it, or delete the file to start again."
         )
     return state
 

@@ -96,8 +96,8 @@ def format_response(response: SteadyResponse, every_frequency: bool = False) -> 
     if not response.converged.all():
         ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
         lines.append(
-            f"  no steady state: {ranges}. If the motion there is not irregular, pass a larger `longest` to "
-            "rig.frequency_response (Python)."
+            f"  no steady state: {ranges}. Irregular motion never settles; for other motion types, pass a larger "
+            "`longest` to rig.frequency_response (Python)."
         )
     motion = _motion_labels(response)
     lines += ["", *_peak_table(response, motion)]

@@ -175,7 +175,7 @@ def _compare_methods(points: Sequence[Point]) -> list[str]:
         ratio = format_number(float(f"{fastest.cpu / engine_point.cpu:.2g}"))
         lines.append(
             f"The fastest of the most accurate other methods, {fastest.method} ({fastest.setting}), takes "
-            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times as long (relative error {fastest.error:.0e})."
+            f"{1e3 * fastest.cpu:.2g} ms, {ratio} times as long as the engine (relative error {fastest.error:.0e})."
         )
     wrong = sum(np.isfinite(point.error) and not point.is_correct for point in points)
     if wrong:

@@ -259,13 +259,14 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
     Returns `omega`, shape (bodies,): natural frequencies, increasing, rad/s; 0 for a rigid-body motion; and `shapes`,
     shape (bodies, bodies): column i is the shape of mode i, with largest element +1. Raises `SceneError` if the
-    structure is statically unstable (a negative eigenvalue larger than rounding errors).
+    modes cannot be computed, or the structure is statically unstable (a negative eigenvalue larger than rounding
+    errors).
     """
     # `scipy.linalg.eigh` calls the same routine, but takes six times as long for a few bodies. A fit makes 10 000
     # calls.
     squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
     if info:
-        raise np.linalg.LinAlgError(
+        raise SceneError(
             "structure: the natural modes cannot be computed. Check that the mass matrix is positive definite, and "
             f"that both matrices are finite (LAPACK dsygvd: info {info})."
         )

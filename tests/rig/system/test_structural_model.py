@@ -131,3 +131,8 @@ def test_damper_mass_follows_from_mass_or_mass_ratio() -> None:
     np.testing.assert_allclose(structural_model(scene).bed_mass, [0.064, 0.03], rtol=1e-15)
     np.testing.assert_array_equal(structural_model(scene).bed_body, [2, 0])
     assert structural_model(scene.replace(dampers=())).bed_mass.shape == (0,)
+
+
+def test_modes_of_negative_masses_are_rejected() -> None:
+    with pytest.raises(SceneError, match="natural modes cannot be computed"):
+        natural_modes(-np.eye(2), np.eye(2))

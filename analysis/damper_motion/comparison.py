@@ -192,7 +192,9 @@ def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
     factor = special.stdtrit(known_degrees(points.degrees).min(), 0.975)
     random_bound = factor * np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
-    return np.hypot(random_bound, abs(sensitivity) @ np.nan_to_num(points.systematic_bound()))
+    # Equal relative errors of all points add up in the height, and cancel in the frequency.
+    in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound())
+    return np.hypot(random_bound, [in_height.sum(), np.linalg.norm(in_frequency)])
 
 
 def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> int:

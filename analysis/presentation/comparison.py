@@ -24,7 +24,14 @@ from analysis.damper_motion.comparison import (
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.inputs import check_recording, duplicate_warnings
-from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
+from analysis.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+    with_sweep_name,
+)
 from analysis.presentation.tables import write_table
 from analysis.recordings.names import open_existing, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
@@ -108,7 +115,8 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
         raise SceneError("compare: only one recording. Give two or more; the first is the baseline.")
     sweeps: list[list[list[Response]]] = []
     measured_points: list[MeasurementPoints] = []
-    for path, label in zip(paths, scene_labels(paths), strict=True):
+    names = scene_labels(paths)
+    for path, label in zip(paths, names, strict=True):
         with open_existing(path) as rec:
             check_recording(rec, path, "frf")
             measured_points.append(MeasurementPoints.of(path, rec))
@@ -117,23 +125,22 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
             sweeps.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
     first_frfs = sweeps[0][0]
     modes = identify(first_frfs)
+    baseline, notes = first_frfs[0], [*modes.warnings, *uncompared_highest_peaks(modes, first_frfs)]
     warnings = duplicate_warnings(paths) + with_recording_name(
-        paths[0], (*modes.warnings, *uncompared_highest_peaks(modes, first_frfs))
+        paths[0], with_sweep_name(baseline.label, names[0], notes, baseline.warnings)
     )
     lines: list[str] = []
     all_changes: list[tuple[Response, Response, PeakChange]] = []
     has_unbounded_peak = False
-    others = zip(measured_points[1:], sweeps[1:], strict=True)
-    for points, frfs in ((points, frfs) for points, groups in others for frfs in groups):
+    others = zip(measured_points[1:], names[1:], sweeps[1:], strict=True)
+    for points, name, frfs in ((points, name, frfs) for points, name, groups in others for frfs in groups):
         path, same_sensors = points.path, points.same_sensors(measured_points[0])
-        warnings += with_recording_name(path, frfs[0].warnings)
         changes = peak_changes(modes, first_frfs, frfs, same_sensors)
-        warnings += with_recording_name(
-            paths[0], coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes])
-        )
-        warnings += with_recording_name(
-            path, coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
-        )
+        before = coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes])
+        after = coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
+        warnings += with_recording_name(path, frfs[0].warnings)
+        warnings += with_recording_name(paths[0], with_sweep_name(baseline.label, names[0], before))
+        warnings += with_recording_name(path, with_sweep_name(frfs[0].label, name, after))
         lines.append(f"{first_frfs[0].label} -> {frfs[0].label}, {first_frfs[0].input}")
         lines += [f"  {line}" for line in describe_changes(changes)]
         if any(SENSITIVITY in frf.limits for frf in frfs if frf.response in same_sensors):

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes, mac
 from analysis.presentation.inputs import check_inputs, labels, read_curves
-from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending, with_recording_name
+from analysis.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+    with_sweep_name,
+)
 from analysis.recordings.names import open_existing, relabel
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
@@ -77,7 +84,8 @@ def present_modes(
                 stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
                 files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes, theory)
-            warnings += with_recording_name(path, [*modes.warnings, *theory_warnings(modes, theory)])
+            notes = [*modes.warnings, *theory_warnings(modes, theory)]
+            warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
     with output_stem(paths, output, "modes", "csv") as stem:
         files.append(modes_table(with_ending(stem, "csv"), all_modes))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))

@@ -37,6 +37,19 @@ def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
     return [f"{path.name}: {warning}" for warning in warnings]
 
 
+def with_sweep_name(sweep: str, recording: str, warnings: Sequence[str], named: Sequence[str] = ()) -> list[str]:
+    """Prefix each warning with the name of its sweep, if the recording has several sweeps.
+
+    `sweep`, `recording`: labels; that of a sweep is the label of the recording, followed by the name of the sweep;
+    `named`: warnings of the responses, which already name the sweep where necessary.
+
+    >>> with_sweep_name("beam, 2 N up", "beam", ["no mode"]), with_sweep_name("beam", "beam", ["no mode"])
+    (['2 N up: no mode'], ['no mode'])
+    """
+    name = sweep.removeprefix(recording).removeprefix(", ")
+    return [f"{name}: {warning}" if name and warning not in named else warning for warning in warnings]
+
+
 @contextmanager
 def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> Iterator[Path]:
     """Yield the common path of the output files without file extension.

@@ -17,7 +17,7 @@ from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
 from analysis.modal.modes import Modes
 from analysis.presentation.comparison import MeasurementPoints
-from analysis.presentation.outputs import with_recording_name
+from analysis.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.recordings.names import open_existing, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
 from daq.recording.recorded_test import TestKind
@@ -125,10 +125,11 @@ class Measurements:
     def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
         self._warn(path, frfs[0].warnings)
-        modes = self._attempt(path, "Modes", identify, frfs)
+        (analysis,) = with_sweep_name(frfs[0].label, label, ["Modes"])
+        modes = self._attempt(path, analysis, identify, frfs)
         if modes is None:
             return SweepResults(frfs, None)
-        self._warn(path, modes.warnings)
+        self._warn(path, with_sweep_name(frfs[0].label, label, modes.warnings, frfs[0].warnings))
         peaks = _highest_peaks(frfs, modes)
         return SweepResults(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
 

@@ -73,6 +73,18 @@ def test_modes_name_their_input(bracket: dict[str, Path], tmp_path: Path) -> Non
     assert result.lines[0] == "bracket, force at body 2: 2 modes"
 
 
+@pytest.mark.usefixtures("undrawn_figures")
+def test_warnings_of_modes_name_their_sweep(tmp_path: Path) -> None:
+    frequencies = np.ravel([np.linspace(0.994, 1.006, 5) * f for f in synthetic.NATURAL_FREQUENCIES])
+    # Channels in another order than the samples: the shapes match no mode of the scene.
+    body1, body2, body3, table = synthetic.channels()
+    path = synthetic.stepped_sine(
+        tmp_path / "a.mcap", frequencies, level=(1.0, 2.0), noise=1e-6, infos=[body1, body3, body2, table]
+    )
+    mismatches = [warning for warning in present_modes([path], tmp_path).warnings if "matches no mode" in warning]
+    assert [warning.split(": ")[:2] for warning in mismatches] == [["a.mcap", "1 N up"], ["a.mcap", "2 N up"]]
+
+
 def test_exported_responses_keep_their_input(bracket: dict[str, Path], tmp_path: Path) -> None:
     export_results(bracket["arm"], tmp_path / "arm.uff", "frfs")
     curves = analysis.read_frfs(tmp_path / "arm.uff")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -50,15 +51,15 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 
 
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
-    """Record the steady-state motion at each frequency in turn, for a spring force of `level` in N."""
+    """Record the steady-state motion at each frequency in turn, for each spring force of `level` in N."""
     infos = channels() if infos is None else infos
     structure_scene = scene(name=name)
     random = np.random.default_rng(seed)
     blocks, marks, first = [], [], 0
-    for frequency in frequencies:
+    for force, frequency in product(np.atleast_1d(level).tolist(), frequencies):
         count = round(periods * RATE / frequency)
-        motion = receptance(structure_scene, [frequency])[:, 0] * level
-        motion = np.append(motion, level / SPRING + motion[0])
+        motion = receptance(structure_scene, [frequency])[:, 0] * force
+        motion = np.append(motion, force / SPRING + motion[0])
         orders = [{"displacement": 0, "velocity": 1, "acceleration": 2}[info.quantity] for info in infos]
         amplitudes = [
             displacement * (2j * np.pi * frequency) ** order * info.response(frequency)
@@ -67,7 +68,7 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
         phasor = np.exp(2j * np.pi * frequency / RATE * np.arange(count))
         tones = (np.array(amplitudes)[:, None] * phasor).real
         blocks.append(tones + noise * random.standard_normal((len(infos), count)))
-        fields = {"frequency": float(frequency), "level": level, "direction": "up", "settled": True}
+        fields = {"frequency": float(frequency), "level": force, "direction": "up", "settled": True}
         marks.append(("measure", first, first + count - 1, fields))
         first += count
     return write(path, structure_scene, infos, np.concatenate(blocks, axis=1), marks)

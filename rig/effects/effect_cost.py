@@ -6,7 +6,7 @@ The simulation is measured with the structure alone, and again after each furthe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
@@ -52,6 +52,7 @@ class EffectCost:
     states: int  # Number of added states
     total: float  # CPU time per simulated second with this and all previous effects [s]
     added: float  # Difference of `total` from the `total` of the previous effect [s]
+    scatter: float  # Repeatability of `added`: a smaller difference is not significant [s]
 
 
 def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) -> tuple[EffectCost, ...]:
@@ -63,30 +64,54 @@ def effect_costs(scene: Scene, progress: Callable[[str], None] | None = None) ->
     steps: list[EffectStep] = list(motion_steps(scene))
     for registered_steps in registered_functions("shotrig.effect_costs"):
         steps += registered_steps(scene)
-    times = np.full(len(steps), np.inf)
+    times = np.empty((REPEATS, len(steps)))
     for repeat in range(REPEATS):
         for k, step in enumerate(steps):
             if progress is not None:
                 progress(f"{step.name} ({repeat + 1} of {REPEATS})")
-            times[k] = min(times[k], measure_cpu_time(step))
+            times[repeat, k] = measure_cpu_time(step)
+    return differences(steps, times)
+
+
+def differences(steps: Sequence[EffectStep], times: Array) -> tuple[EffectCost, ...]:
+    """Return the cost of each step from its CPU times per simulated second, s; shape (repetitions, steps)."""
     states = [0, *(step.states for step in steps)]
-    totals = [0.0, *times.tolist()]
+    ascending = np.sort(times, axis=0)
+    totals = [0.0, *ascending[0].tolist()]
+    # The shortest time is about as repeatable as the distance to the next.
+    scatters = [0.0, *(ascending[:2].max(axis=0) - ascending[0]).tolist()]
     return tuple(
-        EffectCost(step.name, states[k + 1] - states[k], totals[k + 1], totals[k + 1] - totals[k])
+        EffectCost(
+            step.name,
+            states[k + 1] - states[k],
+            totals[k + 1],
+            totals[k + 1] - totals[k],
+            scatters[k + 1] + scatters[k],
+        )
         for k, step in enumerate(steps)
     )
 
 
 def text(costs: tuple[EffectCost, ...]) -> str:
-    """Format a table of the costs; percentages refer to the CPU time with all effects."""
+    """Format a table of the costs; percentages refer to the CPU time with all effects.
+
+    An effect has no share if its difference is within the scatter of the measurement, or if the simulation is faster
+    with it.
+    """
     total = costs[-1].total
     width = max(len(cost.name) for cost in costs) + 2
     lines = [f"{'effect':{width}}{'states':>7}{'ms per simulated s':>20}{'added':>9}{'share':>8}"]
     for cost in costs:
+        share = f"{100 * cost.added / total:.1f}%" if cost.added > cost.scatter else "-"
         lines.append(
-            f"{cost.name:{width}}{cost.states or '-':>7}{1e3 * cost.total:20.3f}{1e3 * cost.added:9.3f}"
-            f"{100 * cost.added / total:7.1f}%"
+            f"{cost.name:{width}}{cost.states or '-':>7}{1e3 * cost.total:20.3f}{1e3 * cost.added:9.3f}{share:>8}"
         )
+    within_scatter = [cost.name for cost in costs if abs(cost.added) <= cost.scatter]
+    faster = [cost.name for cost in costs if cost.added < -cost.scatter]
+    if within_scatter:
+        lines.append(f"added time within the scatter of the measurement: {', '.join(within_scatter)}")
+    if faster:
+        lines.append(f"the simulation is faster with: {', '.join(faster)}")
     lines.append(f"with all effects, one core simulates {1 / total:.3g} s of the test in 1 s")
     return "\n".join(lines)
 

@@ -465,7 +465,13 @@ def design(
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scene, the figures and the table.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder for the scene, the figure and the table, design-NAME; NAME is the name in the scene.",
+        ),
     ] = Path(),
     overwrite: Overwrite = False,
 ) -> None:

@@ -13,6 +13,7 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from filecmp import cmp
+from hashlib import sha256
 from pathlib import Path
 from secrets import token_hex
 from tempfile import TemporaryFile
@@ -20,6 +21,8 @@ from tempfile import TemporaryFile
 from rig.errors import RunError, SceneError, ShotrigError
 from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
 
+#: Maximum length of a scene's name in a file name.
+_MAX_SCENE_LENGTH = 32
 #: Suffixes of output files, which are not accepted for folders.
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 
@@ -199,10 +202,18 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 
 
 def file_stem(study: str, scene: str) -> str:
-    """Return the file stem for a study and its scene.
+    """Return the file stem for a study and the name of its scene.
+
+    A long name is shortened to its first words, and a digest that distinguishes it from names with the same words.
 
     >>> file_stem("cost", "Fig 9, a damper in body 2")
     'cost-fig-9-a-damper-in-body-2'
+    >>> file_stem("cost", "Fig 9, a damper in body 2 of clearance 0.98 mm")
+    'cost-fig-9-a-damper-in-body-2-of-4a69'
     """
-    words = "".join(letter if letter.isalnum() else " " for letter in scene.lower()).split()
-    return "-".join([study, *words])
+    name = "-".join("".join(letter if letter.isalnum() else " " for letter in scene.lower()).split())
+    if len(name) > _MAX_SCENE_LENGTH:
+        digest = sha256(os.fsencode(name)).hexdigest()[:4]
+        start = name[: _MAX_SCENE_LENGTH - len(digest)]
+        name = f"{start.rpartition('-')[0] or start[:-1]}-{digest}"
+    return f"{study}-{name}" if name else study

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import RunError, SceneError
-from rig.output_files import atomic_write, create_folder, prepare_outputs
+from rig.output_files import atomic_write, create_folder, file_stem, prepare_outputs
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
@@ -73,6 +73,13 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     with pytest.raises(SceneError, match=expected), atomic_write(path, overwrite=kind != "file"):
         pass
     assert path.exists()
+
+
+def test_long_scene_names_give_short_distinct_files() -> None:
+    name = "Fig 9, a damper in body 2 of clearance "
+    stems = [file_stem("design", scene) for scene in (f"{name}1 mm", f"{name}2 mm", "x" * 300, f"{'x' * 300}y")]
+    assert len(set(stems)) == 4 and max(map(len, stems)) <= len("design-") + 32
+    assert file_stem("design", "bracket") == "design-bracket"
 
 
 def test_missing_folder_of_output_is_created(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.drawing.rig_view import RigMotion
+from daq.server.live import end_display
 from rig.arrays import Array
 
 if TYPE_CHECKING:
@@ -105,9 +106,8 @@ class Monitor:
         self._blocks.join()
 
     def close(self) -> None:
-        """End the thread."""
-        self._blocks.put(None)
-        self._thread.join()
+        """Process the waiting blocks, and end the thread; see `end_display`."""
+        end_display(self._blocks, self._thread)
 
     def start_estimate(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
         """Start the estimate of a test; `detector` is None for a continuous test."""

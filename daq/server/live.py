@@ -22,6 +22,36 @@ if TYPE_CHECKING:
 
 # Maximum number of blocks that wait for the display. If the view is late, it omits blocks; a recording never does.
 _MAX_WAITING_BLOCKS = 64
+#: Maximum wait for a display that does not respond, s.
+MAX_CLOSING_S = 10.0
+
+
+def end_display(blocks: queue.Queue[Any], thread: threading.Thread) -> None:
+    """Wait until a thread has shown the waiting blocks; it ends when it receives None.
+
+    A display that does not respond is abandoned, and the number of blocks that it has not shown is reported on stderr.
+    """
+    try:
+        blocks.put(None, timeout=MAX_CLOSING_S)
+    except queue.Full:
+        # The block that the thread is showing is no longer in the queue.
+        n_blocks = blocks.qsize() + 1
+    else:
+        thread.join(MAX_CLOSING_S)
+        if not thread.is_alive():
+            return
+        # The queue contains None instead of the block that the thread is showing.
+        n_blocks = blocks.qsize()
+    _report(
+        f"warning: the display did not respond within {MAX_CLOSING_S:g} s. The last {n_blocks} blocks of samples were "
+        "not shown; recordings contain them."
+    )
+
+
+def _report(message: str) -> None:
+    # The terminal may be closed already.
+    with suppress(OSError):
+        print(message, file=sys.stderr, flush=True)
 
 
 class LiveView:
@@ -47,11 +77,10 @@ class LiveView:
             self._screen.show_block(*block)
 
     def close(self) -> None:
-        """Show the waiting blocks, and end the view."""
+        """Show the waiting blocks, and end the view; see `end_display`."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._on_block)
-        self._blocks.put(None)
-        self._thread.join()
+        end_display(self._blocks, self._thread)
 
 
 class LiveRecording:
@@ -78,7 +107,7 @@ class LiveRecording:
             self._record(bench, block)
         except ShotrigError as error:
             self._has_failed, self._recording = True, None
-            self._report(f"the recording has stopped: {error}")
+            _report(f"the recording has stopped: {error}")
 
     def _record(self, bench: Any, block: Any) -> None:
         """Write a block; start a file if there is none, or if a coupling or supply has changed."""
@@ -105,13 +134,7 @@ class LiveRecording:
             self._chassis.listeners.remove(self._on_block)
             self._complete()
         if not self.paths:
-            self._report(
+            _report(
                 f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "
                 "server ends."
             )
-
-    @staticmethod
-    def _report(message: str) -> None:
-        # The terminal may be closed already.
-        with suppress(OSError):
-            print(message, file=sys.stderr, flush=True)

@@ -73,6 +73,23 @@ def test_stuck_display_does_not_delay_the_bench(bench, monkeypatch):
     assert not is_delayed and monitor.skipped_blocks in (43, 44)
 
 
+@pytest.mark.parametrize("bench", ["shaker"], indirect=True)
+def test_stuck_display_does_not_prevent_closing(bench, monkeypatch, capsys):
+    released, monitor = threading.Event(), bench.monitor
+    monitor.catch_up()
+    monkeypatch.setattr(monitor, "_process", lambda *_: released.wait())
+    monkeypatch.setattr("daq.server.live.MAX_CLOSING_S", 0.0)
+    block = SimpleNamespace(first=0, samples=np.zeros((3, 0)))
+    for _ in range(300):
+        monitor.on_block(bench.chassis.bench, block)
+    closes = threading.Thread(target=monitor.close, daemon=True)
+    closes.start()
+    closes.join(10.0)
+    is_closed = not closes.is_alive()
+    released.set()
+    assert is_closed and "blocks of samples were not shown" in capsys.readouterr().err
+
+
 def set_controls(bench, **settings):
     """Enter settings on the page."""
     for name, value in settings.items():

@@ -71,6 +71,33 @@ def test_stuck_viewer_does_not_delay_the_bench(monkeypatch):
     assert not is_delayed
 
 
+@pytest.mark.parametrize(("sent", "not_shown"), [(3, 3), (200, 65)])
+def test_stuck_viewer_does_not_prevent_closing(sent, not_shown, monkeypatch, capsys):
+    started, released = threading.Event(), threading.Event()
+
+    def show_block(block, values):
+        started.set()
+        released.wait()
+
+    monkeypatch.setattr("daq.live_scope.screen.Screen", lambda *_: SimpleNamespace(show_block=show_block))
+    monkeypatch.setattr("daq.server.live.MAX_CLOSING_S", 0.0)
+    bench = SimpleNamespace(scene=None, channels=(), rate=1.0, to_units=lambda samples: samples)
+    chassis = SimpleNamespace(bench=bench, listeners=[], changed=threading.Lock())
+    view, block = LiveView(chassis, None), SimpleNamespace(samples=np.zeros((3, 0)))
+    on_block = chassis.listeners[0]
+    on_block(bench, block)
+    assert started.wait(10.0)
+    for _ in range(sent - 1):
+        on_block(bench, block)
+    closes = threading.Thread(target=view.close, daemon=True)
+    closes.start()
+    closes.join(10.0)
+    is_closed = not closes.is_alive()
+    released.set()
+    # The viewer shows one block, and 64 wait.
+    assert is_closed and f"The last {not_shown} blocks of samples were not shown" in capsys.readouterr().err
+
+
 @pytest.fixture
 def certificate(tmp_path):
     """Return a function that makes a self-signed certificate and its key, and returns their paths."""

@@ -163,9 +163,10 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
-            f"{scene.name}: the motion repeats every period at none of {len(candidates)} frequencies from "
-            f"{candidates[0]:.4g} to {candidates[-1]:.4g} Hz, so that there is no reference for the compliance. Choose "
-            "frequencies with --frequency, or another level in the scene (test.force or test.drive)."
+            f"{scene.name}: none of {len(candidates)} frequencies from {candidates[0]:.4g} to {candidates[-1]:.4g} Hz "
+            "has a steady motion that repeats every period and is the same upwards and downwards, so that no exact "
+            "compliance exists for comparison. Choose other frequencies (--frequency), or change the level (test.force "
+            "or test.drive)."
         )
     steady = candidates[is_steady]
     peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]

@@ -177,6 +177,8 @@ def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
     """
     a, b = np.asarray(first, dtype=complex), np.asarray(second, dtype=complex)
     if a.ndim != 2 or b.ndim != 2 or len(a) != len(b):
-        raise SceneError(f"mac: got shapes {a.shape} and {b.shape}; expected two matrices with a row for each point")
+        raise SceneError(
+            f"mac: got arrays of shape {a.shape} and {b.shape}; expected two matrices with one row for each point"
+        )
     cross = abs(a.conj().T @ b) ** 2
     return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 # Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are then as long as possible.
 DEFAULT_BLOCKS = 30
+# Minimum number of samples in a block.
+_MIN_BLOCK_SAMPLES = 16
 # A response leaks into the next burst if its value at the end of a block exceeds this fraction of its maximum.
 _MAX_END_RATIO = 0.02
 
@@ -77,10 +79,16 @@ def averaged_spectra(
     first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step  # rounded up
     count = (stop - first - block_samples) // step + 1
     block_s = block_samples / rec.rate
-    if block_samples < 16 or count < 2:
+    if block_samples < _MIN_BLOCK_SAMPLES:
+        raise RecordingError(
+            f"{rec.path}: a block has {block_samples} samples ({block_s:.3g} s); expected at least "
+            f"{_MIN_BLOCK_SAMPLES}. Choose longer blocks (--block) or record longer."
+        )
+    if count < 2:
+        shorter_blocks = " or choose shorter blocks (--block)" if burst_block is None else ""
         raise RecordingError(
             f"{rec.path}: {max(count, 0)} blocks of {block_s:.3g} s in {(stop - first) / rec.rate:.3g} s of "
-            "random excitation are too few to average. Record longer or choose shorter blocks (--block)."
+            f"random excitation are too few to average. Record longer{shorter_blocks}."
         )
     starts = [first + i * step for i in range(count)]
     averaged = block_spectra(rec, channels, starts, step, weights, low, high, progress)

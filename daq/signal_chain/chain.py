@@ -52,8 +52,7 @@ class Chain:
         self._oversampling = round(rate / true_rate)
         if self._oversampling < 1 or abs(rate - self._oversampling * true_rate) > 1e-9 * rate:
             raise SceneError(
-                f"motion: {rate!r} Hz is not a multiple of the converter's true rate. "
-                f"Give {true_rate!r} Hz or a multiple."
+                f"rate: got {rate!r} Hz; expected {true_rate!r} Hz (sample rate with clock error) or a multiple."
             )
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
         self._delays = delays(converter.skew, len(channels), true_rate)

@@ -100,7 +100,8 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
         largest_power = np.abs(y).max() ** max(degree, 1)
     if not (np.isfinite(x).all() and np.isfinite(largest_power)):
         raise invalid_value(
-            "powers of the polynomial are not finite between the limits. Give smaller coefficients or limits."
+            "the values of the polynomial between the limits are too large for its inverse. Give finite and narrower "
+            "limits, smaller coefficients or a lower order."
         )
     # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)

@@ -121,6 +121,11 @@ def test_block_longer_than_recording_is_rejected(random_file):
         analysis.frequency_responses(rec, block=100.0)
 
 
+def test_block_of_few_samples_is_rejected(random_file):
+    with daq.open(random_file) as rec, pytest.raises(RecordingError, match="Choose longer blocks"):
+        analysis.frequency_responses(rec, block=2.0 / rec.rate)
+
+
 @pytest.mark.parametrize("selection", [{"level": "1 N"}, {"direction": "up"}])
 def test_selection_of_a_sweep_requires_tones(random_file, selection):
     with daq.open(random_file) as rec, pytest.raises(SceneError, match="no sweeps of steady tones"):

@@ -36,6 +36,8 @@ from rig.scene.scene import Scene
 _BLOCK_SAMPLES = 1 << 16
 # Two sample rates are equal if they differ by less than this fraction, because files round sample rates.
 _RATE_TOLERANCE = 2e-5
+# Unit of times that were read as s, by the ratio of the true sample rate to the rate from these times.
+_TIME_UNITS = {1e3: "ms", 1e6: "us"}
 # Frequency band of a test if its scene specifies none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
@@ -193,9 +195,16 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
         )
     rate = rates[0]
     if rate_in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:
+        ratio = converter.sample_rate / rate
+        time_units = [unit for factor, unit in _TIME_UNITS.items() if abs(ratio / factor - 1.0) < _RATE_TOLERANCE]
+        remedy = (
+            f"If the first column is in {time_units[0]}, name it `time [{time_units[0]}]`"
+            if time_units
+            else f"If the files are right, use --set converter.rate={rate:.10g}Hz"
+        )
         raise SceneError(
-            f"the files state {rate:.10g} Hz, but the scene's converter {converter.sample_rate:.10g} Hz. If the files "
-            f"are right, use --set converter.rate={rate:.10g}Hz; otherwise, give rate: in the channel table."
+            f"the files state {rate:.10g} Hz, but the scene's converter {converter.sample_rate:.10g} Hz. {remedy}; "
+            "otherwise, give rate: in the channel table."
         )
     return rate
 

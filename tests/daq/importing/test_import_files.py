@@ -20,6 +20,7 @@ from tests.daq.importing.files import (
     NAMES,
     RATE,
     SI_PER_UNIT,
+    UNITS,
     WRITERS,
     make_scene,
     random_samples,
@@ -422,6 +423,23 @@ def test_contradicting_rates_name_the_remedy(tmp_path):
     )
     with recording:
         assert recording.rate == 5120.0
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6)])
+def test_unstated_unit_of_times_is_named(unit, factor, tmp_path):
+    times = factor * np.arange(100) / RATE
+    table = np.vstack([times, random_samples(100)]).T
+    scene = make_scene(converter="converter: {rate: 2048 Hz}")
+    heading = ",".join(["time", *(f"{name} [{of}]" for name, of in zip(NAMES, UNITS, strict=True))])
+    np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=heading, comments="")
+    with pytest.raises(SceneError, match=r"If the first column is in ([mu]s), name it `time \[\1\]`") as error:
+        import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+    assert f"[{unit}]" in str(error.value) and "converter.rate=" not in str(error.value)
+    corrected = heading.replace("time", f"time [{unit}]")
+    np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=corrected, comments="")
+    recording, _ = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+    with recording:
+        assert recording.rate == RATE
 
 
 def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch):

@@ -109,6 +109,8 @@ def next_steps(rec: Recording) -> list[str]:
     channels = rec.channels.values()
     has_force_channel = any(info.quantity == "force" for info in channels)
     has_force_reference = not outline.missing_force_points(channels)
+    if not any(info.body and info.derivative is not None for info in channels):
+        return [f"daq replay {path}"]
     steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
     if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
         steps += ["frf"] if outline.test_kind == "sine" else ["frf", "modes"]

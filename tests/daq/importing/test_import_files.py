@@ -121,6 +121,19 @@ def test_unmarked_hits_are_detected(tmp_path):
     assert not messages
 
 
+def test_hits_without_motion_channel_suggest_no_analysis(tmp_path):
+    rows = 1e-3 * random_samples(4000)
+    rows[2, 1000:1008] += 80.0
+    write_csv(tmp_path / "a.csv", rows)
+    scene = make_scene("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
+    force_alone = scene.replace(channels=scene.channels[2:])
+    for bench, commands in ((scene, ["decay", "frf", "modes"]), (force_alone, [])):
+        path = tmp_path / f"{len(commands)}.mcap"
+        import_recording(tmp_path / "a.csv", bench, path)[0].close()
+        analyses = [f"analysis {command} {path}" for command in commands]
+        assert daq.info(path).next_steps == (*analyses, f"daq replay {path}")
+
+
 def test_clipped_and_lost_samples_are_marked(tmp_path):
     rows = 20.0 * np.sin(0.05 * np.arange(4000)) + np.zeros((3, 1))
     rows += 0.1 * random_samples(4000)

@@ -17,6 +17,7 @@ from daq.recording.recording import open as open_recording
 from rig.console import progress
 from rig.errors import RunWarning
 from rig.escaping import escape_terminal
+from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 
 
@@ -55,25 +56,32 @@ def import_and_report(
     for warning in caught:
         print(f"warning: {warning.message}", file=sys.stderr)
     with open_recording(path) as recording:
-        for line in _detection_lines(recording):
+        for line in _detection_lines(recording, scene):
             print(line)
     print(summary(path))
 
 
-def _detection_lines(recording: Recording) -> Iterator[str]:
+def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
     """Yield lines about the hits or steps that were detected in the samples."""
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
-        yield f"{len(hits)} hits detected in the force, with peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
+        test, count = scene.test, len(hits)
+        # A default of the settings is not the plan of the test.
+        planned = test.repeats if isinstance(test, Impulse) and "repeats" in test.model_fields_set else count
+        share = f"{count} of {planned} hits" if count < planned else "1 hit" if count == 1 else f"{count} hits"
+        plan = "" if count == planned else f" (test.repeats is {planned})"
+        peak_range = f"a peak of {peaks[0]:.3g} N" if count == 1 else f"peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
+        yield f"{share} detected in the force{plan}, with {peak_range}"
     steps = [marker for marker in recording.markers if "settled" in marker.fields]
     if steps:
         frequencies = [float(step.fields["frequency"]) for step in steps]
+        total_s = recording.samples / recording.rate
         settled_s = sum((step.stop - step.first_sample) / recording.rate for step in steps)
         yield (
-            f"{len(steps)} steps detected, {min(frequencies):.6g} to {max(frequencies):.6g} Hz; settled, and measured, "
-            f"for {settled_s:.4g} of {recording.samples / recording.rate:.4g} s"
+            f"{len(steps)} step{'s' if len(steps) > 1 else ''} detected, {min(frequencies):.6g} to "
+            f"{max(frequencies):.6g} Hz; settled, and measured, for {settled_s:.4g} of {total_s:.4g} s"
         )
         unsettled_count = sum(not step.fields["settled"] for step in steps)
         if unsettled_count:
-            yield f"{unsettled_count} of these steps did not reach steady state; they are marked as not settled"
+            yield f"{unsettled_count} of these steps did not reach steady state; marked as not settled"

@@ -121,6 +121,25 @@ def test_unmarked_hits_are_detected(tmp_path):
     assert not messages
 
 
+@pytest.mark.parametrize(
+    ("repeats", "expected"),
+    [
+        ("", "2 hits detected in the force, with peaks of 80 to 80 N"),
+        ("repeats: 2", "2 hits detected in the force, with peaks"),
+        ("repeats: 5", "2 of 5 hits detected in the force (test.repeats is 5), with peaks"),
+        ("repeats: 1", "2 hits detected in the force (test.repeats is 1), with peaks"),
+    ],
+)
+def test_detected_hits_are_compared_with_test_repeats(repeats, expected, tmp_path):
+    rows = np.zeros((3, 8000))
+    rows[2, 1000:1008] = rows[2, 5000:5008] = 80.0
+    write_csv(tmp_path / "a.csv", rows)
+    scene = make_scene(f"{{kind: impulse, body: 2, peak: 50 N, width: 4 ms, {repeats}}}")
+    (tmp_path / "bench.yaml").write_text(scene.to_yaml())
+    result = CliRunner().invoke(app, ["import", str(tmp_path / "a.csv"), "--scene", str(tmp_path / "bench.yaml")])
+    assert expected in result.output, result.output
+
+
 def test_hits_without_motion_channel_suggest_no_analysis(tmp_path):
     rows = 1e-3 * random_samples(4000)
     rows[2, 1000:1008] += 80.0

@@ -170,9 +170,10 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
     if not unit:
         has_full_scale = signal.full_scale is not None
         hint = ", or set converter.range in the scene" if has_full_scale else ""
+        expected_unit = describe_channel(scene, channel, rate, skew).unit
         raise ValueError(
-            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, as unit: m/s^2, "
-            f"or as unit: 5 V if the number 1 in the file means 5 V{hint}."
+            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, as unit: "
+            f"{expected_unit}, or as unit: 5 V if the number 1 in the file means 5 V{hint}."
         )
     measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
@@ -251,7 +252,8 @@ def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Si
     if not matches:
         listed = ", ".join(f"{signal.number}: {signal.name}" for signal in in_file[:20])
         hint = _spelling_hint(column.column, [signal.name for signal in in_file])
-        raise ValueError(f"no column {column.column!r}; there are {listed}{hint}")
+        searched = ", ".join(dict.fromkeys(signal.file for signal in in_file))
+        raise ValueError(f"no column {column.column!r} in {searched}; there are {listed}{hint}")
     return matches
 
 

@@ -186,9 +186,10 @@ def rate_with_gaps(
     rate = rate_of_interval((last - first) / intervals, resolution / intervals)
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
+        lost = "1 sample is" if lost_total == 1 else f"{lost_total} samples are"
         warn(
-            f"{where} have gaps in {places}, the first before row {missing[0][0] + 1} of the data: {lost_total} "
-            f"samples are missing at {rate:.6g} Hz, and are imported as lost samples."
+            f"{where} have gaps in {places}, the first before row {missing[0][0] + 1} of the data: {lost} missing at "
+            f"{rate:.6g} Hz, and imported as lost."
         )
     return rate
 

@@ -350,7 +350,7 @@ class _RecordingWriter:
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
             count = sum(stop - first for first, stop in lost if first < signal.samples)
             if count:
-                yield f"{where}: {count} of {signal.samples} samples are not numbers; they are marked as lost"
+                yield f"{where}: no number in {count} of {signal.samples} samples; marked as lost"
             yield from _implausible_readings(where, assignment, overloads)
             clipped = merge_spans(overloads.clipped_intervals(), round(_OVERLOAD_PAUSE_S * self._rate))
             for first, stop in clipped:

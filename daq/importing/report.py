@@ -24,9 +24,11 @@ from rig.scene.scene import Scene
 def listing(files: Sequence[Path]) -> Iterator[str]:
     """Yield the signals of files as lines of a table that can be edited and given to `--table`."""
     with ExitStack() as stack:
-        for path in files:
+        # All files are checked before the first line is printed.
+        signals_by_file = [(path, signals_of(path, stack)) for path in files]
+        for path, signals in signals_by_file:
             yield f"# {path}; replace signal1, ... by the names of the scene's channels"
-            for signal in signals_of(path, stack):
+            for signal in signals:
                 unit = f", unit: {_quoted(signal.unit)}" if signal.unit else ""
                 rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
                 column = f"{{column: {_quoted(signal.name)}{unit}}}"

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from scipy.io import savemat, wavfile
+from typer.testing import CliRunner
 
 import daq
+from daq.cli import app
 from daq.importing.channel_table import Column
 from daq.importing.files import signals_of
 from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
@@ -174,6 +176,26 @@ def test_file_without_samples_lists_its_content(tmp_path):
     assert "expected a sample rate" in rejection_message(tmp_path / "c.npz", tmp_path)
     np.savez(tmp_path / "d.npz", a=np.array([{"x": 1}], dtype=object))
     assert "d.npz" in rejection_message(tmp_path / "d.npz", tmp_path)
+
+
+def test_missing_column_and_units_name_file_and_remedy(tmp_path):
+    table = np.vstack([np.arange(100) / RATE, random_samples(100)]).T
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="time,body1,body2,force", comments="")
+    with pytest.raises(SceneError) as error:
+        daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
+    body1, body2, force = str(error.value).splitlines()
+    assert "'body1' in a.csv is not stated" in body1 and "unit: m/s^2" in body1 and "unit: m/s^2" in body2
+    assert "'force' in a.csv is not stated" in force and "unit: N," in force and "m/s^2" not in force
+    with pytest.raises(SceneError, match=r"body1: no column 'body1 \[g\]' in a\.csv; there are 1: body1, .*'body1'\?"):
+        daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table={"body1": Column("body1 [g]")})
+
+
+def test_listing_prints_nothing_before_an_error(tmp_path):
+    np.savetxt(tmp_path / "a.csv", random_samples(100).T, delimiter=",")
+    for unsuitable in ("missing.csv", "folder.csv"):
+        (tmp_path / "folder.csv").mkdir(exist_ok=True)
+        result = CliRunner().invoke(app, ["import", str(tmp_path / "a.csv"), str(tmp_path / unsuitable)])
+        assert unsuitable in str(result.exception) and result.output == ""
 
 
 def test_truncated_wav_is_rejected(tmp_path):

@@ -426,7 +426,7 @@ WRONG_TABLES = {
     "body1: {column: 1, sensitivity: 100 mV/g}": "only for a signal in volts",
     "body1: {column: 1, unit: V, sensitivity: 1 kg}": "not a unit of voltage per acceleration",
     "body1: {column: 3}\nforce: {column: 1}": "Assign another column, or correct unit",
-    "body1: {column: 7}": "no column '7'; there are 1: body1",
+    "body1: {column: 7}": "no column '7' in a.csv; there are 1: body1",
     "body1: {column: 1, file: z.csv}": "file: 'z.csv' is not imported; the imported files are a.csv",
     "bodi1: {column: 1}": r"not a channel of the scene.*'body1'\?",
     "body1: 1\nbody2: 1": "the same signal",

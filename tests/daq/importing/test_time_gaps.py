@@ -12,9 +12,9 @@ import pyuff
 
 import daq
 from daq.importing.channel_table import Column
-from daq.importing.clock import missing_rows
+from daq.importing.clock import clock_of_times, missing_rows
 from daq.importing.text_table import BLOCK_LINES
-from rig.errors import RecordingError
+from rig.errors import RecordingError, RunWarning
 from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
 RATE = 2560.0  # Hz
@@ -88,6 +88,11 @@ def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path)
             gaps = [gap for gap in recording.gaps if name in gap.channels]
             assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
     assert any("gaps in 3 places" in message and "1004 samples are missing" in message for message in messages)
+
+
+def test_one_missing_sample_is_singular():
+    with pytest.warns(RunWarning, match="1 sample is missing at 10 Hz"):
+        clock_of_times(np.array([0.0, 0.1, 0.2, 0.4, 0.5]), 0.0, "times")
 
 
 def test_gaps_are_detected_across_blocks():

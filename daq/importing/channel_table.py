@@ -12,7 +12,7 @@ from typing import Any
 from rig.errors import SceneError, suggestion
 from rig.input_files import read_file
 from rig.scene.yaml_reader import read_yaml
-from rig.settings.quantities import FREQUENCY, TIME, parse
+from rig.settings.quantities import FREQUENCY, TIME, expected_quantity, parse
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
 # Line number, name of the channel, and its keys.
@@ -84,13 +84,12 @@ def column(settings: Mapping[str, Any]) -> Column:
         values["sign"] = -1 if cell_texts["sign"].startswith("-") else 1
     for key, kind in (("delay", TIME), ("rate", FREQUENCY)):
         if key in cell_texts:
-            expected = f"expected {kind.noun} such as {kind.example}"
             try:
                 values[key] = parse(cell_texts[key], kind)
             except ValueError as error:
-                raise ValueError(f"{key}: {error}; {expected}") from None
+                raise ValueError(f"{key}: {error}; expected {expected_quantity(cell_texts[key], [kind])}") from None
             if not math.isfinite(values[key]) or (key == "rate" and values[key] <= 0):
-                raise ValueError(f"{key}: got {cell_texts[key]!r}; {expected}")
+                raise ValueError(f"{key}: got {cell_texts[key]!r}; expected {kind.noun} such as {kind.example}")
     if "offset" in cell_texts:
         try:
             values["offset"] = float(cell_texts["offset"])

@@ -20,7 +20,7 @@ from typing import Any, SupportsIndex, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rig.errors import SceneError
+from rig.errors import SceneError, suggestion
 
 UNITS = """
 nano- = 1e-9 = n-
@@ -184,6 +184,31 @@ def suggest_decimal_point(value: Any, kinds: Sequence[Kind]) -> str | None:
     return None
 
 
+def expected_quantity(value: Any, kinds: Sequence[Kind]) -> str:
+    """Describe what was expected instead of an invalid quantity: an example, and a similar unit if there is one.
+
+    >>> expected_quantity("4.2 kgs", [MASS])
+    "a mass such as 74 g. Did you mean 'kg'?"
+    """
+    nouns, examples = (" or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True))
+    hint = _similar_unit(value, kinds)
+    return suggest_decimal_point(value, kinds) or f"{nouns} such as {examples}{hint and '. ' + hint}"
+
+
+def _similar_unit(value: Any, kinds: Sequence[Kind]) -> str:
+    """Return a question with the usual unit that resembles the unit of a quantity; empty if there is none."""
+    match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
+    units = [unit for kind in kinds for unit in _usual_units(kind) if unit]
+    if match is None or match[2] in units:
+        return ""
+    # A wrong case is frequent, and changes half of the characters of a short unit: hz, Kg.
+    return suggestion({unit.casefold(): unit for unit in units}.get(match[2].casefold(), match[2]), units)
+
+
+def _usual_units(kind: Kind) -> list[str]:
+    return [kind.si, *(unit for unit, si in COMMON_FACTORS if si == kind.si)]
+
+
 @overload
 def number(value: float | str, kind: Kind, name: str) -> float: ...
 @overload
@@ -201,8 +226,7 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
     try:
         return parse(value, kind)
     except ValueError as error:
-        expected = suggest_decimal_point(value, [kind]) or f"{kind.noun} such as {kind.example}"
-        raise SceneError(f"{name}: {error}; expected {expected}") from None
+        raise SceneError(f"{name}: {error}; expected {expected_quantity(value, [kind])}") from None
 
 
 def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
@@ -213,6 +237,11 @@ def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, flo
     >>> ascending_pair(["55 Hz", 70], FREQUENCY, "band")
     (55.0, 70.0)
     """
+    texts = [values] if isinstance(values, str) else values
+    if isinstance(texts, list | tuple) and len(texts) == 1 and isinstance(texts[0], str):
+        low, unit = kind.example.split()[:2]
+        example = f"{low}{unit},{2.0 * float(low):g}{unit}"
+        raise SceneError(f"{name}: got {texts[0]!r:.60}; expected two values with a comma, such as {example}")
     pair = positive_values(values, kind, name).tolist()
     if len(pair) != 2 or not pair[0] < pair[1]:
         listed = ", ".join(f"{number:g} {kind.si}" for number in pair)
@@ -296,7 +325,7 @@ def shortest_notation(value: float, kind: Kind, previous: str | None = None) -> 
     >>> shortest_notation(parse("100 mV/g", ACCELERATION_SENSITIVITY), ACCELERATION_SENSITIVITY)
     '100 mV/g'
     """
-    units = [kind.si, *(unit for unit, si in COMMON_FACTORS if si == kind.si)]
+    units = _usual_units(kind)
     if previous is not None:
         notation = previous.strip()
         try:

@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from rig.escaping import is_single_line
-from rig.settings.quantities import Kind, parse, suggest_decimal_point
+from rig.settings.quantities import Kind, expected_quantity, parse
 
 
 class Quantity:
@@ -78,7 +78,7 @@ class Quantity:
                 # Convert minus zero to zero: the two are equal but have different notations.
                 return number + 0.0
             raise unexpected_value_error(value, self.bounded_description)
-        raise unexpected_value_error(value, suggest_decimal_point(value, self.kinds) or self.description)
+        raise unexpected_value_error(value, expected_quantity(value, self.kinds))
 
     def _is_within_bounds(self, number: float) -> bool:
         return (

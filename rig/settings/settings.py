@@ -23,7 +23,7 @@ from pydantic_core import CoreSchema
 
 from rig.errors import SceneError, suggestion
 from rig.settings.problems import KeyPath, Problem, combined_error, describe, message_of, problems_of
-from rig.settings.quantities import Kind, parse
+from rig.settings.quantities import Kind, expected_quantity, parse
 from rig.settings.quantity_field import (
     Quantity,
     quantity_of,
@@ -229,7 +229,7 @@ class Settings(_Model):
                 try:
                     parse(value, kind)
                 except ValueError:
-                    yield Problem(key_path, unexpected_value_message(value, f"{kind.noun} such as {kind.example}"))
+                    yield Problem(key_path, unexpected_value_message(value, expected_quantity(value, [kind])))
 
 
 @cache

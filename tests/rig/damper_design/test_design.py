@@ -206,7 +206,7 @@ def test_quantities_with_units_are_accepted() -> None:
     )
     assert space.max_mass == pytest.approx(0.1045) and mass_limit("50 g", scene) == pytest.approx(0.05)
     assert (space.locations, space.clearance, objective.levels) == (((1,), (3,)), (1e-3, 2e-3), (1.0, 3.0))
-    with pytest.raises(SceneError, match="band: got 40 Hz; expected two"):
+    with pytest.raises(SceneError, match="band: got '40 Hz'; expected two"):
         parse_request(scene, band=["40 Hz"])
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rig.errors import SceneError
 from rig.settings import quantities
 from rig.settings.quantities import (
     ACCELERATION,
@@ -31,6 +32,8 @@ from rig.settings.quantities import (
     TRANSCONDUCTANCE,
     VOLTAGE_NOISE,
     Kind,
+    ascending_pair,
+    number,
     parse,
     pint_factor,
     si_text,
@@ -143,6 +146,39 @@ def test_example_of_a_kind_is_valid(kind: Kind) -> None:
     for example in kind.example.split(" or "):
         assert math.isfinite(parse(example, kind))
     assert parse(f"1 {kind.si.replace('/', ' / ')}", kind) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("written", "kind", "unit"),
+    [
+        ("4.2 kgs", MASS, "kg"),
+        ("4.2 Kg", MASS, "kg"),
+        ("5 kN", STIFFNESS, "kN/m"),
+        ("5 hz", FREQUENCY, "Hz"),
+        ("5 khz", FREQUENCY, "kHz"),
+        ("0.5 N/m", DASHPOT, "N s/m"),
+    ],
+)
+def test_similar_unit_of_the_kind_is_suggested(written: str, kind: Kind, unit: str) -> None:
+    with pytest.raises(SceneError, match=rf"such as {kind.example}\. Did you mean '{unit}'\?$"):
+        number(written, kind, "key")
+
+
+@pytest.mark.parametrize(
+    ("written", "kind"), [("2 Hz", MASS), ("1e400 m", LENGTH), ("kgs", MASS), ("0.98 kg", LENGTH), (True, MASS)]
+)
+def test_no_unit_is_suggested_without_similarity(written: str, kind: Kind) -> None:
+    with pytest.raises(SceneError) as error:
+        number(written, kind, "key")
+    assert "Did you mean" not in str(error.value)
+
+
+@pytest.mark.parametrize("values", ["30-50", ["30-50"], ["30Hz..50Hz"], ["30 Hz"]])
+def test_range_in_one_text_is_rejected(values: str | list[str]) -> None:
+    with pytest.raises(SceneError, match=r"^band: got '30.*'; expected two values with a comma, such as 50Hz,100Hz$"):
+        ascending_pair(values, FREQUENCY, "band")
+    with pytest.raises(SceneError, match=r"such as 0\.98mm,1\.96mm$"):
+        ascending_pair(["1-2"], LENGTH, "clearance")
 
 
 # `si_text`: a value with its SI unit.

@@ -66,6 +66,11 @@ def test_unit_selects_the_kind_of_quantity():
         length_or_mass.read("2 Hz")
 
 
+def test_unit_resembling_an_allowed_one_is_suggested():
+    with pytest.raises(PydanticCustomError, match=r'got "2 kgs"; .* such as 0\.98 mm or 74 g\. Did you mean \'kg\'\?'):
+        Quantity(LENGTH, MASS).read("2 kgs")
+
+
 def test_list_of_quantities_reads_each_number():
     quantity_or_list = Quantity(LENGTH, above=0.0, listed=True)
     assert quantity_or_list.read(["1 mm", 2.0]) == (1e-3, 2.0)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import groupby
 
+from daq.excitation.impulse import settling_time
 from daq.instrument.chassis import Chassis
 from daq.instrument.devices.modules import Module
 from daq.instrument.settings.channels import Channel
@@ -24,7 +26,7 @@ _SENSORS = {
 # Placeholder for the names of physical channels in a statement.
 _PHYSICAL_CHANNEL = "PHYSICAL_CHANNEL"
 # Classes of nidaqmx.constants that the script imports if it uses them.
-_CONSTANTS = ("AccelUnits", "Coupling", "ExcitationSource", "ForceUnits")
+_CONSTANTS = ("AccelUnits", "AcquisitionType", "Coupling", "ExcitationSource", "ForceUnits")
 
 
 def starter_script(chassis: Chassis, channel: str) -> list[str]:
@@ -45,6 +47,8 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
             number_range = f"{numbers[0]}:{numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
             lines = statement.replace(_PHYSICAL_CHANNEL, f"{module.name}/ai{number_range}").splitlines()
             statements += [f"    {line}" for line in lines]
+    infos = [chassis.bench.channels[index] for module in in_task for index in module.inputs]
+    statements += _read_samples(chassis.bench.rate, math.ceil(max(map(settling_time, infos))))
     used_constants = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
     return [
         "",
@@ -54,9 +58,23 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
         'options = nidaqmx.GrpcSessionOptions(channel, session_name="")',
         "with nidaqmx.Task(grpc_options=options) as task:",
         *statements,
-        f"    task.timing.cfg_samp_clk_timing({chassis.bench.rate!r}, samps_per_chan=1000)",
-        "    data = numpy.array(task.read(1000))",
         "print(data)",
+    ]
+
+
+def _read_samples(rate: float, settling_s: int) -> list[str]:
+    """Return the statements that read 1000 samples at a rate in Hz after the sensors have settled."""
+    if not settling_s:
+        return [
+            f"    task.timing.cfg_samp_clk_timing({rate!r}, samps_per_chan=1000)",
+            "    data = numpy.array(task.read(1000))",
+        ]
+    return [
+        f"    task.timing.cfg_samp_clk_timing({rate!r}, sample_mode=AcquisitionType.CONTINUOUS)",
+        f"    # After power-on, the bias of the sensors settles for up to {settling_s} s: discard these samples.",
+        f"    for second in range({settling_s}):",
+        f"        task.read({math.ceil(rate)})",
+        "    data = numpy.array(task.read(1000))",
     ]
 
 

@@ -18,7 +18,7 @@ test: {kind: free, mode: 1, amplitude: 1 mm, duration: 10 s}
 channels: [CHANNELS]
 converter: {CONVERTER, rate: 5120 Hz}
 """
-IEPE = "accelerometer: {preset: PCB 352C33}"
+IEPE = "accelerometer: {sensitivity: 100 mV/g, iepe: true}"
 # Sensors that need a supply current, and sensors that do not.
 SENSORS = """{name: one, at: body 1, IEPE}, {name: two, at: body 2, IEPE},
   {name: rough, at: body 2, accelerometer: {sensitivity: 13.7 mV/g, iepe: true}},
@@ -70,6 +70,18 @@ def test_starter_script_reads_sensors(channels, converter, n_channels, capsys):
     out, err = capsys.readouterr()
     assert str(namespace["data"]) in out
     assert err == ""
+
+
+def test_starter_script_waits_until_sensors_settle(capsys):
+    channels = "{name: a, at: body 1, accelerometer: {preset: PCB 352C33}}, {name: f, at: shaker, hammer: {iepe: true}}"
+    with daq.connect(make_scene(channels, "preset: NI 9234"), clock="fast") as connection:
+        script, namespace = printed_script(connection), {}
+        exec(script, namespace)
+    # The structure is at rest long before; the step of the bias at power-on reads as 19 m/s^2 rms.
+    assert namespace["data"].shape == (2, 1000)
+    assert namespace["data"][0].std() < 0.01
+    assert "    # After power-on, the bias of the sensors settles" in script
+    assert str(namespace["data"]) in capsys.readouterr().out
 
 
 def test_sensors_without_excitation_are_reported_once(capsys):

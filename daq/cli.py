@@ -156,7 +156,8 @@ def replay_recording(
     ] = None,
     web: Web = False,
     screenshot: Annotated[
-        Path | None, _option("FILE.png", "Draw a picture instead of opening a window; needs no display.")
+        Path | None,
+        _option("FILE.png", "Draw a picture instead of opening a window; needs Vulkan drivers, no display."),
     ] = None,
     at: Annotated[
         float | None,

@@ -38,7 +38,7 @@ def replay(
     save : str or Path, optional
         File (.rrd) to write for the viewer instead of opening a window.
     screenshot : str or Path, optional
-        Picture (.png) to draw instead; needs no display.
+        Picture (.png) to draw instead; needs Vulkan drivers, no display.
     web : bool
         Whether to show the recording in a browser on this machine, until interrupted.
     at : float, optional

@@ -341,7 +341,7 @@ def map_(
         typer.Option(
             "--least",
             metavar="VALUE",
-            help="Smallest value of the quantity --over, such as '0.5 N'. Default: from the scene.",
+            help="Smallest value of the quantity of --over, such as '0.5 N'. Default: below that of the scene.",
         ),
     ] = None,
     highest: Annotated[
@@ -349,7 +349,7 @@ def map_(
         typer.Option(
             "--most",
             metavar="VALUE",
-            help="Largest value of the quantity --over, such as '20 N'. Default: from the scene.",
+            help="Largest value of the quantity of --over, such as '20 N'. Default: above that of the scene.",
         ),
     ] = None,
     rows: Annotated[

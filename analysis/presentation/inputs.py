@@ -52,7 +52,8 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
     test, file = rec.test, shlex.quote(str(path))
     if command == "decay" and not test.decays and test.kind is not TestKind.NONE:
         raise RecordingError(
-            f"{path}: {test.name} contains no free decay. Use `analysis frf {file}` for its frequency responses."
+            f"{path}: the recording contains no free decay ({test.name}). Use `analysis frf {file}` for its frequency "
+            "responses."
         )
     if command in ("frf", "modes", "dampers") and not test.drives:
         raise RecordingError(

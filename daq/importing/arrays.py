@@ -51,7 +51,8 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     except Exception as error:
         # A damaged file can cause any exception in the reader.
         raise RecordingError(
-            f"{path} cannot be read as an .npz or .npy file of numbers ({error!s:.200}). Save arrays of numbers again."
+            f"{path} cannot be read as an .npz or .npy file of numbers ({error!s:.200}). Save the file again, "
+            "with arrays of numbers only."
         ) from error
 
 

@@ -45,5 +45,5 @@ def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
             return quantity, scale
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
-        "m/s^2, g, mm, N, mV, or a value such as 5 V, which the number 1 in the file represents"
+        "m/s^2, g, mm, N or mV; for scaled numbers, the value for which the number 1 stands, such as 5 V"
     )

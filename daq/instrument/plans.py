@@ -115,7 +115,8 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
         )
     if not 0 <= pretrigger < samples:
         raise DaqError(
-            f"{pretrigger} of {samples} samples cannot be before the trigger. Give 0 to {samples - 1}.",
+            f"pretrigger_samples: got {pretrigger}; expected 0 to {samples - 1}, because at least one of the {samples} "
+            "samples must follow the trigger.",
             Code.TOO_MANY_PRETRIG_PLUS_MIN_POST_TRIG_SAMPS,
         )
     return start, reference

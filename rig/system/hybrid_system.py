@@ -84,8 +84,8 @@ class HybridSystem:
         if self.grains.any():
             number = self.damper_number[self.grains][0]
             raise SceneError(
-                f"dampers[{number}] is a bed of grains, which only rig simulate, rig grains and daq "
-                "record can simulate. Remove the damper's key grains to treat the bed as one mass."
+                f"dampers[{number}] is a bed of grains, which only `rig simulate`, `rig grains` and `daq record` can "
+                "compute. Remove its key `grains` to replace the bed with a single mass."
             )
 
     @property

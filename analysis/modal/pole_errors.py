@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.modal.order_selection import correlation_length, half_width
-from analysis.modal.pole_residue import Curves, ModalModel
+from analysis.modal.pole_residue import Curves, ModalModel, jacobian
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
@@ -146,9 +146,9 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     that the misfit hardly increases. These errors are at most the errors of the most precise response. The factors have
     the shape (parameters, columns).
     """
-    parameters = model.jacobian.shape[0]
-    jacobian = model.jacobian.reshape(parameters, -1)
-    information = (jacobian @ jacobian.conj().T).real
+    derivatives = jacobian(curves, model.poles)
+    rows = derivatives.reshape(len(derivatives), -1)
+    information = (rows @ rows.conj().T).real
     eigenvalues, axes = np.linalg.eigh(information)
     determined = eigenvalues > _MIN_EIGENVALUE_RATIO * eigenvalues[-1]
     root = axes[:, determined] / np.sqrt(eigenvalues[determined])
@@ -156,7 +156,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     # The fit reduces the degrees of freedom of the misfit.
     degrees_of_freedom = curves.degrees_of_freedom(model.poles.size)
     variance = model.misfit / degrees_of_freedom
-    score = np.einsum("pmn,mn->pn", model.jacobian.conj(), model.residual).real
+    score = np.einsum("pmn,mn->pn", derivatives.conj(), model.residual).real
     # The Bartlett weights must extend beyond the correlation length; otherwise they include only half of the
     # correlation.
     length = max(correlation_length(model.residual), curves.shared)
@@ -174,7 +174,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     # A line of zero weight in all responses has no error of the reference.
     precision = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, precision, out=np.zeros_like(precision), where=precision > 0.0)
-    gradient = np.einsum("pmn,mn->pn", model.jacobian.conj(), curves.weight * curves.value) * relative
+    gradient = np.einsum("pmn,mn->pn", derivatives.conj(), curves.weight * curves.value) * relative
     # If the residual is due to the errors of the curves, both have the same correlation between lines.
     correlated_lines = length if variance > _MIN_NOISE_RATIO else curves.shared
     common = inverse @ np.concatenate([gradient.real, gradient.imag], axis=1) * np.sqrt(correlated_lines)

@@ -64,9 +64,6 @@ class ModalModel:
     upper: Array  # upper[0] + upper[1] s + upper[2] s² represents modes above the band; shape (responses, 3)
     misfit: float  # sum of squares of `residual`
     residual: ComplexArray  # weighted differences, measured less model; shape (responses, n)
-    # derivative of `residual` with respect to the logarithms of the decay rates, then to the damped frequencies in
-    # units of the decay rates; shape (2 modes, responses, n)
-    jacobian: ComplexArray
 
 
 def fit(curves: Curves, start: ComplexArray) -> ModalModel:
@@ -85,18 +82,20 @@ def fit(curves: Curves, start: ComplexArray) -> ModalModel:
     upper = np.zeros((shape[0], UPPER_TERMS))
     upper[:, : curves.upper_terms] = unknown[:, 2 * count + 1 :]
     residue = unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2]
-    jacobian = np.empty((0, *shape), dtype=complex)
-    if count:
-        columns = np.concatenate([order, order + count])
-        # `problem` has the decay rates of `start` as units of the frequencies.
-        units = np.append(np.ones(count), poles.real / start.real)
-        rows = np.moveaxis((problem.jacobian(x) * units)[:, :, columns], 2, 0)
-        jacobian = rows[:, :, : shape[1]] + 1j * rows[:, :, shape[1] :]
-    parts = residual.reshape(shape[0], 2, shape[1])
     return ModalModel(
         poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(residual**2)),
-        parts[:, 0] + 1j * parts[:, 1], jacobian,
+        residual[:, : shape[1]] + 1j * residual[:, shape[1] :],
     )  # fmt: skip
+
+
+def jacobian(curves: Curves, poles: ComplexArray) -> ComplexArray:
+    """Differentiate the weighted residuals of the best model with some poles, shape (2 modes, responses, n).
+
+    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
+    """
+    rows = np.moveaxis(Projection(curves, poles).jacobian(np.zeros(2 * poles.size)), 2, 0)
+    count = curves.frequency.size
+    return np.asarray(rows[..., :count] + 1j * rows[..., count:])
 
 
 def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexfloating]]:
@@ -117,9 +116,8 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     """
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
-    basis, residual = problem.factors(x).basis, problem.residual(x).reshape(len(curves.value), -1, 1)
-    count = 2 * added.size
-    columns = _real_rows(problem.columns(added)[:, :count] * curves.weight[:, :, None], 1)
+    basis, residual = np.linalg.qr(problem.basis(x))[0], problem.residual(x)[..., None]
+    columns = _weighted(curves, _mode_terms(problem.s, added, 1)).swapaxes(1, 2)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0.0, size, 1.0)
     # Columns close to the columns of other poles are orthogonalized twice, because rounding dominates the first result.
@@ -154,17 +152,18 @@ def misfits_without(curves: Curves, poles: ComplexArray) -> Array:
     covariance = pairs @ np.swapaxes(pairs, 2, 3)
     residues = unknown[:, : 2 * poles.size].reshape(len(inverse), poles.size, 2)
     rise = np.einsum("oki,okij,okj->k", residues, np.linalg.pinv(covariance, rcond=1e-13), residues)
-    return np.asarray(np.sum(problem.residual(x) ** 2) + rise)
+    return np.asarray(np.sum(factors.residual**2) + rise)
 
 
 class _Factors(NamedTuple):
-    """QR factors of the weighted basis of each response, whose columns are scaled to unit length."""
+    """Triangular factor of the weighted basis of each response, its derivatives and its target, in parts."""
 
-    basis: Array  # shape (responses, 2 n, unknowns), orthonormal columns
-    triangle: Array  # shape (responses, unknowns, unknowns)
-    size: Array  # lengths of the columns, shape (responses, 1, unknowns)
-    projection: Array  # products of basis and target, shape (responses, unknowns, 1)
-    target: Array  # weighted receptances, shape (responses, 2 n, 1)
+    triangle: Array  # factor of the basis, with columns of unit length, shape (responses, unknowns, unknowns)
+    size: Array  # lengths of the columns of the basis, shape (responses, unknowns, 1)
+    projection: Array  # part of the target along the basis, shape (responses, unknowns, 1)
+    # Parts orthogonal to the basis.
+    derivatives: Array  # shape (responses, rows, 2 modes): derivatives of the columns of the modes by their poles
+    residual: Array  # shape (responses, rows, 1)
 
 
 class Projection:
@@ -180,9 +179,9 @@ class Projection:
 
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
         self.s = 2j * np.pi * curves.frequency
-        self.weight, self.start = curves.weight, start
-        self.target = _real_rows(curves.value * curves.weight, 1)[..., None]
-        self.residual_terms = np.stack(residual_terms(self.s)[: 1 + curves.upper_terms])
+        self.curves, self.start = curves, start
+        self.target = _real_rows(curves.value * curves.weight)
+        self.residual_terms = _weighted(curves, np.stack(residual_terms(self.s)[: 1 + curves.upper_terms]))
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
 
@@ -197,20 +196,35 @@ class Projection:
             -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0)) + 1j * (self.start.imag + self.scale * x[count:])
         )
 
-    def columns(self, poles: ComplexArray) -> ComplexArray:
-        """Return the factors of Re R and Im R of each mode, then of the residual terms; shape (n, unknowns)."""
-        direct, mirror = 1.0 / (self.s - poles[:, None]), 1.0 / (self.s - poles.conj()[:, None])
-        pairs = np.stack([direct + mirror, 1j * (direct - mirror)], axis=1)
-        rows = [pairs.reshape(2 * poles.size, *self.s.shape), self.residual_terms]
-        return np.ascontiguousarray(np.concatenate(rows).T)
+    def basis(self, x: Array) -> Array:
+        """Return the weighted factors of Re R and Im R of each mode, then of the residual terms.
+
+        The shape is (responses, 2 n, unknowns): real and imaginary parts of each response.
+        """
+        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), 1))
+        return np.concatenate([terms, self.residual_terms], axis=1).swapaxes(1, 2)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
-            basis = _real_rows(self.columns(self.poles(x)) * self.weight[:, :, None], 1)
-            size = np.linalg.norm(basis, axis=1, keepdims=True)
-            q, r = np.linalg.qr(basis / size)
-            self._factorized = x.copy(), _Factors(q, r, size, np.swapaxes(q, 1, 2) @ self.target, self.target)
+            poles = self.poles(x)
+            terms = np.concatenate([_mode_terms(self.s, poles, 1), _mode_terms(self.s, poles, 2)])
+            columns, count = _weighted(self.curves, terms), x.size
+            rows = [columns[:, :count], self.residual_terms, columns[:, count:], self.target[:, None]]
+            # The orthogonal factor is not needed, which takes half of the time.
+            factor = np.linalg.qr(np.concatenate(rows, axis=1).swapaxes(1, 2), mode="r")
+            n = count + self.residual_terms.shape[1]
+            size = np.linalg.norm(factor[:, :n, :n], axis=1)
+            self._factorized = (
+                x.copy(),
+                _Factors(
+                    factor[:, :n, :n] / size[:, None],
+                    size[..., None],
+                    factor[:, :n, -1:],
+                    factor[:, n:, n:-1],
+                    factor[:, n:, -1:],
+                ),
+            )
         return self._factorized[1]
 
     def unknowns(self, x: Array) -> Array:
@@ -222,17 +236,17 @@ class Projection:
         else:
             # Coinciding poles leave their residues undetermined; the smallest residues are used.
             unknown = np.linalg.pinv(factors.triangle, rcond=1e-13) @ factors.projection
-        return np.asarray((unknown / np.swapaxes(factors.size, 1, 2))[..., 0])
+        return np.asarray((unknown / factors.size)[..., 0])
 
     def residual(self, x: Array) -> Array:
-        """Return the weighted residuals, shape (responses 2 n,): real and imaginary parts of each response."""
-        factors = self.factors(x)
-        return np.asarray((factors.target - factors.basis @ factors.projection).ravel())
+        """Return the weighted residuals, shape (responses, 2 n): real and imaginary parts of each response."""
+        return np.asarray(self.target - (self.basis(x) @ self.unknowns(x)[..., None])[..., 0])
 
     def reduced_residual(self, x: Array) -> Array:
         """Return the residuals after the rotation in which only the first is not zero; see `reduced_jacobian`."""
-        reduced = np.zeros(min(self.target.size, x.size + 1))
-        reduced[0] = np.linalg.norm(self.residual(x))
+        residual = self.factors(x).residual
+        reduced = np.zeros(min(residual.size, x.size + 1))
+        reduced[0] = np.linalg.norm(residual)
         return reduced
 
     def reduced_jacobian(self, x: Array) -> Array:
@@ -241,25 +255,39 @@ class Projection:
         This matrix is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete
         columns.
         """
-        jacobian = self.jacobian(x)
-        rows = np.concatenate([self.residual(x).reshape(*jacobian.shape[:2], 1), jacobian], axis=2)
-        triangles = np.asarray(np.linalg.qr(rows, mode="r"))
-        triangle = np.asarray(np.linalg.qr(triangles.reshape(-1, rows.shape[2]), mode="r"))
+        factors = self.factors(x)
+        rows = np.concatenate([factors.residual, -self._by_parameter(x, factors.derivatives)], axis=2)
+        triangle = np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[2]), mode="r"))
         triangle[0] *= np.copysign(1.0, triangle[0, 0])
         return triangle[:, 1:]
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
-        unknown, q = self.unknowns(x), self.factors(x).basis
-        count = self.start.size
-        poles = self.poles(x)[:, None]
-        residue = (unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2])[..., None]
-        direct = residue / (self.s - poles) ** 2
-        mirror = residue.conj() / (self.s - poles.conj()) ** 2
-        change = np.concatenate([poles.real * (direct + mirror), 1j * self.scale[:, None] * (direct - mirror)], axis=1)
-        block = _real_rows(np.swapaxes(change * self.weight[:, None], 1, 2), 1)
-        return np.asarray(q @ (np.swapaxes(q, 1, 2) @ block) - block)
+        q = np.linalg.qr(self.basis(x))[0]
+        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), 2)).swapaxes(1, 2)
+        change = self._by_parameter(x, terms)
+        return np.asarray(q @ (np.swapaxes(q, 1, 2) @ change) - change)
+
+    def _by_parameter(self, x: Array, terms: Array) -> Array:
+        """Convert derivatives by the poles of the terms of Re R and Im R to derivatives of the model by parameters."""
+        unknown, count = self.unknowns(x)[:, None, : x.size], self.start.size
+        real, imag = unknown[..., ::2], unknown[..., 1::2]
+        first, second = terms[..., ::2], terms[..., 1::2]
+        by_decay = self.poles(x).real * (real * first + imag * second)
+        by_frequency = self.scale * (real * second - imag * first)
+        return np.concatenate([by_decay, by_frequency], axis=2)
 
 
-def _real_rows(rows: ComplexArray, axis: int) -> Array:
-    return np.concatenate([rows.real, rows.imag], axis=axis)
+def _mode_terms(s: ComplexArray, poles: ComplexArray, power: int) -> ComplexArray:
+    """Return the factors of Re R and Im R in R / (s - p)^power and its mirror term, shape (2 modes, n)."""
+    direct, mirror = 1.0 / (s - poles[:, None]) ** power, 1.0 / (s - poles.conj()[:, None]) ** power
+    return np.stack([direct + mirror, 1j * (direct - mirror)], axis=1).reshape(2 * poles.size, s.size)
+
+
+def _weighted(curves: Curves, terms: ComplexArray) -> Array:
+    """Return weighted terms of each response, shape (responses, terms, 2 n): real parts, then imaginary parts."""
+    return _real_rows(terms * curves.weight[:, None])
+
+
+def _real_rows(rows: ComplexArray) -> Array:
+    return np.concatenate([rows.real, rows.imag], axis=-1)

@@ -37,7 +37,7 @@ _MAX_MULTIPLICATIONS = 5e10
 class Refinement:
     """Modes fitted with the covariance of all responses."""
 
-    model: ModalModel  # refined model; its `misfit`, `residual` and `jacobian` are those of the initial model
+    model: ModalModel  # refined model; its `misfit` and `residual` are those of the initial model
     # covariance of the logarithms of the decay rates, then of the damped frequencies in units of the decay rates; shape
     # (2 modes, 2 modes)
     covariance: Array

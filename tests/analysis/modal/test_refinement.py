@@ -62,7 +62,7 @@ def test_reduced_jacobian_has_the_same_normal_matrix(curves: Curves) -> None:
     problem = Projection(curves, 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j))
     x = np.array([0.1, -0.05, 0.02, 0.03])
     # Jacobian of the four parameters, and the residuals.
-    rows = np.column_stack([problem.jacobian(x).reshape(-1, 4), problem.residual(x)])
+    rows = np.column_stack([problem.jacobian(x).reshape(-1, 4), problem.residual(x).ravel()])
     reduced = np.column_stack([problem.reduced_jacobian(x), problem.reduced_residual(x)])
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows

@@ -77,11 +77,14 @@ def fit(curves: Curves, start: ComplexArray) -> ModalModel:
         ).x  # fmt: skip
     poles = problem.poles(x)
     unknown, residual = problem.unknowns(x), problem.residual(x)
-    order = np.argsort(poles.imag)
     count, shape = start.size, curves.value.shape
     upper = np.zeros((shape[0], UPPER_TERMS))
     upper[:, : curves.upper_terms] = unknown[:, 2 * count + 1 :]
     residue = unknown[:, 0 : 2 * count : 2] + 1j * unknown[:, 1 : 2 * count : 2]
+    # A step may lead to the conjugate of a pole, which with the conjugate residue is the same mode.
+    is_conjugate = poles.imag < 0.0
+    poles[is_conjugate], residue[:, is_conjugate] = poles[is_conjugate].conj(), residue[:, is_conjugate].conj()
+    order = np.argsort(poles.imag)
     return ModalModel(
         poles[order], residue[:, order], unknown[:, 2 * count], upper, float(np.sum(residual**2)),
         residual[:, : shape[1]] + 1j * residual[:, shape[1] :],

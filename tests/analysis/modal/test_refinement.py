@@ -67,3 +67,10 @@ def test_reduced_jacobian_has_the_same_normal_matrix(curves: Curves) -> None:
     assert reduced.shape == (5, 5)
     expected = rows.T @ rows
     np.testing.assert_allclose(reduced.T @ reduced, expected, rtol=1e-9, atol=1e-12 * abs(expected).max())
+
+
+def test_fit_from_conjugate_poles_returns_the_same_modes(curves: Curves) -> None:
+    start = 2 * np.pi * np.array([12.1, 20.8]) * (-0.03 + 1j)
+    expected, model = fit(curves, start), fit(curves, start.conj())
+    np.testing.assert_allclose(model.poles, expected.poles, rtol=1e-6)
+    np.testing.assert_allclose(model.residue, expected.residue, rtol=1e-4)

@@ -18,6 +18,8 @@ from analysis.modal.order_selection import (
     are_in_band,
     are_narrower_than_resolution,
     better_model,
+    have_same_poles,
+    initial_model,
     select_model,
 )
 from analysis.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
@@ -240,11 +242,14 @@ def _best_model(
     models: list[tuple[Curves, ModalModel]] = []
     for error in _MODEL_ERRORS:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * local_peak))
-        model = select_model(curves, stable, candidates, max_modes)
+        initial = initial_model(curves, stable)
+        model = select_model(curves, initial, candidates, max_modes)
         if models:
             # Poles that are significant only in combination may be removed one by one. The poles of the previous model
-            # are therefore tried as initial values, too.
-            model = better_model(curves, model, select_model(curves, models[-1][1].poles, candidates, max_modes))
+            # are therefore tried as initial values, too. Often both initial models are the same.
+            other_initial = initial_model(curves, models[-1][1].poles)
+            if not have_same_poles(initial, other_initial):
+                model = better_model(curves, model, select_model(curves, other_initial, candidates, max_modes))
         models.append((curves, model))
         if model.misfit < _MAX_NOISE_RATIO * curves.degrees_of_freedom(model.poles.size):
             break

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rig.arrays import Array, ComplexArray
 
 # Maximum number of evaluations: a fit from good initial values converges earlier, others are stopped.
-_MAX_EVALUATIONS = 25
+MAX_EVALUATIONS = 25
 # A series with this number of terms represents the modes above the band.
 UPPER_TERMS = 3
 # At least this number of lines determines all of these terms; fewer lines determine only the first.
@@ -66,14 +66,14 @@ class ModalModel:
     residual: ComplexArray  # weighted differences, measured less model; shape (responses, n)
 
 
-def fit(curves: Curves, start: ComplexArray) -> ModalModel:
+def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATIONS) -> ModalModel:
     """Fit the poles, initially `start` in rad/s, by weighted nonlinear least squares with variable projection."""
     problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
     if start.size:
         x = scipy.optimize.least_squares(
             problem.reduced_residual, x, problem.reduced_jacobian,
-            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=_MAX_EVALUATIONS,
+            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=max_evaluations,
         ).x  # fmt: skip
     poles = problem.poles(x)
     unknown, residual = problem.unknowns(x), problem.residual(x)

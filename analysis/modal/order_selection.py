@@ -97,11 +97,16 @@ def select_model(
 
 
 def _fit_without_spurious_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
-    """Fit a model, and remove its spurious poles one by one, the least significant first."""
+    """Fit a model, and remove its spurious poles step by step, of neighbors first the less significant pole."""
     model = fit(curves, poles, max_evaluations)
     while (spurious := spurious_poles(curves, model)).size:
-        least_significant = spurious[int(np.argmin(misfits_without(curves, model.poles)[spurious]))]
-        model = fit(curves, np.delete(model.poles, least_significant), max_evaluations)
+        misfits = misfits_without(curves, model.poles)
+        removed: set[int] = set()
+        for k in sorted(map(int, spurious), key=lambda k: float(misfits[k])):
+            # Without this pole, its neighbors may be significant.
+            if not removed & {k - 1, k + 1}:
+                removed.add(k)
+        model = fit(curves, np.delete(model.poles, sorted(removed)), max_evaluations)
     return model
 
 

@@ -273,7 +273,7 @@ class Projection:
 
     def _by_parameter(self, x: Array, terms: Array) -> Array:
         """Convert derivatives by the poles of the terms of Re R and Im R to derivatives of the model by parameters."""
-        unknown, count = self.unknowns(x)[:, None, : x.size], self.start.size
+        unknown = self.unknowns(x)[:, None, : x.size]
         real, imag = unknown[..., ::2], unknown[..., 1::2]
         first, second = terms[..., ::2], terms[..., 1::2]
         by_decay = self.poles(x).real * (real * first + imag * second)

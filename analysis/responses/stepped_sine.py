@@ -64,16 +64,15 @@ class ToneFit:
         return np.asarray((self.parts - self.parts.mean(axis=0)) / np.sqrt((count - 1.0) * count))
 
 
-@dataclass(frozen=True)
-class _Part:
-    """A part of the window, and the least-squares fit to it alone."""
+class _Parts(NamedTuple):
+    """Successive parts of the window, and the least-squares fit to each of them alone."""
 
-    first: int  # first sample
-    length: int  # samples
-    projection: Array  # scalar products of the fitted terms with the samples, shape (terms, channels)
-    coefficients: Array  # coefficients of the fit to this part, shape (terms, channels)
-    residual: Array  # its sum of squares, shape (channels,)
-    ends: Array  # first and last sample, shape (2, channels)
+    firsts: NDArray[np.int64]  # first sample of each part, shape (parts,)
+    lengths: NDArray[np.int64]  # samples of each part, shape (parts,)
+    projections: Array  # scalar products of the fitted terms with the samples, shape (parts, terms, channels)
+    coefficients: Array  # coefficients of the fit to each part, shape (parts, terms, channels)
+    residual: Array  # its sum of squares, shape (parts, channels)
+    ends: Array  # first and last sample, shape (parts, 2, channels)
 
 
 class LockIn:
@@ -106,58 +105,66 @@ class LockIn:
         self._basis: dict[int, Array] = {}
         self._grams: dict[int, tuple[Array, Array]] = {}
         self._rotations: dict[int, Array] = {}
-        self._parts: list[_Part] = []
+        self._parts: list[_Parts] = []
         self._samples = 0
 
     def add(self, samples: Array, lengths: Sequence[int]) -> None:
         """Add the next parts of the window: their samples, shape (channels, samples), and the length of each part."""
-        firsts = np.cumsum([0, *lengths])[:-1]
-        added: dict[int, _Part] = {}
+        part_lengths = np.array(lengths)
+        stops = np.cumsum(part_lengths)
+        firsts, n_terms = stops - part_lengths, 2 * self.harmonics + 2
+        projections = np.zeros((len(lengths), n_terms, len(samples)))
+        coefficients = np.empty_like(projections)
+        squares = np.zeros((len(lengths), len(samples)))
         # Parts of equal length are fitted together.
         for length in set(lengths):
-            numbers = [number for number, other in enumerate(lengths) if other == length]
-            parts = np.stack([samples[:, firsts[number] : firsts[number] + length] for number in numbers])
+            is_equal = part_lengths == length
+            parts = np.stack([samples[:, first : first + length] for first in firsts[is_equal]])
             pieces = list(self._pieces(length))
-            projection = np.zeros((len(parts), 2 * self.harmonics + 2, len(samples)))
+            projection = np.zeros((len(parts), n_terms, len(samples)))
             for start, rotation, basis in pieces:
                 projection += rotation @ (basis @ parts[:, :, start : start + basis.shape[1]].mT)
-            coefficients: Array = np.asarray(np.linalg.solve(self._gram(length)[0], projection), dtype=float)
-            squares = np.zeros(parts.shape[:2])
+            columns = np.linalg.solve(self._gram(length)[0], np.concatenate(list(projection), axis=1))
+            fits = columns.reshape(n_terms, len(parts), -1).swapaxes(0, 1)
+            residual_squares = np.zeros(parts.shape[:2])
             for start, rotation, basis in pieces:
-                residual = parts[:, :, start : start + basis.shape[1]] - (coefficients.mT @ rotation) @ basis
-                squares += np.einsum("kij,kij->ki", residual, residual)
-            for number, *fit in zip(numbers, projection, coefficients, squares, parts[:, :, [0, -1]].mT, strict=True):
-                added[number] = _Part(self._samples + int(firsts[number]), length, *fit)
-        self._parts += [added[number] for number in range(len(lengths))]
+                residual = parts[:, :, start : start + basis.shape[1]] - (fits.mT @ rotation) @ basis
+                residual_squares += np.einsum("kij,kij->ki", residual, residual)
+            projections[is_equal], coefficients[is_equal], squares[is_equal] = projection, fits, residual_squares
+        ends = samples[:, [firsts, stops - 1]].T
+        self._parts.append(_Parts(self._samples + firsts, part_lengths, projections, coefficients, squares, ends))
         self._samples += samples.shape[1]
 
     def tone(self) -> ToneFit:
         """Solve for the amplitudes over all parts added so far."""
         n_terms = 2 * self.harmonics + 2
-        firsts = np.array([part.first for part in self._parts])
-        lengths = np.array([part.length for part in self._parts])
-        projections = np.stack([part.projection for part in self._parts])
-        window_to_part = self._window_to_part(firsts, lengths)
-        grams, factors = (np.stack([self._gram(part.length)[index] for part in self._parts]) for index in range(2))
-        normal_matrix = (window_to_part.mT @ grams @ window_to_part).sum(axis=0)
-        solution = linalg.solve(normal_matrix, (window_to_part.mT @ projections).sum(axis=0), assume_a="pos")
+        parts = _Parts(*map(np.concatenate, zip(*self._parts, strict=True)))
+        firsts = parts.firsts
+        window_to_part = self._window_to_part(firsts, parts.lengths)
+        distinct_lengths, index = np.unique(parts.lengths, return_inverse=True)
+        grams, factors = (
+            np.stack(matrices) for matrices in zip(*map(self._gram, distinct_lengths.tolist()), strict=True)
+        )
+        normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
+        solution = linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0), assume_a="pos")
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
         # Coefficients of the common fit in terms of each part.
         common = window_to_part @ solution
         # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter. Only
         # the harmonics of each part are therefore fitted, to the residual of the common fit.
-        residual = (projections - grams @ common)[:, 2:]
-        samples, moved = self._edges(firsts, lengths, common)
+        residual = (parts.projections - grams[index] @ common)[:, 2:]
+        samples, moved = self._edges(parts, common)
         residual -= self._tones(samples[:-1] - firsts)[:, :, None] * moved[:-1, None]
         residual += self._tones(samples[1:] - firsts)[:, :, None] * moved[1:, None]
-        local = np.linalg.solve(grams[:, 2:, 2:], residual)
+        # Parts of equal length have the same inverse.
+        local = np.linalg.inv(grams[:, 2:, 2:])[index] @ residual
         cycles = np.outer(self.frequency * firsts / self.rate, np.arange(1, self.harmonics + 1))
         rotation = np.exp(-2j * np.pi * np.fmod(cycles, 1.0))
         deviations = (local[:, ::2] + 1j * local[:, 1::2]) * rotation[:, :, None]
-        parts = amplitude[:, 0] + deviations[:, 0]
+        amplitudes = amplitude[:, 0] + deviations[:, 0]
         # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
-        deviation = factors.mT @ (np.stack([part.coefficients for part in self._parts]) - common)
-        squares = np.sum([part.residual for part in self._parts], axis=0) + np.sum(np.square(deviation), axis=(0, 1))
+        deviation = factors[index].mT @ (parts.coefficients - common)
+        squares = parts.residual.sum(axis=0) + np.sum(np.square(deviation), axis=(0, 1))
         noise_power = np.zeros(len(amplitude))
         residual_power = squares / max(self._samples - n_terms, 1)
         if len(deviations) > 1:
@@ -165,24 +172,25 @@ class LockIn:
             # the power s² scatters each amplitude of n samples with the variance 4 s²/n. Irregular motion scatters some
             # harmonics more: the harmonic with the least scatter is nearest to the noise.
             least_variance = deviations.var(axis=0, ddof=1).min(axis=0)
-            noise_power = np.minimum(least_variance * lengths.mean() / 4.0, residual_power)
-        return ToneFit(self.frequency, amplitude, parts, np.sqrt(residual_power), np.sqrt(noise_power))
+            noise_power = np.minimum(least_variance * parts.lengths.mean() / 4.0, residual_power)
+        return ToneFit(self.frequency, amplitude, amplitudes, np.sqrt(residual_power), np.sqrt(noise_power))
 
-    def _edges(self, firsts: NDArray[np.int64], lengths: NDArray[np.int64], fits: Array) -> tuple[Array, Array]:
+    def _edges(self, parts: _Parts, fits: Array) -> tuple[Array, Array]:
         """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
 
         Whole periods end between two samples, but the ends of parts are rounded to samples. Without this correction,
         each part would contain another fraction of the harmonics that are not fitted. `fits`: coefficients of the
         common fit for each part. The results have the shapes (parts + 1,) and (parts + 1, channels).
         """
+        firsts = parts.firsts
         edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
         missing_samples = np.round(edges / period) * period - edges
         # Whether the sample after the edge, in the next part, is used instead of the sample before it.
         after = (missing_samples > 0.0) & (np.arange(edges.size) < firsts.size)
         rows = np.arange(edges.size) - ~after
-        samples = np.where(after, 0, lengths[rows] - 1)
-        ends = np.stack([part.ends for part in self._parts])[rows, np.where(after, 0, 1)]
+        samples = np.where(after, 0, parts.lengths[rows] - 1)
+        ends = parts.ends[rows, np.where(after, 0, 1)]
         terms = np.column_stack([np.ones(edges.size), np.where(after, -1.0, 1.0), self._tones(samples)])
         residual = ends - (terms[:, None] @ fits[rows])[:, 0]
         is_rounded = (np.abs(missing_samples) > 0.0) & (np.abs(missing_samples) <= 0.5)
@@ -220,9 +228,10 @@ class LockIn:
         for start, rotation in zip(starts.tolist(), self._rotations[length], strict=True):
             piece_length = min(_SAMPLES_PER_PRODUCT, length - start)
             if piece_length not in self._basis:
-                sample_numbers, order = np.arange(piece_length), np.arange(1, self.harmonics + 1)
-                cycles = np.outer(order, self.frequency / self.rate * sample_numbers)
-                tones = np.exp(2j * np.pi * np.fmod(cycles, 1.0))
+                sample_numbers = np.arange(piece_length)
+                tone = np.exp(2j * np.pi * np.fmod(self.frequency / self.rate * sample_numbers, 1.0))
+                # A harmonic is a power of the tone.
+                tones = np.cumprod(np.broadcast_to(tone, (self.harmonics, piece_length)), axis=0)
                 basis = np.empty((2 * self.harmonics + 2, piece_length))
                 basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, sample_numbers, tones.real, -tones.imag
                 self._basis[piece_length] = basis
@@ -450,6 +459,7 @@ def _sweep(
     """Combine the windows of one level and direction to a sweep."""
     level, direction = key
     tones = tuple(point.tone for point in points)
+    mean = np.stack([tone.amplitude[:, 0] for tone in tones], axis=1)
     windows = np.array([point.window for point in points])
     # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
     is_linear = not any(damper.moves for damper in rec.scene.dampers)
@@ -459,20 +469,14 @@ def _sweep(
     lines = Lines(
         channels=channels,
         frequency=np.array([tone.frequency for tone in tones]),
-        mean=np.stack([tone.amplitude[:, 0] for tone in tones], axis=1),
+        mean=mean,
         scatter=Scatter(
             stacked([tone.scatter() for tone in tones]), np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones])
         ),
         label=f"{rec.scene.name}{f', {sweep_name}' if sweep_name else ''}",
         warnings=tuple(notes),
-        residual_transient=np.stack(
-            [
-                np.maximum(residual_transient(tone.parts[:, :, None])[:, 0], undetected * abs(tone.amplitude[:, 0]))
-                for tone in tones
-            ],
-            axis=1,
-        ),
-        resolution=np.stack([_resolution(rec, channels, tone) for tone in tones], axis=1),
+        residual_transient=np.maximum(_residual_transients(tones), undetected * abs(mean)),
+        resolution=_resolution(rec, channels, mean, np.stack([tone.noise for tone in tones], axis=1)),
         unsteady=np.array([not point.steady for point in points]),
         left_out=np.array([omission.frequency for omission in omissions]),
         wait=wait if is_linear else None,
@@ -481,18 +485,31 @@ def _sweep(
     return Sweep(lines, tones, level, direction, windows)
 
 
-def _resolution(rec: Recording, names: Sequence[str], tone: ToneFit) -> Array:
-    """Compute the maximum error of the amplitude of a tone due to rounding to counts, shape (channels,).
+def _residual_transients(tones: Sequence[ToneFit]) -> Array:
+    """Estimate the maximum error of each tone due to a decaying transient, shape (channels, tones)."""
+    counts = np.array([len(tone.parts) for tone in tones])
+    transients = np.empty((tones[0].parts.shape[1], len(tones)))
+    # Tones with the same number of parts are evaluated together, because a call takes as long for one as for many.
+    for count in np.unique(counts):
+        indices = np.flatnonzero(counts == count)
+        parts = np.concatenate([tones[index].parts for index in indices], axis=1)
+        transients[:, indices] = residual_transient(parts[..., None]).reshape(indices.size, -1).T
+    return transients
 
-    A tone below half a count is not recorded. The error of a larger tone, with an amplitude of a counts, is at most
-    ``2 / pi^2 / sqrt(a)``: the first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár,
-    Quantization Noise, Cambridge University Press 2008, sections 4 and 16). Noise reduces it.
+
+def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise: Array) -> Array:
+    """Compute the maximum error of the amplitudes of tones due to rounding to counts, shape (channels, tones).
+
+    `mean`, `noise`: amplitudes, and root mean squares of the noise, of the same shape. A tone below half a count
+    is not recorded. The error of a larger tone, with an amplitude of a counts, is at most ``2 / pi^2 / sqrt(a)``: the
+    first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár, Quantization Noise, Cambridge
+    University Press 2008, sections 4 and 16). Noise reduces it.
     """
-    steps = quantization_steps(rec, names)
+    steps = quantization_steps(rec, names)[:, None]
     step = np.where(steps > 0.0, steps, 1.0)
-    amplitude_counts = np.maximum(abs(tone.amplitude[:, 0]) / step, 1e-300)
+    amplitude_counts = np.maximum(abs(mean) / step, 1e-300)
     first_term = np.minimum(2.0 / np.pi**2 / np.sqrt(amplitude_counts), 0.5) * reproducible_rounding(
-        (tone.noise / step) ** 2
+        (noise / step) ** 2
     )
     # Twice the first term is an upper bound of the sum of all terms.
     return np.asarray(steps * np.minimum(2.0 * first_term, 0.5))

@@ -308,7 +308,7 @@ class Recording(Result):
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
 
-    @property
+    @cached_property
     def overloads(self) -> list[Marker]:
         """Markers of the segments in which a channel exceeded its range."""
         return [marker for marker in self.markers if marker.kind == "overload"]

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.frequency_responses import annotate, frequency_responses
-from analysis.responses.measurands import reference_of, required_channels, response_channels
-from analysis.responses.several_inputs import driven_forces
+from analysis.responses.measurands import driven_forces, reference_of, required_channels, response_channels
 from analysis.responses.stepped_sine import sweep_name, sweeps
 from analysis.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from daq.recording.recorded_test import TestKind

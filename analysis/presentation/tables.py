@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.decays.free_decay import Decay
 from analysis.modal.modes import Modes
 from rig.escaping import escape_terminal
 from rig.output_files import atomic_write
 from rig.results.response import Response
+
+if TYPE_CHECKING:
+    from analysis.decays.free_decay import Decay
 
 Row = Sequence[str | float | int]
 

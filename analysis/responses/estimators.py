@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy
-from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.budget import assemble_budget
@@ -217,7 +216,7 @@ def block_spectra(
     names, block_samples = list(channels), window.size
     all_flaws = find_flaws(rec, names, starts[0], starts[-1] + block_samples)
     flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
-    frequency = fft.rfftfreq(block_samples, 1.0 / rec.rate)
+    frequency = scipy.fft.rfftfreq(block_samples, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
     end_ratio, used, power = 0.0, 0, np.zeros(len(names))
@@ -228,7 +227,7 @@ def block_spectra(
         if np.any((flaw_bounds[:, 0] < begin + block_samples) & (flaw_bounds[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
-        spectra = fft.rfft(samples * window, axis=1)[:, in_band]
+        spectra = scipy.fft.rfft(samples * window, axis=1)[:, in_band]
         cross = cross + np.einsum("in,jn->nij", spectra, spectra.conj())
         used += 1
         power += np.mean(np.square(samples), axis=1)

@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING, Protocol
 from analysis.recordings.names import takes_path
 from analysis.responses.curve_checks import reversed_force
 from analysis.responses.estimators import ESTIMATORS
-from analysis.responses.measurands import input_location, location_of, required_channels, select_channels
-from analysis.responses.several_inputs import driven_forces, response_matrix
+from analysis.responses.measurands import (
+    driven_forces,
+    input_location,
+    location_of,
+    required_channels,
+    select_channels,
+)
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.progress import CountProgress
@@ -216,6 +221,8 @@ def frequency_responses(
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
+        from analysis.responses.several_inputs import response_matrix
+
         used = [*names, *(point.name for point in inputs)]
         computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
     else:

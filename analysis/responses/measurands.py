@@ -13,11 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.errors import RecordingError, SceneError, suggestion
-from rig.results.response import MOTIONS
+from rig.results.response import MOTIONS, Point
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
     from daq.signal_chain.channel import ChannelInfo
+
+
+# A shaker is driven if its mean-square force is at least this fraction of the largest.
+_MIN_FORCE_POWER_RATIO = 1e-4
 
 
 def find_channel(rec: Recording, name: str) -> ChannelInfo:
@@ -183,3 +187,25 @@ def _places(rec: Recording) -> str:
     """List the channels of a recording with their quantities and locations, for messages."""
     channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
     return f"it has {', '.join(channels) or 'no channels'}"
+
+
+def driven_forces(rec: Recording) -> tuple[Point, ...]:
+    """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
+    marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
+    if marker is None:
+        return ()
+    forces: list[Point] = []
+    for number in marker.fields["shakers"]:
+        at = f"shaker {number}"
+        name = next((info.name for info in rec.channels.values() if info.at == at), None)
+        if name is None:
+            raise RecordingError(
+                f"{rec.path}: no channel measures the force of shaker {number}. Add "
+                f"{{name: force{number}, at: {at}}} to the scene's channels."
+            )
+        bodies = (rec.scene.structure.label(body) for body in rec.scene.shakers[number - 1].bodies)
+        forces.append(Point(name, "force", " and ".join(bodies)))
+    stop = min(marker.stop, rec.samples)
+    power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
+    min_power = _MIN_FORCE_POWER_RATIO * max(power)
+    return tuple(force for force, force_power in zip(forces, power, strict=True) if force_power > min_power)

@@ -55,8 +55,6 @@ if TYPE_CHECKING:
 
 # Inputs can be separated up to this condition number of the matrix of their spectra, scaled to unit power.
 MAX_CONDITION_NUMBER = 1e3
-# A shaker is driven if its mean-square force is at least this fraction of the largest.
-_MIN_FORCE_POWER_RATIO = 1e-4
 # Reciprocal responses must agree within their uncertainties at this share of the lines or more.
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
@@ -64,28 +62,6 @@ COHERENT_INPUTS = (
     "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
     "phases."
 )
-
-
-def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
-    marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
-    if marker is None:
-        return ()
-    forces: list[Point] = []
-    for number in marker.fields["shakers"]:
-        at = f"shaker {number}"
-        name = next((info.name for info in rec.channels.values() if info.at == at), None)
-        if name is None:
-            raise RecordingError(
-                f"{rec.path}: no channel measures the force of shaker {number}. Add "
-                f"{{name: force{number}, at: {at}}} to the scene's channels."
-            )
-        bodies = (rec.scene.structure.label(body) for body in rec.scene.shakers[number - 1].bodies)
-        forces.append(Point(name, "force", " and ".join(bodies)))
-    stop = min(marker.stop, rec.samples)
-    power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    min_power = _MIN_FORCE_POWER_RATIO * max(power)
-    return tuple(force for force, force_power in zip(forces, power, strict=True) if force_power > min_power)
 
 
 def response_matrix(

@@ -16,7 +16,6 @@ from daq.recording.channel_series import BlockCache, Series
 from daq.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked_ranges
 from daq.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_from_markers
 from daq.recording.sample_block import SAMPLE_TYPE
-from daq.recording.truth import dampers_of, points_of
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.arrays import Array
@@ -271,6 +270,8 @@ class Recording(Result):
     @property
     def has_truth(self) -> bool:
         """Whether the true motion of all points and dampers of the scene was recorded."""
+        from daq.recording.truth import dampers_of, points_of
+
         if not self.truth_points:
             return False
         dampers = dampers_of(self.scene)

@@ -15,7 +15,8 @@ from analysis.modal.modes import Modes
 from analysis.modal.several_references import separate
 from analysis.presentation.comparison import compare_peaks
 from analysis.presentation.mode_findings import present_modes
-from analysis.responses.several_inputs import driven_forces, input_output_spectra, reciprocity
+from analysis.responses.measurands import driven_forces
+from analysis.responses.several_inputs import input_output_spectra, reciprocity
 from daq.recording.markers import Marker
 from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import structure_matrices

@@ -6,6 +6,7 @@ terms* for the modes outside the band. Poles are nonlinear parameters; residues 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -120,7 +121,7 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
     basis, residual = np.linalg.qr(problem.basis(x))[0], problem.residual(x)[..., None]
-    columns = _weighted(curves, _mode_terms(problem.s, added, 1)).swapaxes(1, 2)
+    columns = _weighted(curves, _mode_terms(problem.s, added, (1,))).swapaxes(1, 2)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0.0, size, 1.0)
     # Columns close to the columns of other poles are orthogonalized twice, because rounding dominates the first result.
@@ -204,15 +205,13 @@ class Projection:
 
         The shape is (responses, 2 n, unknowns): real and imaginary parts of each response.
         """
-        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), 1))
+        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (1,)))
         return np.concatenate([terms, self.residual_terms], axis=1).swapaxes(1, 2)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
-            poles = self.poles(x)
-            terms = np.concatenate([_mode_terms(self.s, poles, 1), _mode_terms(self.s, poles, 2)])
-            columns, count = _weighted(self.curves, terms), x.size
+            columns, count = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (1, 2))), x.size
             rows = [columns[:, :count], self.residual_terms, columns[:, count:], self.target[:, None]]
             # The orthogonal factor is not needed, which takes half of the time.
             factor = np.linalg.qr(np.concatenate(rows, axis=1).swapaxes(1, 2), mode="r")
@@ -267,7 +266,7 @@ class Projection:
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
         q = np.linalg.qr(self.basis(x))[0]
-        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), 2)).swapaxes(1, 2)
+        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (2,))).swapaxes(1, 2)
         change = self._by_parameter(x, terms)
         return np.asarray(q @ (np.swapaxes(q, 1, 2) @ change) - change)
 
@@ -281,15 +280,17 @@ class Projection:
         return np.concatenate([by_decay, by_frequency], axis=2)
 
 
-def _mode_terms(s: ComplexArray, poles: ComplexArray, power: int) -> ComplexArray:
-    """Return the factors of Re R and Im R in R / (s - p)^power and its mirror term, shape (2 modes, n)."""
-    direct, mirror = 1.0 / (s - poles[:, None]) ** power, 1.0 / (s - poles.conj()[:, None]) ** power
-    return np.stack([direct + mirror, 1j * (direct - mirror)], axis=1).reshape(2 * poles.size, s.size)
+def _mode_terms(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> ComplexArray:
+    """Return the factors of Re R and Im R in R / (s - p)^power and its mirror term, shape (powers x 2 modes, n)."""
+    direct, mirror = 1.0 / (s - poles[:, None]), 1.0 / (s - poles.conj()[:, None])
+    pairs = [(direct**power, mirror**power) for power in powers]
+    terms = np.stack([np.stack([first + second, 1j * (first - second)], axis=1) for first, second in pairs])
+    return terms.reshape(-1, s.size)
 
 
 def _weighted(curves: Curves, terms: ComplexArray) -> Array:
     """Return weighted terms of each response, shape (responses, terms, 2 n): real parts, then imaginary parts."""
-    return _real_rows(terms * curves.weight[:, None])
+    return _real_rows(terms) * np.concatenate([curves.weight, curves.weight], axis=1)[:, None]
 
 
 def _real_rows(rows: ComplexArray) -> Array:

@@ -104,10 +104,13 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
         first, buffer = start, buffer[:, start - first :]
         if min(stop, rec.samples) > begin:
             ahead = min(max(stop, begin + _READ_AHEAD_SAMPLES), rec.samples)
-            buffer = np.hstack([buffer, np.stack([rec.read(name, begin, ahead) for name in channels])])
-        segment = np.full((len(channels), stop - start), np.nan)
+            kept, buffer = buffer, np.empty((len(channels), ahead - start))
+            buffer[:, : begin - start] = kept
+            for row, name in enumerate(channels):
+                buffer[row, begin - start :] = rec.read(name, begin, ahead)
+        segment = np.empty((len(channels), stop - start))
         available = buffer[:, : stop - start]
-        segment[:, : available.shape[1]] = available
+        segment[:, : available.shape[1]], segment[:, available.shape[1] :] = available, np.nan
         yield segment
 
 

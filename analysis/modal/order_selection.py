@@ -68,9 +68,10 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
     """Fit a model with those poles of `initial`, rad/s, that are significant and not spurious."""
-    # Most spurious poles are recognized after few evaluations. Only the fit of the other poles is completed.
+    # Most other poles are recognized after few evaluations. Only the fit of the remaining poles is completed.
     approximate = _fit_without_spurious_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
-    return _prune(curves, _fit_without_spurious_poles(curves, approximate.poles, MAX_EVALUATIONS))
+    poles, _ = _significant_poles(curves, approximate)
+    return _prune(curves, _fit_without_spurious_poles(curves, poles, MAX_EVALUATIONS))
 
 
 def select_model(
@@ -208,24 +209,31 @@ def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> flo
 def _prune(curves: Curves, model: ModalModel) -> ModalModel:
     """Remove poles that are not significant."""
     while model.poles.size:
-        poles = model.poles
-        while poles.size:
-            misfits = misfits_without(curves, poles)
-            least_significant = int(np.argmin(misfits))
-            fewer = np.delete(poles, least_significant)
-            # The other poles are not fitted again, so that the increase of the misfit is overestimated. A pole that is
-            # not significant here is not significant after a new fit either.
-            if _net_misfit_reduction(curves, float(misfits[least_significant]), model, fewer.size) > 0:
-                break
-            poles = fewer
+        poles, least_significant = _significant_poles(curves, model)
         if poles.size < model.poles.size:
             model = fit(curves, poles)
             continue
-        smaller = fit(curves, fewer)
+        smaller = fit(curves, np.delete(poles, least_significant))
         if is_significant(curves, smaller, model):
             return model
         model = smaller
     return model
+
+
+def _significant_poles(curves: Curves, model: ModalModel) -> tuple[ComplexArray, int]:
+    """Return the significant poles of a model, and the index of the least significant of them.
+
+    The other poles are not fitted again, so that the increase of the misfit is overestimated. A pole that is not
+    significant here is not significant after a new fit either.
+    """
+    poles, least_significant = model.poles, 0
+    while poles.size:
+        misfits = misfits_without(curves, poles)
+        least_significant = int(np.argmin(misfits))
+        if _net_misfit_reduction(curves, float(misfits[least_significant]), model, poles.size - 1) > 0:
+            break
+        poles = np.delete(poles, least_significant)
+    return poles, least_significant
 
 
 def _poles_at_residual(curves: Curves, model: ModalModel) -> ComplexArray:

@@ -98,16 +98,16 @@ def select_model(
 
 
 def _fit_without_spurious_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
-    """Fit a model, and remove its spurious poles step by step, of neighbors first the less significant pole."""
+    """Fit a model, and remove its spurious poles step by step: the least significant pole of each group of neighbors.
+
+    Without it, the other poles of the group may not be spurious.
+    """
     model = fit(curves, poles, max_evaluations)
     while (spurious := spurious_poles(curves, model)).size:
         misfits = misfits_without(curves, model.poles)
-        removed: set[int] = set()
-        for k in sorted(map(int, spurious), key=lambda k: float(misfits[k])):
-            # Without this pole, its neighbors may be significant.
-            if not removed & {k - 1, k + 1}:
-                removed.add(k)
-        model = fit(curves, np.delete(model.poles, sorted(removed)), max_evaluations)
+        groups = np.split(spurious, np.flatnonzero(np.diff(spurious) > 1) + 1)
+        removed = [group[np.argmin(misfits[group])] for group in groups]
+        model = fit(curves, np.delete(model.poles, removed), max_evaluations)
     return model
 
 

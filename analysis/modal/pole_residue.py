@@ -71,7 +71,9 @@ def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATI
     """Fit the poles, initially `start` in rad/s, by weighted nonlinear least squares with variable projection."""
     problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
-    if start.size:
+    # With as many unknowns as values, the model is exact for any poles.
+    has_residual = problem.target.shape[1] > 2 * start.size + len(problem.residual_terms[0])
+    if start.size and has_residual:
         x = scipy.optimize.least_squares(
             problem.reduced_residual, x, problem.reduced_jacobian,
             xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=max_evaluations,
@@ -182,7 +184,7 @@ class Projection:
     """
 
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
-        self.s = 2j * np.pi * curves.frequency
+        self.s: ComplexArray = np.asarray(2j * np.pi * curves.frequency, dtype=complex)
         self.curves, self.start = curves, start
         self.target = _real_rows(curves.value * curves.weight)
         self.residual_terms = _weighted(curves, np.stack(residual_terms(self.s)[: 1 + curves.upper_terms]))
@@ -214,7 +216,7 @@ class Projection:
             columns, count = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (1, 2))), x.size
             rows = [columns[:, :count], self.residual_terms, columns[:, count:], self.target[:, None]]
             # The orthogonal factor is not needed, which takes half of the time.
-            factor = np.linalg.qr(np.concatenate(rows, axis=1).swapaxes(1, 2), mode="r")
+            factor = np.asarray(np.linalg.qr(np.concatenate(rows, axis=1).swapaxes(1, 2), mode="r"))
             n = count + self.residual_terms.shape[1]
             size = np.linalg.norm(factor[:, :n, :n], axis=1)
             self._factorized = (

@@ -175,7 +175,7 @@ class LockIn:
             noise_power = np.minimum(least_variance * parts.lengths.mean() / 4.0, residual_power)
         return ToneFit(self.frequency, amplitude, amplitudes, np.sqrt(residual_power), np.sqrt(noise_power))
 
-    def _edges(self, parts: _Parts, fits: Array) -> tuple[Array, Array]:
+    def _edges(self, parts: _Parts, fits: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
 
         Whole periods end between two samples, but the ends of parts are rounded to samples. Without this correction,
@@ -492,7 +492,7 @@ def _residual_transients(tones: Sequence[ToneFit]) -> Array:
     # Tones with the same number of parts are evaluated together, because a call takes as long for one as for many.
     for count in np.unique(counts):
         indices = np.flatnonzero(counts == count)
-        parts = np.concatenate([tones[index].parts for index in indices], axis=1)
+        parts = np.concatenate([tones[index].parts for index in indices.tolist()], axis=1)
         transients[:, indices] = residual_transient(parts[..., None]).reshape(indices.size, -1).T
     return transients
 

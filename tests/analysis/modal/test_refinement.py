@@ -74,3 +74,13 @@ def test_fit_from_conjugate_poles_returns_the_same_modes(curves: Curves) -> None
     expected, model = fit(curves, start), fit(curves, start.conj())
     np.testing.assert_allclose(model.poles, expected.poles, rtol=1e-6)
     np.testing.assert_allclose(model.residue, expected.residue, rtol=1e-4)
+
+
+def test_fit_with_as_many_unknowns_as_values_is_exact() -> None:
+    frequency = np.linspace(10.0, 17.0, 8)
+    value = np.exp(1j * frequency)[None]
+    # Seven residues and two residual terms have 16 real unknowns.
+    start = 2 * np.pi * np.linspace(10.5, 16.5, 7) * (-0.02 + 1j)
+    model = fit(Curves(frequency, value, np.ones(value.shape)), start)
+    np.testing.assert_allclose(model.poles, start)
+    assert model.misfit < 1e-12

@@ -92,7 +92,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.report([]), "report: no recordings"),
         (lambda: analysis.export([SWEEP, SWEEP], "a.npz"), "recording: got 2 recordings; expected one"),
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
-        (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with a row for each point"),
+        (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with one row for each point"),
         (lambda: daq.open(7), "path: got 7; expected the path of a file"),
         (lambda: daq.open(SWEEP).read("body4"), "no channel 'body4'. Did you mean 'body"),
         (lambda: daq.record(BRACKET, 7), "path: got 7; expected the path of a file"),

@@ -79,6 +79,11 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise SceneError(f"number of modes: got {count}; expected 1 or more")
     is_valid = isinstance(frfs, Sequence | Response) and all(isinstance(frf, Response) for frf in frfs)
+    if is_valid and not isinstance(frfs, Response) and any(not frf.is_curve for frf in frfs):
+        raise SceneError(
+            "identify: got a list of responses with several curves each; expected the curves of one test. Give one "
+            "element of the list."
+        )
     if not is_valid or not len(frfs):
         raise SceneError(
             f"identify: got {frfs!r:.60}; expected several curves, as analysis.frfs or read_frfs returns them"

@@ -16,7 +16,7 @@ _MAX_DAMPING_UNCERTAINTY = 0.02
 # At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by
 # `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
-# The response is nonlinear if the residual exceeds this fraction of the peak height.
+# A linear structure with lightly damped modes leaves a smaller residual than this fraction of the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
 
 
@@ -41,8 +41,9 @@ def mode_warnings(
         residual_text = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
         if modes.model_error > _MAX_LINEAR_RESIDUAL:
             yield (
-                f"The response is nonlinear: {residual_text}, more than the {expected}. "
-                "These modes are the linear equivalent at this force level."
+                f"The modes do not explain the response: {residual_text}, more than the {expected}. Either the "
+                "structure is nonlinear, as with dampers in flight, and these modes are its linear equivalent at this "
+                "force level; or it also has a heavily damped mode, such as that of a shaker's armature."
             )
         else:
             yield (

@@ -14,7 +14,7 @@ import daq
 from analysis.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.modal.pole_residue import Curves, fit
 from analysis.responses.systematic import UNSETTLED
-from rig.errors import RecordingError
+from rig.errors import RecordingError, SceneError
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from rig.system.structural_model import natural_modes, structure_matrices
@@ -238,7 +238,7 @@ def test_jump_is_reported_as_nonlinear(sweep):
     modes = analysis.identify([replace(curve, value=curve.value * jump) for curve in curves])
     assert np.all(modes.damping > 1e-4) and np.all(modes.damping_error < 0.5 * modes.damping)
     assert modes.model_error > 0.01
-    assert any("The response is nonlinear" in warning for warning in modes.warnings)
+    assert any("The modes do not explain the response" in warning for warning in modes.warnings)
 
 
 def test_modes_with_flying_dampers_are_linear_equivalents():
@@ -249,7 +249,7 @@ def test_modes_with_flying_dampers_are_linear_equivalents():
     # The peak of the first mode is the highest.
     highest_peak = frfs[0].frequency[largest.argmax()]
     assert abs(modes.frequency[0] / highest_peak - 1) < modes.damping[0]
-    assert "The response is nonlinear" in " ".join(modes.warnings) and modes.model_error > 0.01
+    assert "The modes do not explain the response" in " ".join(modes.warnings) and modes.model_error > 0.01
 
 
 @pytest.mark.parametrize("width_ratio", [1e-6, 0.1, 5.0])
@@ -358,3 +358,10 @@ def test_peak_within_systematic_error_is_rejected(relative_limit, identified):
     modes = analysis.identify([with_only(curve, {UNSETTLED: limit})])
     np.testing.assert_allclose(modes.frequency, [20.0, 40.0] if identified else [20.0], rtol=1e-4)
     assert any("Rejected the stable poles" in text for text in modes.warnings) != identified
+
+
+def test_list_of_several_tests_is_rejected(sweep):
+    with daq.open(sweep) as rec:
+        tests = analysis.frequency_responses(rec)
+    with pytest.raises(SceneError, match="Give one element of the list"):
+        analysis.identify(tests)

@@ -24,6 +24,7 @@ from analysis.reproduction.store import Arrays
 from analysis.reproduction.stored_table import Row, Table, complete
 from rig.arrays import Array
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
+from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains
@@ -167,7 +168,8 @@ def follow(path: Path, points: int | None, print_line: Callable[[str], None], cl
     settings, from the first; None: all; `print_line`: called with one line of text per setting; `cluster`: see
     `rig.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be written.
     """
-    complete(path, TABLE.study(compare_beds, setting_of), settings()[:points], _describe_row, print_line, cluster)
+    study = TABLE.study(compare_beds, setting_of, lammps_version())
+    complete(path, study, settings()[:points], _describe_row, print_line, cluster)
 
 
 def table(path: Path | None = None) -> Arrays:

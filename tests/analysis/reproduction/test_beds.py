@@ -67,6 +67,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[Setting]:
     """Replace the computation with synthetic rows; return the list of the computed settings."""
     computed_settings: list[Setting] = []
     monkeypatch.setattr("rig.study.Workers", ReverseOrderWorkers)
+    monkeypatch.setattr(bed_study, "lammps_version", lambda: "2024.8.29")
     monkeypatch.setattr(
         bed_study, "compare_beds", lambda setting: computed_settings.append(setting) or synthetic_row(setting)
     )
@@ -98,6 +99,21 @@ def test_table_order_is_independent_of_completion(tmp_path: Path, computed: list
     assert [setting_of(row) for row in TABLE.read(single_run)] == settings()[:5]
 
 
+def test_rows_of_other_code_are_computed_again(
+    tmp_path: Path, computed: list[Setting], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "beds.csv"
+
+    follow(path, 2, lambda line: None)
+    monkeypatch.setattr(bed_study, "lammps_version", lambda: "2025.7.22")
+    follow(path, 1, lambda line: None)
+
+    assert computed == [settings()[1], settings()[0], settings()[0]]
+    assert len(path.read_text(encoding="utf-8").splitlines()) == 4
+    assert [setting_of(row) for row in TABLE.read(path)] == settings()[:1]
+
+
+@pytest.mark.usefixtures("computed")
 def test_foreign_file_is_not_changed(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("a,b\n1,2\n", encoding="utf-8")
@@ -113,7 +129,7 @@ def test_two_seeds_give_mean_and_standard_error(tmp_path: Path) -> None:
     rows = [synthetic_row(Setting(0.2, 1e-3, 4, seed)) for seed in (1, 2)]
     rows[1]["grains_landing"] = "461"  # 101 degrees; the other seed has 102 degrees
     with path.open("w", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, TABLE.header)
+        writer = csv.DictWriter(file, TABLE.columns, restval="0")
         writer.writeheader()
         writer.writerows(rows)
 

@@ -15,23 +15,21 @@ from analysis.modal.identification import identify
 from analysis.reproduction.store import Arrays, partial_name
 from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import reference_of
+from daq.measurement.run_report import is_recorded
 from daq.recording.recording import Recording
-from rig.errors import RecordingError, ShotrigError
+from rig.errors import RecordingError
 from rig.scene.scene import Scene
 
 BODIES = ("body1", "body2", "body3")
 
 
 def open_or_record(scene: Scene, path: Path) -> Recording:
-    """Open the recording of a scene. Unless the file is a complete recording of this scene, record the scene first."""
-    try:
+    """Open the recording of a scene; record it first, unless this version of shotrig recorded it completely."""
+    if is_recorded(scene, path):
         recording = daq.open(path)
-        if recording.scene == scene and not recording.gaps:
+        if not recording.gaps:
             return recording
         recording.close()
-    except ShotrigError:
-        # The recording is missing or incomplete: record the scene again.
-        pass
     partial = partial_name(path)
     with warnings.catch_warnings():
         # The recording stores the warnings of the test as markers, and the analysis reports the markers.

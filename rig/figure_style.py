@@ -89,13 +89,14 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             layout_engine.execute(figure)
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
-            # The layout also places the axis labels; otherwise, each file measures all tick labels again.
-            for axes in figure.axes:
-                for axis in (axes.xaxis, axes.yaxis):
-                    to_axes = axis.label.get_transform() - axes.transAxes
-                    axis.set_label_coords(*to_axes.transform(axis.label.get_position()))
         with atomic_write(png) as temporary:
             figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
+        # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
+        # engine also places them, but before its last change of the axes.
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                to_axes = axis.label.get_transform() - axes.transAxes
+                axis.set_label_coords(*to_axes.transform(axis.label.get_position()))
         with atomic_write(svg) as temporary:
             figure.savefig(temporary, metadata={"Date": None, "Creator": None})
     return [png, svg]

@@ -194,10 +194,8 @@ def _draw_chart(axes: Axes, design: Design) -> None:
     mesh = axes.pcolormesh(*borders, reduction, cmap="viridis", rasterized=True)
     axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
     levels = design.question.levels
-    axes.plot(
-        levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4,
-        label=f"{'chosen' if design.best.choice.has_ceiling else 'largest searched'}, at the design levels",
-    )  # fmt: skip
+    label = "chosen" if design.best.choice.has_ceiling else "largest searched"
+    axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4, label=label)
     axes.grid(False)
     axes.set(xlabel="force / N", ylabel=clearance_label(choice))
     set_log_scale(axes.xaxis)

@@ -1,4 +1,4 @@
-"""Figures with logarithmic axes can be drawn for extreme numbers."""
+"""Figures with logarithmic axes can be drawn for extreme numbers, and their labels do not overlap."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.figure_style import log_axis, new_figure
+from rig.figure_style import log_axis, new_figure, save_figure
 
 
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
@@ -19,3 +19,15 @@ def test_log_axis_is_drawn_for_extreme_values(value: float, tmp_path: Path) -> N
         figure.savefig(tmp_path / "a.png")
 
     assert (tmp_path / "a.png").stat().st_size > 1000  # bytes of an image that is not empty
+
+
+def test_axis_labels_do_not_overlap_tick_labels(tmp_path: Path) -> None:
+    with new_figure(4.6, 10.0) as figure:
+        _, right = figure.subplots(1, 2, sharey=True)
+        mesh = right.pcolormesh([1.0, 2.0], [1.0, 2.0], [[1000.0]])
+        bar = figure.colorbar(mesh, ax=right, label="periods", pad=0.02)
+        figure.suptitle("title")
+        save_figure(figure, tmp_path / "a")
+
+        label, *tick_labels = (text.get_window_extent() for text in (bar.ax.yaxis.label, *bar.ax.get_yticklabels()))
+        assert not any(label.overlaps(tick_label) for tick_label in tick_labels)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from math import floor, hypot, inf, isinf, log10, prod, sqrt
+from math import floor, hypot, inf, isfinite, isinf, log10, prod, sqrt
 
 import numpy as np
 from scipy import special
@@ -269,6 +269,13 @@ class PeakChange:
             estimate - hypot(damped_below, bare_above, tolerance) - clock,
             estimate + hypot(damped_above, bare_below, tolerance) + clock,
         )
+
+    @property
+    def decibel_decimals(self) -> int:
+        """Number of decimals that resolve the interval of the change in dB with two significant digits."""
+        _, low, high = self.decibel
+        half_width = 0.5 * (high - low)
+        return max(1, 1 - floor(log10(half_width))) if isfinite(half_width) and half_width > 0.0 else 1
 
     @property
     def shift(self) -> tuple[float, float, float]:

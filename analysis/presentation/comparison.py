@@ -190,7 +190,7 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
             (
                 *cells,
                 after_text,
-                *_format_change(change.decibel, 1),
+                *_format_change(change.decibel, change.decibel_decimals),
                 *_format_change(change.shift, change.shift_decimals),
                 equivalent,
             )

@@ -131,7 +131,7 @@ class Measurements:
             return SweepResults(frfs, None)
         self._warn(path, with_sweep_name(frfs[0].label, label, modes.warnings, frfs[0].warnings))
         peaks = _highest_peaks(frfs, modes)
-        return SweepResults(frfs, relabel(modes, rec.scene.name, label), peaks, highest_peak(frfs, peaks))
+        return SweepResults(frfs, modes, peaks, highest_peak(frfs, peaks))
 
     def _attempt(
         self,

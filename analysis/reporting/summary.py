@@ -11,7 +11,7 @@ from analysis.damper_motion.comparison import PeakChange
 from analysis.damper_motion.dampers import Dampers
 from analysis.reporting.measurements import Measurement
 from analysis.reporting.tables import peak_height, with_bound
-from rig.results import format_decimals, format_frequencies
+from rig.results import format_decimals, format_frequencies, round_to_bound
 
 # Number of sentences in the summary.
 _MAX_SENTENCES = 3
@@ -48,17 +48,19 @@ def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChan
             continue
         change = max(bounded, key=_initial_height)
         change_db, low_db, high_db = change.decibel
+        decimals = change.decibel_decimals
         peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
         if low_db <= 0.0 <= high_db:
-            interval = f"{low_db:+.1f} to {high_db:+.1f} dB"
+            interval = f"{low_db:+.{decimals}f} to {high_db:+.{decimals}f} dB"
             text = f"“{label}” against “{first.label}”: no significant change of {peak_text} (95 % interval {interval})"
         else:
             verb = "lowers" if change_db < 0.0 else "raises"
             smallest, largest = sorted((abs(low_db), abs(high_db)))
+            heights = [round_to_bound(1e6 * peak.value, 1e6 * peak.bound) for peak in (change.bare, change.damped)]
             text = (
-                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(change_db):.1f} dB "
-                f"(95 % interval {smallest:.1f} to {largest:.1f} dB), "
-                f"from {1e6 * change.bare.value:.4g} to {1e6 * change.damped.value:.4g} µm/N"
+                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(change_db):.{decimals}f} dB "
+                f"(95 % interval {smallest:.{decimals}f} to {largest:.{decimals}f} dB), "
+                f"from {' to '.join(heights)} µm/N"
             )
         highest = max(changes_of_label, key=_initial_height)
         if highest.mode != change.mode:

@@ -86,21 +86,24 @@ def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
         best, low, high = change.decibel
         shift, shift_low, shift_high = change.shift
         exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
-        decibel = f"{best:+.1f}" if isfinite(low) or isfinite(high) else "unknown"
+        decimals = change.decibel_decimals
+        decibel = f"{best:+.{decimals}f}" if isfinite(low) or isfinite(high) else "unknown"
+        interval = _interval(low, high, decimals)
         decimals = change.shift_decimals
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = f"{change.response}, {format_decimals(change.mode, 2)} Hz"
-        rows.append((location, decibel, _interval(low, high), shift_text, exceeds))
+        rows.append((location, decibel, interval, shift_text, exceeds))
     heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 
-def _interval(low: float, high: float) -> str:
+def _interval(low: float, high: float, decimals: int) -> str:
+    low_text, high_text = f"{low:+.{decimals}f}", f"{high:+.{decimals}f}"
     if isfinite(low) and isfinite(high):
-        return f"{low:+.1f} to {high:+.1f}"
+        return f"{low_text} to {high_text}"
     if isfinite(low):
-        return f"at least {low:+.1f}"
-    return f"at most {high:+.1f}" if isfinite(high) else "unbounded"
+        return f"at least {low_text}"
+    return f"at most {high_text}" if isfinite(high) else "unbounded"
 
 
 def decays(measurements: Sequence[Measurement]) -> str:

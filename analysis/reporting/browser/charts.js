@@ -70,19 +70,46 @@
     context.restore();
   }
 
-  // Labels of a logarithmic axis: decades; over less than two decades also values between.
-  function decades(plot, splits, number) {
-    const scale = plot.scales[plot.axes[number].scale], wide = Math.log10(scale.max / scale.min);
-    const labeled = wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
-    return splits.map((value) => {
-      const [mantissa] = value.toExponential(3).split("e");
-      return labeled.includes(Number(mantissa)) ? value : null;
-    });
+  // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between.
+  function labeledMantissas(low, high) {
+    const wide = Math.log10(high / low);
+    return wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
+  }
+
+  // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
+  function logarithmicTicks(plot, number, low, high) {
+    const ticks = [], labeled = labeledMantissas(low, high);
+    let count = 0;
+    for (let exponent = Math.floor(Math.log10(low)); 10 ** exponent <= high; exponent++) {
+      for (let mantissa = 1; mantissa < 10; mantissa++) {
+        const tick = Number(`${mantissa}e${exponent}`);
+        if (tick < low || tick > high) continue;
+        ticks.push(tick);
+        count += labeled.includes(mantissa);
+      }
+    }
+    if (count >= 3 || high >= 10 * low) return ticks;
+    const power = Math.floor(Math.log10((high - low) / 3));
+    const mantissa = [5, 2, 1].find((value) => value * 10 ** power <= (high - low) / 3) ?? 1;
+    const even = [];
+    for (let k = Math.ceil(low / (mantissa * 10 ** power)); ; k++) {
+      const tick = Number(`${k * mantissa}e${power}`);
+      if (tick > high) return even;
+      even.push(tick);
+    }
+  }
+
+  // Labels of these ticks: the labeled mantissas, or all even steps.
+  function logarithmicLabels(plot, ticks, number) {
+    const scale = plot.scales[plot.axes[number].scale], labeled = labeledMantissas(scale.min, scale.max);
+    const labels = ticks.map((value) => (labeled.includes(Number(value.toExponential(3).split("e")[0])) ? value : null));
+    const count = labels.filter((value) => value != null).length;
+    return count >= 3 || scale.max >= 10 * scale.min ? labels : ticks;
   }
 
   function axis(label, log, size, ticks) {
     return {
-      ...(log ? { filter: decades } : {}), ...(ticks ? { splits: () => ticks } : {}),
+      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks } : {}),
       label, size, labelSize: 18, font: "12px system-ui", labelFont: "12px system-ui", gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
       ticks: { stroke: () => theme("grid"), width: 1 },
@@ -94,7 +121,8 @@
   function range(log, given) {
     if (given) return () => given;
     return (plot, low, high) => {
-      if (low == null || low === high) return log ? [0.1, 10] : [(low || 0) - 1, (high || 0) + 1];
+      if (low == null) return log ? [0.1, 10] : [-1, 1];
+      if (low === high && !log) return [low - 1, high + 1];
       return log ? [low / 1.15, high * 1.15] : [low - 0.05 * (high - low), high + 0.05 * (high - low)];
     };
   }

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.damper_motion.comparison import Peak, PeakChange
+from analysis.presentation.comparison import describe_changes
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
 from analysis.reporting.measurements import highest_peak
@@ -130,6 +133,20 @@ def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tm
     assert any("other.mcap: Comparison: not available." in warning for warning in result.warnings)
 
 
+def test_modes_of_equal_scenes_are_named_once(tmp_path: Path) -> None:
+    paths = [synthetic.stepped_sine(tmp_path / f"{name}.mcap", FREQUENCIES, noise=1e-6) for name in ("one", "other")]
+    text = write_report(paths, tmp_path).files[0].read_text("utf-8")
+    table = text[text.index("Resonances, with 95 % intervals") :]
+    assert re.findall(r'class="group"[^>]*>([^<]*)<', table)[:2] == ["one", "other"]
+
+
+def test_change_has_the_digits_of_its_interval() -> None:
+    peaks = (Peak(1e-4, 1e-7, 13.0, 12.99, 13.01), Peak(0.5e-4, 0.5e-7, 13.0, 12.99, 13.01))
+    assert describe_changes([PeakChange("body1", 13.0, 0.01, *peaks)])[1].split()[4:8] == [
+        "-6.021", "-6.038", "to", "-6.003",
+    ]  # fmt: skip
+
+
 def test_drawing_names_bodies_and_sensors() -> None:
     drawing = rig_drawing(rig.load("fig8-three-dampers"))
     assert "6.6 kN/m" in drawing and "body 3" in drawing and ">body3<" in drawing
@@ -141,6 +158,35 @@ def test_browser_draws_every_chart(page: Path, tmp_path: Path) -> None:
     document = browse(page, tmp_path, "--dump-dom")
     charts = document.count('data-source="')
     assert charts > 5 and len(re.findall(r'data-drawn="[1-9]', document)) == charts
+
+
+@in_browser
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([11.5, 14.0], ["10", "12", "14", "16"]),
+        ([22.0, 22.0], ["20", "22", "24"]),
+        ([1.0, 500.0], ["1", "10", "100"]),
+    ],
+)
+def test_logarithmic_axis_has_labels(values: list[float], expected: list[str], tmp_path: Path) -> None:
+    panel = Panel("bound", "%", [Curve("curve", [1.0, 2.0], values)], logarithmic=True)
+    templates, scripts = files("analysis.reporting") / "browser", ("uPlot.iife.min.js", "charts.js")
+    # The title of the page collects the texts that are drawn.
+    page = tmp_path / "page.html"
+    page.write_text(
+        "<!DOCTYPE html><meta charset='utf-8'><title></title><body style='width: 600px'>"
+        + ChartWriter().write(Chart("caption", "alternative", [panel]))
+        + "<script>const fill = CanvasRenderingContext2D.prototype.fillText;"
+        "CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {"
+        " document.title += `|${text}`; fill.call(this, text, ...rest); };</script>"
+        + "".join(f"<script>{(templates / name).read_text('utf-8')}</script>" for name in scripts),
+        "utf-8",
+    )
+    [title] = re.findall("<title>(.*)</title>", browse(page, tmp_path, "--dump-dom"))
+    labels = title.partition("|bound / %|")[2].split("|")
+    assert [label for label in labels if label] == expected
 
 
 @in_browser

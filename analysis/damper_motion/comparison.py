@@ -154,6 +154,24 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     return replace(estimate, bound=bound + estimate.common_bound)
 
 
+def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
+    """Estimate a peak as `peak`, with the tolerances of the sensors as a common scale of the height.
+
+    If the effect of the tolerances depends on frequency, as with a reference of several channels, it shifts the peak in
+    frequency rather than in height: it resembles an error of stiffness. The scale is then that of the highest point
+    with a small uncertainty.
+    """
+    estimate = peak(frf, band_low, band_high)
+    if estimate is None or estimate.at_end or estimate.tolerances or SENSITIVITY not in frf.limits:
+        return estimate
+    independent = peak(frf.without(SENSITIVITY), band_low, band_high)
+    assert independent is not None
+    points = frf.between(band_low, band_high)
+    line = points.peak_line()
+    scaled = replace(independent, tolerances=(float(points.limits[SENSITIVITY][line] / abs(points.value[line])),))
+    return replace(scaled, bound=independent.bound + scaled.common_bound - independent.common_bound)
+
+
 def _common_tolerances(frf: Response) -> tuple[float, ...]:
     """Return the tolerances of the sensors of output and reference, relative to the response, if they are common.
 

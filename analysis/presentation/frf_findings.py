@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.damper_motion.comparison import peak
+from analysis.damper_motion.comparison import resonance_peak
 from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import (
     CommandOutput,
@@ -127,14 +127,12 @@ def _peak_between_points(frf: Response) -> list[str]:
     frequency, height, bound = frf.frequency[line], float(abs(frf.value[line])), float(frf.bound()[line])
     if not np.isfinite(bound) or frf.resolution > 0.0:
         return []
-    # The sensitivity errors of neighboring points are equal, so they scale the peak as they scale the highest point.
-    independent = frf.without(SENSITIVITY)
-    highest = peak(independent, *(limit * frequency for limit in _PEAK_BAND))
+    highest = resonance_peak(frf, *(limit * frequency for limit in _PEAK_BAND))
     if highest is None:
         return []
     if highest.at_end:
         return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"]
-    if highest.bound > _MAX_PEAK_UNCERTAINTY * highest.value:
+    if highest.bound - highest.common_bound > _MAX_PEAK_UNCERTAINTY * highest.value:
         return [
             f"the peak may be higher than the highest point, at {frequency:.4g} Hz. Measure with a smaller frequency "
             "step around this point"
@@ -142,12 +140,13 @@ def _peak_between_points(frf: Response) -> list[str]:
     # `peak` estimates displacement.
     scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
     value = scale * highest.value
-    if value + scale * highest.interpolation_bound <= (1.0 + _MAX_PEAK_DEVIATION) * height + bound:
+    # The tolerances of the sensors scale the peak and the highest point alike.
+    point_bound = float(frf.without(SENSITIVITY).bound()[line])
+    if value + scale * highest.interpolation_bound <= (1.0 + _MAX_PEAK_DEVIATION) * height + point_bound:
         return []
-    total = scale * highest.bound + value * (bound - float(independent.bound()[line])) / height
     unit, factor = frf.shown_in
     return [
-        f"the peak between the points is {format_quantity(factor * value, factor * total, unit)} "
+        f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
         f"at {highest.frequency:.2f} Hz"
     ]
 

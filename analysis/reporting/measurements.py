@@ -11,7 +11,7 @@ from typing import ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from analysis.damper_motion.comparison import Peak, PeakChange, peak, peak_bands, peak_changes
+from analysis.damper_motion.comparison import Peak, PeakChange, peak_bands, peak_changes, resonance_peak
 from analysis.damper_motion.dampers import Dampers, dampers_in
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
@@ -159,7 +159,7 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
     highest: list[tuple[Response, Peak] | None] = []
     # The bands are in ascending order of frequency; the modes may be in another order.
     for rank in np.argsort(np.argsort(modes.frequency)):
-        peaks = [(frf, peak(frf, low[rank], high[rank])) for frf in compliances]
+        peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in compliances]
         inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
         highest.append(max(inside, key=lambda pair: pair[1].value, default=None))
     return tuple(highest)
@@ -182,7 +182,7 @@ def highest_peak(
         largest = int(np.argmax(lower_bound))
         if lower_bound[largest] > height:
             frequency = float(compliance.frequency[largest])
-            interpolated = peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
+            interpolated = resonance_peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
             if interpolated is not None and not interpolated.at_end:
                 highest, height = (frf, interpolated), interpolated.value
     return highest

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
@@ -89,7 +89,10 @@ def _resonance_sentences(measurement: Measurement) -> list[str]:
         if sweep.highest is not None:
             curve, highest = sweep.highest
             where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
-            text += f"; the highest compliance is {peak_height(highest)} µm/N ({where})"
+            if highest.value < highest.bound < inf:
+                text += f"; the height of the highest peak of the compliance is not determined ({where})"
+            else:
+                text += f"; the highest compliance is {peak_height(highest)} µm/N ({where})"
         sentences.append(f"{text}.")
     return sentences
 

@@ -59,9 +59,15 @@ def resonances(measurements: Sequence[Measurement]) -> str:
 
 
 def peak_height(highest: Peak) -> str:
-    """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite."""
+    """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite.
+
+    >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1))
+    'not determined'
+    """
     if isinf(highest.bound):
         return f"at least {1e6 * highest.low:.4g}"
+    if highest.bound > highest.value:
+        return "not determined"
     return with_bound(1e6 * highest.value, 1e6 * highest.bound)
 
 
@@ -133,6 +139,8 @@ def decays(measurements: Sequence[Measurement]) -> str:
 def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
     """Return the uncertainty budget of a response at its peak, as HTML: contribution, type, bound and share."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
+    if curve.bound()[point] > abs(curve.value[point]):
+        point = curve.peak_line()
     unit, factor = curve.shown_in
     contributions = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
     contributions |= {name: ("B", float(bound[point])) for name, bound in curve.limits.items()}

@@ -17,12 +17,16 @@ import daq
 import rig
 from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.presentation.comparison import describe_changes
+from analysis.presentation.frf_findings import describe_frfs
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
-from analysis.reporting.measurements import highest_peak
+from analysis.reporting.measurements import Measurements, highest_peak
 from analysis.reporting.report import write_report
 from analysis.reporting.responses import response_chart
+from analysis.reporting.summary import summarize
+from analysis.reporting.tables import peak_height
 from rig.results.response import Response
+from rig.results.uncertainty import SENSITIVITY
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)
@@ -78,6 +82,29 @@ def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
     assert highest is not None
     # First natural frequency 13.04 Hz; the points are 1 Hz apart.
     assert highest[1].frequency == pytest.approx(13.0, abs=0.1)
+
+
+def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    curve = responses.curves()[0]
+    value = abs(curve.value)
+    # The tolerances of several reference channels have the largest effect at the resonance.
+    curve = curve.with_limits({SENSITIVITY: np.where(value > 0.5 * value.max(), 5.0, 0.1) * value})
+    highest = highest_peak([curve], [None])
+    assert highest is not None
+    [text] = [line for line in describe_frfs([curve]) if "the peak between the points" in line]
+    assert f"({peak_height(highest[1])}) µm/N" in text
+
+
+def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    curve = responses.curves()[0]
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        [sweep] = measurement.sweeps
+        peak = Peak(1e-3, 2e-3, 13.0, 12.9, 13.1)
+        [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, highest=(curve, peak)),))], [])
+    assert "is not determined" in sentence and "µm/N" not in sentence
 
 
 def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:
@@ -143,7 +170,7 @@ def test_modes_of_equal_scenes_are_named_once(tmp_path: Path) -> None:
 def test_change_has_the_digits_of_its_interval() -> None:
     peaks = (Peak(1e-4, 1e-7, 13.0, 12.99, 13.01), Peak(0.5e-4, 0.5e-7, 13.0, 12.99, 13.01))
     assert describe_changes([PeakChange("body1", 13.0, 0.01, *peaks)])[1].split()[4:8] == [
-        "-6.021", "-6.038", "to", "-6.003",
+        "-6.021", "-6.033", "to", "-6.008",
     ]  # fmt: skip
 
 

@@ -66,7 +66,7 @@ class Decay(Result):
     time : ndarray, shape (n,)
         Time from the beginning of the free decay, s.
     acceleration, envelope : ndarray, shape (n,)
-        Acceleration, and its envelope (magnitude of the analytic signal, by Hilbert transform), m/s².
+        Acceleration, and its envelope (smooth upper bound of its magnitude, by `upper_bound`), m/s².
     peak_time, peak : ndarray, shape (peaks,)
         Envelope by peak picking: local maxima of the magnitude, at least one period of the lowest mode apart; s,
         m/s².
@@ -114,19 +114,11 @@ class Decay(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the acceleration, and its upper bound `outline` with both signs."""
-        (line,) = ax.plot(self.time, self.outline(), **complete_style(style, lw=1.2, label=self.label))
-        ax.plot(self.time, -self.outline(), color=line.get_color(), lw=line.get_linewidth())
+        """Draw the acceleration, and its envelope with both signs."""
+        (line,) = ax.plot(self.time, self.envelope, **complete_style(style, lw=1.2, label=self.label))
+        ax.plot(self.time, -self.envelope, color=line.get_color(), lw=line.get_linewidth())
         ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
         ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
-
-    def outline(self) -> Array:
-        """Return a smooth upper bound of the magnitude of the acceleration, shape (n,), m/s².
-
-        Unlike `envelope`, it does not oscillate when several modes beat.
-        """
-        lowest_mode = min((mode.frequency for mode in self.modes), default=1.0 / self.time[-1])
-        return upper_bound(self.acceleration, 1.0 / (lowest_mode * self.time[1]))
 
     def time_below(self, amplitude: float) -> float:
         """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
@@ -217,8 +209,10 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     # The envelope of the last period depends on samples after the end, so the last period is discarded.
     end = acceleration.size - min(period, (acceleration.size - begin) // 10)
     free_decay = acceleration[begin:end]
-    # Mirrored, because a step in the periodic continuation would distort the Hilbert transform around it.
-    envelope = abs(scipy.signal.hilbert(np.concatenate([acceleration, acceleration[::-1]])))[begin:end]
+    # Unlike the magnitude of the analytic signal, this envelope does not exceed the largest acceleration next to the
+    # hit, and does not oscillate when several modes beat.
+    longest_period = rec.rate / min((mode.frequency for mode in decays), default=rec.rate / (free_decay.size - 1))
+    envelope = upper_bound(acceleration[begin:], longest_period)[: free_decay.size]
     peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
     energy = _energy_decay(free_decay)
     if energy.min() > INITIAL_DECAY_DB[1]:

@@ -41,7 +41,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             color = color_of(index)
             shown = decay.time <= duration
             waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=color, lw=0.6, alpha=0.75)
-            envelope = decay.outline()
+            envelope = decay.envelope
             for sign in (1.0, -1.0):
                 waveform_axes.plot(
                     decay.time[shown], sign * envelope[shown], color=color, lw=1.4,

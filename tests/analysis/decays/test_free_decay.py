@@ -227,6 +227,14 @@ def test_decay_below_noise_has_no_damping(tmp_path):
         assert all(mode.damping.size == 0 for mode in analysis.decay(rec, channel="body3").modes)
 
 
+def test_envelope_is_bounded_by_largest_acceleration(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=2.0)) as rec:
+        decay = analysis.decay(rec)
+    magnitude = abs(decay.acceleration)
+    rounding = 1e-12 * magnitude.max()
+    assert np.all(decay.envelope >= magnitude - rounding) and decay.envelope.max() <= magnitude.max() + rounding
+
+
 def test_truncated_decay_keeps_its_envelope(tmp_path):
     short_path, long_path = (synthetic.impulses(tmp_path / f"{s}.mcap", interval=s) for s in (2.0, 8.0))
     with daq.open(short_path) as short, daq.open(long_path) as long:

@@ -110,15 +110,17 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     for motions in bodies:
         rows += _motion_rows(motions, left_out)
     restitutions = [text for motions in bodies for text in _restitution(motions)]
-    limits = [
-        f"{float(f'{1e3 * max(motion.threshold for motion in body):.2g}'):.10g} mm/s ({body[0].channel})"
-        for body in bodies
-    ]
     return [
         *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
-        f"Impacts with a velocity step below {', '.join(limits)} are not detected.",
+        f"Impacts with a velocity step below {detection_limits(bodies)} are not detected.",
     ]
+
+
+def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
+    """List the largest detection limit of each body, at any frequency."""
+    limits = [(max(motion.threshold for motion in body), body[0].channel) for body in bodies]
+    return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
 
 
 def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from analysis.damper_motion.comparison import PeakChange
 from analysis.damper_motion.dampers import Dampers
+from analysis.presentation.damper_findings import detection_limits
 from analysis.reporting.measurements import Measurement
 from analysis.reporting.tables import peak_height, with_bound
 from rig.results import format_decimals, format_frequencies, round_to_bound
@@ -105,11 +106,13 @@ def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
     has_impacts = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
+    limits = f"impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
     if not has_impacts.any():
-        return [f"“{measurement.label}”: no impact of a damper was detected at any of {frequency.size} frequencies."]
+        undetected = f"no impact of a damper was detected at any of {frequency.size} frequencies"
+        return [f"“{measurement.label}”: {undetected}; {limits}."]
     text = (
-        f"“{measurement.label}”: damper impacts at {int(has_impacts.sum())} of {frequency.size} frequencies "
-        f"({format_frequencies(frequency.tolist(), has_impacts.tolist())})"
+        f"“{measurement.label}”: damper impacts were detected at {int(has_impacts.sum())} of {frequency.size} "
+        f"frequencies ({format_frequencies(frequency.tolist(), has_impacts.tolist())}); {limits}"
     )
     energy = result.energy
     if energy is not None:

@@ -17,6 +17,7 @@ import daq
 import rig
 from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.presentation.comparison import describe_changes
+from analysis.presentation.damper_findings import describe_motions
 from analysis.presentation.frf_findings import describe_frfs
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
@@ -105,6 +106,17 @@ def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> 
         peak = Peak(1e-3, 2e-3, 13.0, 12.9, 13.1)
         [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, highest=(curve, peak)),))], [])
     assert "is not determined" in sentence and "µm/N" not in sentence
+
+
+@pytest.mark.thorough
+def test_answer_states_detection_limits_of_impacts() -> None:
+    recording = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
+    with Measurements([recording]) as measurements:
+        [measurement] = measurements.results
+        [sentence] = [text for text in summarize([measurement], []) if "damper impacts" in text]
+        [dampers] = measurement.dampers
+        limits = describe_motions(dampers.bodies)[-1].removesuffix(" are not detected.").partition("below ")[2]
+    assert f"below {limits} are not detectable" in sentence and "mm/s (body1)" in limits
 
 
 def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:

@@ -83,11 +83,16 @@ def frf_figure(
         coherence_axes.set_ylabel("coherence")
         coherence_axes.set_ylim(-0.03, 1.06)
         coherence_axes.set_yticks([0, 0.5, 1])
+        notes = []
+        if not any(exceeds_noise(frf).any() for frf in frfs):
+            notes.append((phase_axes, "phase not determined at any line"))
         if not any(_has_scatter(frf) for frf in frfs):
-            coherence_axes.annotate(
-                "no coherence and no confidence band: a single average, or not in the file", (0.5, 0.5),
-                xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555",
-            )  # fmt: skip
+            text = "no coherence and no confidence band: a single average, or not in the file"
+            notes.append((coherence_axes, text))
+        for axes, text in notes:
+            axes.annotate(
+                text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
+            )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         add_legend_below(figure, *_caption(frfs))
         return figure

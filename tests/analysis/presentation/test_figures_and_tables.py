@@ -159,6 +159,16 @@ def test_coherence_is_drawn_if_error_is_known(error, is_drawn):
     assert bool(axes.texts) != is_drawn
 
 
+@pytest.mark.parametrize(("coherence", "notes"), [(0.9, []), (0.01, ["phase not determined at any line"])])
+def test_undetermined_phase_has_a_note(coherence, notes):
+    ones = np.ones(11)
+    curve = Response.curve(
+        np.linspace(10.0, 20.0, 11), ones.astype(complex), "body3", error=0.01 * ones, coherence=coherence * ones
+    )
+    axes = frf_figure([curve], "Compliance").axes[1]
+    assert [text.get_text() for text in axes.texts] == notes
+
+
 def draw_curve(limit_m_per_n, omitted=()):
     """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption.
 

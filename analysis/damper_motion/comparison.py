@@ -159,7 +159,8 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
 
     If the effect of the tolerances depends on frequency, as with a reference of several channels, it shifts the peak in
     frequency rather than in height: it resembles an error of stiffness. The scale is then that of the highest point
-    with a small uncertainty.
+    with a small uncertainty or, if that is larger, the median over all points, because errors of several channels may
+    cancel on one flank of the peak.
     """
     estimate = peak(frf, band_low, band_high)
     if estimate is None or estimate.at_end or estimate.tolerances or SENSITIVITY not in frf.limits:
@@ -168,7 +169,11 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     assert independent is not None
     points = frf.between(band_low, band_high)
     line = points.peak_line()
-    scaled = replace(independent, tolerances=(float(points.limits[SENSITIVITY][line] / abs(points.value[line])),))
+    at_point = float(points.limits[SENSITIVITY][line] / abs(points.value[line]))
+    tolerance = max(at_point, float(np.nanmedian(frf.limits[SENSITIVITY] / abs(frf.value))))
+    if not isfinite(tolerance):
+        return estimate
+    scaled = replace(independent, tolerances=(tolerance,))
     return replace(scaled, bound=independent.bound + scaled.common_bound - independent.common_bound)
 
 

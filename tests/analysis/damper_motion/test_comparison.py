@@ -22,6 +22,7 @@ from analysis.damper_motion.comparison import (
     coarse_step_warnings,
     peak,
     peak_changes,
+    resonance_peak,
     uncompared_highest_peaks,
 )
 from analysis.presentation.comparison import describe_changes
@@ -128,6 +129,29 @@ def test_changes_are_printed_with_their_limits() -> None:
     assert lowered[2:6] == ["1000", "200", "-13.98", "-14.43 to -13.55"]
     assert lowered[6:8] == ["-0.50", "-0.64 to -0.18"]
     assert unchanged[4:6] == ["+0.00", "-0.20 to +0.19"]
+
+
+def test_tolerances_that_cancel_on_one_flank_widen_the_peak() -> None:
+    natural, stiffness, tolerance = 13.0, 1.3e3, 0.11
+    f = np.geomspace(8.0, 20.0, 40)
+
+    def measured(f: np.ndarray, table: float, body: float) -> np.ndarray:
+        """Return the receptance of the driven body under a coil spring, with gain errors of both sensors."""
+        value = two_modes(f, natural, 0.01)
+        return (1.0 + body) * value / ((1.0 + table) + stiffness * value * (table - body))
+
+    curve = measured_curve(f, two_modes(f, natural, 0.01))
+    # First-order error of the response due to both tolerances, which nearly vanishes where its value is -1/stiffness.
+    curve = curve.with_limits({SENSITIVITY: 2.0 * tolerance * abs(curve.value * (1.0 + stiffness * curve.value))})
+    estimate = resonance_peak(curve, 0.85 * natural, 1.15 * natural)
+    assert estimate is not None
+    dense = np.linspace(0.5 * natural, 1.5 * natural, 20001)
+    heights = [
+        abs(measured(dense, *errors)).max() for errors in tolerance * np.random.default_rng(1).uniform(-1, 1, (400, 2))
+    ]
+    exact = abs(two_modes(dense, natural, 0.01)).max()
+    assert np.mean(abs(np.array(heights) - exact) < estimate.bound) > 0.95
+    assert estimate.bound < 0.5 * exact
 
 
 def test_small_peak_on_flank_is_compared() -> None:

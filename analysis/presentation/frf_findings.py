@@ -83,6 +83,8 @@ def present_frf(
             warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
             tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
+                from analysis.presentation.theory import linear_theory
+
                 theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
         files = _draw_figures(curves, theory_curves, stem)
@@ -219,19 +221,3 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
         "were calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: 1 %"
     )
     return [remark]
-
-
-def linear_theory(rec: Recording, frf: Response) -> Response:
-    """Compute the exact FRF of the linear structure without dampers for the same response and reference."""
-    from rig.system.structural_model import receptance, transmissibility
-
-    low, high = float(frf.frequency.min()), float(frf.frequency.max())
-    frequency = np.geomspace(low, high, 3000)
-    rows = (transmissibility if frf.reference == "table" else receptance)(rec.scene, frequency)
-    body = rec.channels[frf.response].body
-    zeros = np.zeros(frequency.size)
-    curve = Response.curve(
-        frequency, rows[body - 1], frf.response, reference=frf.reference, coherence=zeros + 1.0,
-        label="linear theory, no dampers",
-    )  # fmt: skip
-    return curve.to(frf.motion).placed(frf.output_at, frf.input_at)

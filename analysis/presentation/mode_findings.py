@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from rig.results.response import Response
 from rig.results.text import table_lines
 
 if TYPE_CHECKING:
-    from daq.recording.recording import Recording
+    from analysis.presentation.theory import TheoreticalModes
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
@@ -38,13 +38,6 @@ MIN_SAME_SHAPE_MAC = 0.9
 # spacing of close modes may be smaller than the error of the scene's values. With a wrong sign, a shape can be that of
 # a distant mode.
 _MAX_FREQUENCY_RATIO = 1.25
-
-
-class TheoreticalModes(NamedTuple):
-    """Modes of the scene's structure at the measured points."""
-
-    frequency: NDArray[np.float64]  # Hz; (modes,)
-    shapes: NDArray[np.float64]  # (responses, modes)
 
 
 def present_modes(
@@ -72,6 +65,8 @@ def present_modes(
             curves = read_curves(path, reference, None, unit)
             identified = [(curves, replace(identify(curves, count), label=label), None)]
         else:
+            from analysis.presentation.theory import theoretical_modes
+
             with open_existing(path) as rec:
                 options = vars(Blocks(block=block).for_kind(rec.test.kind))
                 for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
@@ -132,12 +127,3 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
         f"{MIN_SAME_SHAPE_MAC:g}). Check whether channels are swapped, reversed or at other locations. `analysis fit` "
         "checks the values of the scene. If dampers fly, measure at a lower level."
     ]
-
-
-def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
-    """Compute the modes of the scene's structure at the measured points; None for a single point."""
-    from rig.system.structural_model import structural_model
-
-    theory = structural_model(rec.scene).modes
-    bodies = [rec.channels[name].body - 1 for name in modes.responses]
-    return TheoreticalModes(theory.frequency, np.asarray(theory.shapes)[bodies]) if len(bodies) > 1 else None

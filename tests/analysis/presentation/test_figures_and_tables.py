@@ -25,7 +25,8 @@ from analysis.modal.lscf import ChartPole
 from analysis.modal.modes import Modes
 from analysis.presentation.decay_findings import present_decay
 from analysis.presentation.frf_findings import describe_frfs, present_frf
-from analysis.presentation.mode_findings import theoretical_modes, theory_warnings
+from analysis.presentation.mode_findings import theory_warnings
+from analysis.presentation.theory import theoretical_modes
 from rig.errors import RecordingError
 from rig.results.response import Response
 from tests.analysis.responses import synthetic

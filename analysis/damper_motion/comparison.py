@@ -15,7 +15,7 @@ from scipy import special
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
 from rig.results.response import Response
-from rig.results.uncertainty import CLOCK, SENSITIVITY, known_degrees
+from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, known_degrees
 
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
@@ -162,6 +162,9 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     with a small uncertainty or, if that is larger, the median over all points, because errors of several channels may
     cancel on one flank of the peak.
     """
+    if SYSTEMATIC in frf.limits:
+        # Tolerances are usually the largest part of the systematic errors, whose sum alone a file gives.
+        frf = frf.without(SYSTEMATIC).with_limits({SENSITIVITY: frf.limits[SYSTEMATIC]})
     estimate = peak(frf, band_low, band_high)
     if estimate is None or estimate.at_end or estimate.tolerances or SENSITIVITY not in frf.limits:
         return estimate

@@ -14,10 +14,10 @@ from analysis.modal.pole_residue import Curves, ModalModel, jacobian
 from analysis.responses.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
-from rig.results.uncertainty import CLOCK, SENSITIVITY
+from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
 # Systematic errors that shift a pole like a stiffness error.
-_STIFFNESS_ERRORS = (SENSITIVITY, CLOCK)
+_STIFFNESS_ERRORS = (SENSITIVITY, CLOCK, SYSTEMATIC)
 # Systematic errors that shift a pole like a complex stiffness error, because aliases have an arbitrary phase.
 _PHASE_ERRORS = (ALIASING,)
 # Systematic errors that may change the width of a peak.

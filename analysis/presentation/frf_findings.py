@@ -29,7 +29,7 @@ from rig.progress import CountProgress
 from rig.results import format_interval, format_quantity
 from rig.results.response import MOTIONS, Response
 from rig.results.text import table_lines
-from rig.results.uncertainty import SENSITIVITY
+from rig.results.uncertainty import SENSITIVITY, SYSTEMATIC
 from rig.scene.presets import preset_note
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def _peak_between_points(frf: Response) -> list[str]:
     scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
     value = scale * highest.value
     # The tolerances of the sensors scale the peak and the highest point alike.
-    point_bound = float(frf.without(SENSITIVITY).bound()[line])
+    point_bound = float(frf.without(SENSITIVITY, SYSTEMATIC).bound()[line])
     if value + scale * highest.interpolation_bound <= (1.0 + _MAX_PEAK_DEVIATION) * height + point_bound:
         return []
     unit, factor = frf.shown_in

@@ -52,7 +52,7 @@ def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
     ]  # fmt: skip
     rows: list[Row] = []
     for frf in frfs:
-        systematic = frf.systematic_bound()
+        systematic = frf.systematic_bound() if frf.limits else np.full(frf.frequency.size, np.nan)
         rows += [
             (
                 frf.label, frf.response, frf.input, frf.frequency[i], value.real, value.imag, abs(value),

@@ -20,7 +20,8 @@ from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
 from rig.input_files import as_path
 from rig.results.response import MOTIONS, Response, stack
-from rig.results.universal_file import DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
+from rig.results.uncertainty import SYSTEMATIC
+from rig.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.settings.quantities import FREQUENCY
 
 ENDINGS = (".uff", ".unv", ".csv", ".txt")
@@ -40,6 +41,7 @@ _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
 # Two lines are distinct if their relative frequency difference is at least this.
 _MIN_SPACING_RATIO = 1e-9
+_NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
 # Components of a response by the first letter of their names.
 _COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}
 
@@ -63,7 +65,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     -------
     Response
         Named after nodes and directions, or as in the file. `identify` and all figures accept it. Only files written
-        by this program contain error bars and resolution.
+        by this program contain error bars, systematic errors and resolution.
 
     Raises
     ------
@@ -88,7 +90,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     if not file.is_file():
         raise RecordingError(f"{file}: no such file. Check the path.")
     if file.suffix.lower() in (".uff", ".unv"):
-        return stack(_from_uff(file, reference, unit))
+        return _checked(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
             raise SceneError(
@@ -98,8 +100,14 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
             curves = _from_long_table(file, unit)
         except csv.Error as error:
             raise RecordingError(f"{file}: not readable as a CSV table ({error}). Export it again.") from None
-        return stack(curves or _from_table(file, unit))
+        return _checked(curves or _from_table(file, unit))
     raise RecordingError(f"{file}: unknown file type; expected one of {', '.join(ENDINGS)}")
+
+
+def _checked(curves: Sequence[Response]) -> Response:
+    """Join the curves of a file, with a warning if it gives no systematic errors."""
+    response = stack(curves)
+    return response if all(curve.limits for curve in curves) else response.warn(_NO_SYSTEMATIC_ERRORS)
 
 
 def is_frf_file(path: Path) -> bool:
@@ -125,13 +133,13 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
     if not selected:
         raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
-    coherence, deviation = {}, {}
+    coherence, column_of = {}, {}
     for data_set in sets:
         kind, points = int(data_set["func_type"]), (uff.point(data_set, "rsp"), uff.point(data_set, "ref"))
         if kind == uff.COHERENCE:
             coherence[points] = np.asarray(data_set["data"]).real
-        elif kind == GENERAL and uff.title(data_set).startswith(DEVIATION_LINE):
-            deviation[points, uff.title(data_set)] = np.asarray(data_set["data"]).real
+        elif kind == GENERAL and uff.title(data_set).startswith((DEVIATION_LINE, BOUND_LINE)):
+            column_of[points, uff.title(data_set)] = np.asarray(data_set["data"]).real
     curves = []
     for name, data_set in zip(_names(selected), selected, strict=True):
         data, frequency = np.asarray(data_set["data"]), np.asarray(data_set["x"], dtype=float)
@@ -145,10 +153,10 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         label = f"({numerator})/({denominator})" if numerator and denominator else numerator
         motion, scale = _ratio(f"{path}: {name}", unit or label)
         points, id_line = (uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or "")
-        stated = deviation.get((points, f"{DEVIATION_LINE} {uff.title(data_set)}"))
-        error = None if stated is None else scale * stated
+        stated = (column_of.get((points, f"{line} {uff.title(data_set)}")) for line in (DEVIATION_LINE, BOUND_LINE))
+        error, bound = (None if column is None else scale * column for column in stated)
         resolution = _stated_resolution(id_line)
-        curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution)
+        curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution, bound)
         # In files of this program, nodes are bodies.
         places = [f"node {point}" for point in points]
         if id_line.startswith(RESOLUTION_LINE):
@@ -220,15 +228,18 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
             return []
         motion, scale = _ratio(str(path), unit or real.removeprefix("real "))
-        imag, deviation = (real.replace("real", name, 1) for name in ("imag", "magnitude_std"))
-        rows: dict[str, list[tuple[float, complex, float, float, float]]] = {}
+        names = ("imag", "magnitude_std", "systematic")
+        imag, deviation, systematic = (real.replace("real", name, 1) for name in names)
+        rows: dict[str, list[tuple[float, complex, float, float, float, float]]] = {}
         inputs: dict[str, str] = {}
         for row in reader:
             try:
                 value = scale * complex(float(row[real]), float(row[imag]))
-                columns = (float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz"))
-                error, coherence, resolution = columns
-                point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution
+                columns = (
+                    float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz", systematic)
+                )
+                error, coherence, resolution, bound = columns
+                point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution, scale * bound
             except (TypeError, ValueError):
                 columns_text = f"frequency_Hz, {real}, {imag}"
                 raise RecordingError(
@@ -245,9 +256,9 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         )
     curves = []
     for name, points in rows.items():
-        frequency, values, errors, coherences, resolutions = (np.array(column) for column in zip(*points, strict=True))
+        frequency, values, errors, coherences, resolutions, bounds = map(np.array, zip(*points, strict=True))
         stated = float(resolutions[0]) if 0.0 <= resolutions[0] < np.inf else None
-        curve = _curve(path, name.partition("\0")[2], frequency, values, motion, coherences, errors, stated)
+        curve = _curve(path, name.partition("\0")[2], frequency, values, motion, coherences, errors, stated, bounds)
         curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
     return curves
 
@@ -297,8 +308,12 @@ def _curve(
     coherence: Array | None = None,
     error: Array | None = None,
     resolution: float | None = None,
+    bound: Array | None = None,
 ) -> Response:
-    """Build a curve from its valid lines in order of frequency; `error`: standard uncertainty; `resolution` in Hz."""
+    """Build a curve from its valid lines in order of frequency.
+
+    `error`: standard uncertainty; `resolution` in Hz; `bound`: of the systematic errors, infinite if unbounded.
+    """
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
         steps = np.diff(frequency[lines])
@@ -311,12 +326,16 @@ def _curve(
             return np.full(lines.size, np.nan)
         return np.where(np.isfinite(values[lines]) & (values[lines] >= 0.0), values[lines], np.nan)
 
+    limits = {}
+    if bound is not None and bound.size == frequency.size and not np.isnan(bound[lines]).all():
+        limits[SYSTEMATIC] = np.where(abs(bound[lines]) < _MAX_MAGNITUDE, abs(bound[lines]), np.inf)
     return Response.curve(
         frequency[lines],
         np.asarray(value, dtype=complex)[lines],
         name,
         motion=motion,
         error=column(error),
+        limits=limits,
         coherence=column(coherence),
         label=path.stem,
         resolution=resolution,

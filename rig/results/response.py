@@ -487,6 +487,7 @@ class Response(Result, Sequence["Response"]):
             write_curve(
                 file, count, node, force_node, f"{curve.response}: {curve.name}", (curve.label, curve.ratio),
                 curve.motion, curve.resolution, curve.frequency, curve.value, curve.error,
+                curve.systematic_bound() if curve.limits else None,
             )  # fmt: skip
         return Path(path)
 

@@ -26,10 +26,12 @@ Lines = NDArray[np.bool_] | NDArray[np.intp]
 SCATTER = "scatter"
 # Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
 _NORMAL_DEGREES = 1e6
-#: Names of contributions that are tolerances of data sheets. These contributions are added linearly, because clock and
-#: sensors of a test may deviate by the full tolerance at the same time.
+#: Names of contributions that are tolerances of data sheets, or contain them. These contributions are added linearly,
+#: because clock and sensors of a test may deviate by the full tolerance at the same time.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
-TOLERANCES = (CLOCK, SENSITIVITY)
+#: Name of the sum of all systematic errors, if a file gives no separate contributions.
+SYSTEMATIC = "systematic errors"
+TOLERANCES = (CLOCK, SENSITIVITY, SYSTEMATIC)
 
 
 class Covariance(Protocol):

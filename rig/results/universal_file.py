@@ -17,6 +17,10 @@ FRF, GENERAL = 4, 0
 RESOLUTION_LINE = "shotrig: resolution"
 #: Beginning of the text line of a general function that contains the standard deviation of the response named next.
 DEVIATION_LINE = "standard deviation of"
+#: Beginning of the text line of a general function that contains the bound of the systematic errors of the response.
+BOUND_LINE = "systematic bound of"
+#: Written instead of an infinite bound, because the writer has no infinity.
+UNBOUNDED = 1e60
 #: Numbers of the physical quantities in the format.
 QUANTITY_NUMBERS = {"displacement": 8, "velocity": 11, "acceleration": 12, "force": 13, "voltage": 1}
 _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
@@ -25,15 +29,17 @@ _UNITS = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s²"}
 def write_curve(
     file: Any, number: int, output_node: int, force_node: int, title: str, labels: tuple[str, str], motion: str,
     resolution: float, frequency: Array, value: ComplexArray, error: Array,
+    bound: Array | None = None,
 ) -> None:  # fmt: skip
     """Append a response to a force as a data set 58 of function type 4.
 
-    Its standard deviation follows as a general function (type 0), which other programs skip.
+    Its standard deviation and the bound of its systematic errors follow as general functions (type 0), which other
+    programs skip.
 
     `number`: number of the function in the file. `output_node`, `force_node`: nodes of the output and of the force,
     both in the direction +Z. `title`, `labels`: text lines 1, and 2 and 3, of the data set. `motion`: quantity of the
     response. `resolution`: bandwidth of each frequency, Hz. `error`: standard uncertainty of either quadrature
-    component.
+    component. `bound`: of the systematic errors; omitted if it is unknown.
     """
     steps = np.diff(frequency)
     fields = {
@@ -49,9 +55,14 @@ def write_curve(
         "orddenom_axis_units_lab": "N", "z_axis_spec_data_type": 0, "x": frequency,
     }  # fmt: skip
     write_set(file, {**fields, "func_type": FRF, "func_id": number, "id1": text_line(title), "data": value})
-    if np.isfinite(error).all():
-        deviation = text_line(f"{DEVIATION_LINE} {title}")
-        write_set(file, {**fields, "func_type": GENERAL, "func_id": number, "id1": deviation, "data": error})
+    columns = (
+        (DEVIATION_LINE, error if np.isfinite(error).all() else None),
+        (BOUND_LINE, None if bound is None else np.nan_to_num(bound, nan=UNBOUNDED, posinf=UNBOUNDED)),
+    )
+    for beginning, column in columns:
+        if column is not None:
+            line = text_line(f"{beginning} {title}")
+            write_set(file, {**fields, "func_type": GENERAL, "func_id": number, "id1": line, "data": column})
 
 
 def universal_file(path: Path) -> Any:

@@ -14,6 +14,7 @@ from analysis.cli import app
 from analysis.presentation.tables import frf_table
 from rig.errors import RecordingError, SceneError
 from rig.results.response import Response, stack
+from rig.results.uncertainty import SENSITIVITY
 from tests.daq.importing.files import NAMES, RATE, make_scene, write_tdms
 
 # pyuff leaves a binary file open that it wrote.
@@ -226,9 +227,10 @@ def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     error = np.where(FREQUENCY[1:] < 15.0, error, 1e-9 * abs(value).max())
     measured = value + error * np.exp(0.3j * FREQUENCY[1:])
     ones = np.ones(error.size)
+    bound = np.where(FREQUENCY[1:] > 150.0, np.inf, 0.01 * abs(value[0]))
+    fields = {"error": error, "degrees": 30.0 * ones, "limits": {SENSITIVITY: bound}, "coherence": ones}
     curves = [
-        Response.curve(FREQUENCY[1:], row, f"body{k}", error=error, coherence=ones, degrees=30.0 * ones, label="own")
-        for k, row in enumerate(measured, 1)
+        Response.curve(FREQUENCY[1:], row, f"body{k}", label="own", **fields) for k, row in enumerate(measured, 1)
     ]
     path = tmp_path / f"own.{extension}"
     if extension == "uff":
@@ -238,7 +240,37 @@ def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     stored = analysis.read_frfs(path)
     for before, after in zip(curves, stored, strict=True):
         np.testing.assert_allclose(after.error, before.error, rtol=1e-8)
+        np.testing.assert_allclose(after.systematic_bound(), bound, rtol=1e-8)
         assert after.resolution == before.resolution == 0.0
     modes = analysis.identify(stored)
     assert modes.model_error == 0.0 and not modes.warnings
     np.testing.assert_allclose(modes.frequency, NATURAL_FREQUENCIES, rtol=1e-4)
+
+
+@pytest.mark.parametrize("extension", ["uff", "csv"])
+def test_mode_uncertainty_survives_a_written_file(extension, tmp_path):
+    value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2
+    error = 1e-6 * abs(value).max() * np.ones(value.shape[1])
+    # The sensitivity errors at both ends of a coil spring act like an error of its stiffness.
+    curves = [
+        Response.curve(FREQUENCY[1:], row, f"body{k}", error=error, limits={SENSITIVITY: 0.1 * abs(row) ** 2 / 1e-5})
+        for k, row in enumerate(value, 1)
+    ]
+    path = tmp_path / f"own.{extension}"
+    if extension == "uff":
+        stack(curves).to_uff(path, [1, 2], [1])
+    else:
+        frf_table(path, curves)
+    expected, stored = analysis.identify(curves), analysis.identify(analysis.read_frfs(path))
+    assert expected.frequency_error[0] > 0.01
+    np.testing.assert_allclose(stored.frequency_error, expected.frequency_error, rtol=0.01)
+
+
+def test_missing_systematic_errors_are_reported(tmp_path):
+    write_uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
+    response = analysis.read_frfs(tmp_path / "a.uff")
+    assert not response.limits
+    frf_table(tmp_path / "a.csv", list(response))
+    for name in ("a.uff", "a.csv"):
+        [text] = analysis.read_frfs(tmp_path / name).warnings
+        assert "Systematic errors are not in the file" in text

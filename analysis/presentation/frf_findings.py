@@ -25,6 +25,7 @@ from analysis.responses.curve_checks import find_jumps
 from analysis.responses.frequency_responses import Blocks, frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
+from daq.recording.recorded_test import TestKind
 from rig.progress import CountProgress
 from rig.results import format_interval, format_quantity
 from rig.results.response import MOTIONS, Response
@@ -66,6 +67,7 @@ def present_frf(
 
     curves: list[Response] = []
     theory_curves: list[Response] = []
+    jumping_curves: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
     warnings = check_inputs(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
@@ -74,6 +76,7 @@ def present_frf(
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
+            jumping_curves += curves[-len(file_curves) :]
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         with open_existing(path) as rec:
@@ -81,13 +84,15 @@ def present_frf(
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
             curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
             warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
+            if rec.test.kind in (TestKind.TONES, TestKind.SWEEP):
+                jumping_curves += curves[-sum(map(len, groups)) :]
             tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 from analysis.presentation.theory import linear_theory
 
                 theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
-        files = _draw_figures(curves, theory_curves, stem)
+        files = _draw_figures(curves, theory_curves, jumping_curves, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
@@ -153,8 +158,14 @@ def _peak_between_points(frf: Response) -> list[str]:
     ]
 
 
-def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:
-    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files."""
+def _draw_figures(
+    curves: Sequence[Response], theory: Sequence[Response], jumping: Sequence[Response], stem: Path
+) -> list[Path]:
+    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
+
+    `jumping`: the curves whose jumps are marked, those of stepped and swept tests. In other tests, the level does not
+    depend on the frequency, so that dampers do not change to another branch at one frequency.
+    """
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save_figure
 
@@ -164,7 +175,7 @@ def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: 
     if len(sweep_labels) == 1:
         labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(labeled)),
+            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(jumping)),
             stem,
         )
     inputs = {labeled[0].input for labeled in groups}
@@ -172,10 +183,11 @@ def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: 
     for labeled in groups:
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
+        same_jumping = [frf for frf in labeled if any(frf is other for other in jumping)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
-            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(labeled)),
+            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(same_jumping)),
             figure_stem,
         )
     return files

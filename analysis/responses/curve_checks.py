@@ -23,6 +23,8 @@ _MIN_STEP = 0.25
 _MIN_RATIO_TO_NEIGHBORS = 4.0
 # A jump exceeds this number of standard uncertainties of the step.
 _MIN_SIGMAS = 5.0
+# A point whose expanded random uncertainty exceeds this fraction of its value is noise, at which a step is no jump.
+_MAX_NOISE_RATIO = 0.5
 
 
 def reversed_force(curves: Sequence[Response]) -> str:
@@ -77,7 +79,8 @@ def find_jumps(frf: Response) -> list[tuple[float, str]]:
     # Without an error bar a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
-    is_jump = (
+    is_noise = ~(frf.random_bound() <= _MAX_NOISE_RATIO * abs(frf.value))
+    is_jump = ~(is_noise[1:] | is_noise[:-1]) & (
         (step > _MIN_STEP) & (step > _MIN_RATIO_TO_NEIGHBORS * np.maximum(before, after)) & (step > _MIN_SIGMAS * noise)
     )
     return [

@@ -94,6 +94,15 @@ def test_overlaid_decays_are_named_by_file(folder, tmp_path):
     assert sum(line.startswith("again, body3") for line in result.lines) == 1
 
 
+@pytest.mark.usefixtures("undrawn_figures")
+@pytest.mark.parametrize(("names", "count"), [(["hit"], 0), (["one"], 1), (["one", "hit"], 1)])
+def test_only_stepped_tests_have_jump_marks(folder, tmp_path, monkeypatch, names, count):
+    monkeypatch.setattr("analysis.presentation.frf_findings.find_jumps", lambda _: [(20.0, "jump down")])
+    present_frf([folder / f"{name}.mcap" for name in names], tmp_path, ["body3"])
+    [path] = tmp_path.glob("*.svg")
+    assert path.read_text(encoding="utf-8").count(">jump down<") == count
+
+
 def test_error_for_force_channel_lists_motion_channels(folder):
     arguments = ["decay", str(folder / "hit.mcap"), "--channel", "hammer"]
     result = CliRunner().invoke(app, arguments)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.responses.curve_checks import reversed_force
+from analysis.responses.curve_checks import find_jumps, reversed_force
 from rig.results.response import Response
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
@@ -53,3 +53,12 @@ def test_other_responses_may_have_any_phase() -> None:
 def test_uncertain_points_are_ignored() -> None:
     curve = measured(1, noise=0.5)
     assert not reversed_force([replace(curve, value=-curve.value)])
+
+
+@pytest.mark.parametrize(("noise", "jumps"), [(1e-3, [(11.5, "jump down")]), (0.32, [])])
+def test_step_within_noise_is_not_a_jump(noise: float, jumps: list[tuple[float, str]]) -> None:
+    frequency = np.arange(10.0, 14.0)
+    value = np.array([170e-6, 167e-6, 28e-6, 28e-6], dtype=complex)
+    error = np.array([1e-8, 1e-8, noise * 28e-6, 1e-8])
+    curve = Response.curve(frequency, value, "body1", error=error, degrees=np.full(4, 130.0))
+    assert find_jumps(curve) == jumps

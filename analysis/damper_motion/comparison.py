@@ -93,8 +93,9 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
     points in the band.
     """
-    with_tolerances = frf.to("displacement").sorted().between(band_low, band_high)
+    with_tolerances = frf.to("displacement").sorted()
     valid = np.isfinite(with_tolerances.value) & (abs(with_tolerances.value) > 0)
+    valid &= (with_tolerances.frequency >= band_low) & (with_tolerances.frequency <= band_high)
     with_tolerances = with_tolerances.at(valid)
     tolerances, clock = _common_tolerances(with_tolerances), with_tolerances.uncertainty.clock
     in_band = with_tolerances.without(*([SENSITIVITY] if tolerances else []), *([CLOCK] if clock else []))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from rig.arrays import Array, ComplexArray
@@ -322,6 +322,10 @@ class Response(Result, Sequence["Response"]):
         """List the channels of the outputs, by which they are selected."""
         return tuple(point.name for point in self.outputs)
 
+    def items(self) -> tuple[tuple[str, Response], ...]:
+        """List each channel of the outputs with its response, which is a curve if there is one input."""
+        return tuple((name, self[name]) for name in self.keys())
+
     @cached_property
     def _curves(self) -> tuple[Response, ...]:
         if self.is_curve:
@@ -338,14 +342,33 @@ class Response(Result, Sequence["Response"]):
     def __iter__(self) -> Iterator[Response]:
         return iter(self._curves)
 
+    def __contains__(self, key: object) -> bool:
+        """Return whether a name selects a response, or a curve is one of the elements."""
+        if not isinstance(key, str | tuple):
+            return any(curve is key for curve in self._curves)
+        try:
+            self[key]
+        except SceneError:
+            return False
+        return True
+
     def __getitem__(self, key: int | str | slice | tuple[str, str]) -> Response:
-        """Select an element by its index, outputs by name or slice, an input by its name."""
+        """Select an element by its index, outputs by name or slice, an input by its name.
+
+        Raises `SceneError` for an unknown name or a key of another type, `IndexError` for an index out of range.
+        """
         if isinstance(key, slice):
             return self._select(range(len(self.outputs))[key], range(len(self.inputs)), keep_axes=True)
-        if isinstance(key, tuple):
+        if isinstance(key, tuple) and len(key) == 2:
             output, force = _index(self.outputs, key[0], "response"), _index(self.inputs, key[1], "input")
             return self._select([output], [force])
-        if isinstance(key, int):
+        if isinstance(key, int | np.integer):
+            count = len(self._curves)
+            if not -count <= key < count:
+                raise IndexError(
+                    f"Response: no curve with index {key}. Give an index from 0 to {count - 1}, or one of the names "
+                    f"{', '.join(self.keys())}."
+                )
             return self._curves[key]
         index = _index(self.outputs, key, "response")
         return self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
@@ -602,8 +625,16 @@ class Response(Result, Sequence["Response"]):
             warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings])),
         )
 
-    def interpolated(self, frequency: Array) -> Response:
-        """Return the response at other frequencies, by linear interpolation; NaN outside its range."""
+    def interpolated(self, frequency: ArrayLike) -> Response:
+        """Return the response at one or several other frequencies, by linear interpolation; NaN outside its range.
+
+        Examples
+        --------
+        >>> frf = Response.curve(np.array([10.0, 20.0]), np.array([1e-3j, 2e-3j]), "body3")
+        >>> frf.interpolated(15.0).value
+        array([0.+0.0015j])
+        """
+        frequency = np.atleast_1d(np.asarray(frequency, dtype=float))
         if np.array_equal(frequency, self.frequency):
             return self
         ordered = self.sorted()
@@ -615,7 +646,7 @@ class Response(Result, Sequence["Response"]):
 
         return replace(
             ordered,
-            frequency=np.asarray(frequency, dtype=float),
+            frequency=frequency,
             value=interpolate(ordered.value),
             uncertainty=ordered.uncertainty.with_arrays(interpolate, None),
             coherence=interpolate(ordered.coherence),
@@ -647,14 +678,30 @@ class Response(Result, Sequence["Response"]):
         )
 
     def band(self, low: float | str, high: float | str) -> Response:
-        """Select the lines from `low` to `high`, in Hz or as strings with their unit."""
+        """Select the lines from `low` to `high`, in Hz or as strings with their unit.
+
+        Raises `SceneError` if there is no line between them.
+        """
         first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
-        return self.at((self.frequency >= first) & (self.frequency <= last))
+        if first > last:
+            raise SceneError(f"band: got {first:g} to {last:g} Hz; expected the lower frequency first")
+        lines = (self.frequency >= first) & (self.frequency <= last)
+        if self.frequency.size and not lines.any():
+            raise SceneError(
+                f"band: no lines between {first:g} and {last:g} Hz; the response has lines from "
+                f"{self.frequency.min():g} to {self.frequency.max():g} Hz. Select a wider band."
+            )
+        return self.at(lines)
 
     between = band
 
     def at(self, lines: NDArray[np.bool_] | NDArray[np.intp]) -> Response:
-        """Return the response at some lines, given by indices or flags."""
+        """Return the response at some lines, given by indices or flags; `interpolated` takes frequencies."""
+        if not isinstance(lines, slice) and (np.ndim(lines) != 1 or np.asarray(lines).dtype.kind not in "biu"):
+            raise SceneError(
+                f"at: got {lines!r:.60}; expected an array of indices or flags of lines. For the value at a frequency, "
+                "use interpolated(39.0); for the measured lines around it, band(38, 40)."
+            )
         return replace(
             self,
             frequency=self.frequency[lines],
@@ -692,6 +739,11 @@ def _node(place: str, number: int) -> int:
 
 def _index(points: Sequence[Point], name: str, kind: str) -> int:
     """Return the index of the point with a name, or of the only point at a location."""
+    if not isinstance(name, str):
+        raise SceneError(
+            f"{kind}: got {name!r:.60}; expected a name, such as {points[0].name!r}. Iteration gives curves; keys() "
+            "lists the names, and items() names with curves."
+        )
     matches = [k for k, point in enumerate(points) if point.name == name]
     for place in (name.removeprefix("body "), name):
         matches = matches or [k for k, point in enumerate(points) if point.place == place]

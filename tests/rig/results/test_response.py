@@ -84,6 +84,41 @@ def test_band_takes_texts_and_numbers() -> None:
     assert curve().band("12 Hz", 13.0).frequency.tolist() == [12.0, 12.5, 13.0]
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "message"),
+    [
+        (100.0, 200.0, r"no lines between 100 and 200 Hz; the response has lines from 10 to 30 Hz"),
+        (20.0, 10.0, r"got 20 to 10 Hz; expected the lower frequency first"),
+    ],
+)
+def test_empty_band_is_rejected(low: float, high: float, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        curve().band(low, high)
+
+
+def test_frequency_instead_of_line_names_method() -> None:
+    with pytest.raises(SceneError, match=r"at: got 39\.0; expected .* use interpolated"):
+        curve().at(39.0)
+    assert curve().interpolated(12.25).value.shape == (1,)
+
+
+def test_keys_of_other_types_are_rejected() -> None:
+    frfs = matrix()
+    for key in (None, frfs[0], ("a1", None), ("a1", "f1", "f3")):
+        with pytest.raises(SceneError, match=r"expected a name, such as '[af]1'"):
+            frfs[key]
+    with pytest.raises(IndexError, match=r"no curve with index 6\. Give an index from 0 to 5, or one of the names a1"):
+        frfs[6]
+    assert frfs[np.int64(1)].response == "a1"
+
+
+def test_names_belong_to_the_response() -> None:
+    frfs = matrix()
+    assert "a1" in frfs and "body 3" in frfs and ("a2", "f3") in frfs and frfs[0] in frfs
+    assert "a4" not in frfs and None not in frfs and curve() not in frfs
+    assert [(name, part.keys()) for name, part in frfs.items()] == [(name, (name,)) for name in ("a1", "a2", "a3")]
+
+
 def test_names_and_places_select_elements() -> None:
     frfs = matrix()
     assert frfs["a2", "f3"].value[0] == 3 + 1j and frfs["body 3", "f1"].value[0] == 4 + 1j

@@ -140,10 +140,10 @@ def _peak_between_points(frf: Response) -> list[str]:
     if highest.at_end:
         return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"]
     if highest.bound - highest.common_bound > _MAX_PEAK_UNCERTAINTY * highest.value:
-        return [
-            f"the peak may be higher than the highest point, at {frequency:.4g} Hz. Measure with a smaller frequency "
-            "step around this point"
-        ]
+        remedy = "Measure with a smaller frequency step around this point"
+        if frf.test == TestKind.HITS.value:
+            remedy = "Record longer after each hit (test.interval)"
+        return [f"the peak may be higher than the highest point, at {frequency:.4g} Hz. {remedy}"]
     # `peak` estimates displacement.
     scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
     value = scale * highest.value

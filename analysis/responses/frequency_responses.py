@@ -240,7 +240,7 @@ def frequency_responses(
             "excludes aliasing from above half the sample rate. Name the filter in the scene (converter.preset or "
             "converter.filter), and import again."
         )
-    return [response.warn(*warnings) for response in computed]
+    return [replace(response, test=kind.value).warn(*warnings) for response in computed]
 
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
@@ -312,7 +312,8 @@ def frfs(
         raise SceneError(
             f"{rec.path}: {problem}. Choose one of {available}, or use all of them with analysis.frequency_responses."
         )
-    return stack(annotate(rec, [selected[0].lines.frf(rec, name, reference, motion) for name in names]))
+    group = stack(annotate(rec, [selected[0].lines.frf(rec, name, reference, motion) for name in names]))
+    return replace(group, test=rec.test.kind.value)
 
 
 @takes_path

@@ -100,6 +100,8 @@ class Response(Result, Sequence["Response"]):
         Scene and setting, for legends.
     warnings : tuple of str
         Restrictions on the use of the values, in full sentences.
+    test : str
+        Kind of the measured test, such as ``"hits"`` or ``"tones"``; empty if it is unknown.
     """
 
     frequency: Array
@@ -114,6 +116,7 @@ class Response(Result, Sequence["Response"]):
     resolution: float = 0.0
     label: str = ""
     warnings: tuple[str, ...] = ()
+    test: str = ""
 
     def __post_init__(self) -> None:
         shape = (self.frequency.size, len(self.outputs), len(self.inputs))

@@ -365,3 +365,13 @@ def test_list_of_several_tests_is_rejected(sweep):
         tests = analysis.frequency_responses(rec)
     with pytest.raises(SceneError, match="Give one element of the list"):
         analysis.identify(tests)
+
+
+@pytest.mark.parametrize(
+    ("noise", "remedies"), [(1e-5, []), (1.0, ["Record longer after each hit (test.interval: 29 s or more)."])]
+)
+def test_remedy_of_few_lines_suits_hits(tmp_path, noise, remedies):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=4.0, hits=2, noise=noise)) as rec:
+        [curves] = analysis.frequency_responses(rec)
+        warnings = analysis.identify(curves.band(5.0, 60.0)).warnings
+    assert [text.partition("flanks. ")[2] for text in warnings if "flanks" in text] == remedies

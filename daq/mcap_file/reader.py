@@ -6,6 +6,7 @@ Chunks, metadata and attachments are read when they are requested. Every length 
 from __future__ import annotations
 
 import os
+import shlex
 import struct
 import weakref
 import zlib
@@ -68,7 +69,10 @@ class Container:
         if self.size == 0:
             raise RecordingError(f"{self.path}: the file is empty. Record it again.")
         if self.read(0, len(MAGIC)) != MAGIC:
-            raise RecordingError(f"{self.path}: not an MCAP file (no MCAP signature). Give the path of a recording.")
+            remedy = "Give the path of a recording."
+            if self.path.suffix.lower() in (".yaml", ".yml"):
+                remedy = f"A scene must be recorded first: `daq record {shlex.quote(str(self.path))}`."
+            raise RecordingError(f"{self.path}: not an MCAP file (no MCAP signature). {remedy}")
         data = self.read(max(self.size - tail, 0), tail)
         if len(data) < tail or not data.endswith(MAGIC) or data[0] != Opcode.FOOTER:
             raise self.error("was not closed properly (it has no end; the recording may have been interrupted)")

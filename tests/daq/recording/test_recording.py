@@ -294,6 +294,13 @@ def test_file_of_another_kind_is_rejected(tmp_path, content, message):
         daq.open(path)
 
 
+def test_scene_as_recording_names_record_command(tmp_path):
+    path = tmp_path / "two.yaml"
+    path.write_text("name: two\n")
+    with pytest.raises(RecordingError, match=r"A scene must be recorded first: `daq record .*two\.yaml`"):
+        daq.open(path)
+
+
 def test_missing_file_or_folder_is_rejected(tmp_path):
     with pytest.raises(RecordingError, match="No such file"):
         daq.open(tmp_path / "none.mcap")

@@ -124,11 +124,11 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
         approximate.append(fit(curves, np.append(current.poles, pole), _APPROXIMATE_EVALUATIONS))
         if len(tried) == _FITTED_CANDIDATES:
             break
+    # A pole may become significant only when its fit is completed, for example with five lines in each peak.
     for model in sorted(approximate, key=lambda model: model.misfit):
-        if is_significant(curves, current, model) and not spurious_poles(curves, model).size:
-            larger = fit(curves, model.poles)
-            if not spurious_poles(curves, larger).size:
-                return larger
+        larger = fit(curves, model.poles)
+        if is_significant(curves, current, larger) and not spurious_poles(curves, larger).size:
+            return larger
     return None
 
 

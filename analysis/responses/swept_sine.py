@@ -133,8 +133,8 @@ def sweep_spectra(
         )
     if marker.fields.get("settled") is False:
         notes.append(
-            "The sweep began before the motion at its first frequency was steady, so that the curve may be wrong near "
-            "it. Begin farther from a resonance (test.from)."
+            "The sweep began before steady state at its first frequency, so that the curve may be wrong near it. Begin "
+            "farther from a resonance (test.from)."
         )
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
     bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from daq.recording.recorded_test import TestKind
-from daq.signal_chain.converter import describe_clock
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import format_frequencies
@@ -31,6 +30,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
     or 130 if the user interrupted the test.
     """
     import daq
+    from daq.signal_chain.converter import describe_clock
 
     print(f"recording {name} to {path.absolute()}", file=sys.stderr)
     if scene.converter.sample_rate != scene.converter.rate:

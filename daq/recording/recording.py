@@ -309,7 +309,7 @@ class Recording(Result):
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
 
-    @cached_property
+    @property
     def overloads(self) -> list[Marker]:
         """Markers of the segments in which a channel exceeded its range."""
         return [marker for marker in self.markers if marker.kind == "overload"]

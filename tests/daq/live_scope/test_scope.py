@@ -165,7 +165,7 @@ def test_scope_command_rejects_existing_file_before_viewer(tmp_path, monkeypatch
     with pytest.raises(SystemExit) as exit_request:
         main()
     assert exit_request.value.code == 2
-    assert "exists. Give another name with -o, or replace the file with --overwrite" in capsys.readouterr().err
+    assert "exists. Choose another name, or pass --overwrite" in capsys.readouterr().err
     assert (tmp_path / "scope.mcap").read_bytes() == b"precious"
 
 

@@ -57,8 +57,8 @@ def test_missing_frequencies_of_damaged_table_are_computed(tmp_path: Path) -> No
     assert progress == [(1, 2), (2, 2)]
     for first_column, second_column in zip(first.columns().values(), second.columns().values(), strict=True):
         assert np.array_equal(first_column, second_column)
-    # A header, four rows, two lines of notes, an empty line and the summary.
-    assert len(format_table(second).splitlines()) == 9
+    # A header, four rows, three lines of notes, an empty line and the summary.
+    assert len(format_table(second).splitlines()) == 10
     assert isinstance(second, BedResponse)
 
 

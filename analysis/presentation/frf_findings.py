@@ -67,7 +67,6 @@ def present_frf(
 
     curves: list[Response] = []
     theory_curves: list[Response] = []
-    jumping_curves: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
     warnings = check_inputs(paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
@@ -76,7 +75,6 @@ def present_frf(
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
-            jumping_curves += curves[-len(file_curves) :]
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         with open_existing(path) as rec:
@@ -84,15 +82,13 @@ def present_frf(
             groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
             curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
             warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
-            if rec.test.kind in (TestKind.TONES, TestKind.SWEEP):
-                jumping_curves += curves[-sum(map(len, groups)) :]
             tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
             if theory:
                 from analysis.presentation.theory import linear_theory
 
                 theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     with output_stem(paths, output, "frf", "csv") as stem:
-        files = _draw_figures(curves, theory_curves, jumping_curves, stem)
+        files = _draw_figures(curves, theory_curves, stem)
         files.append(frf_table(with_ending(stem, "csv"), curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
@@ -158,14 +154,8 @@ def _peak_between_points(frf: Response) -> list[str]:
     ]
 
 
-def _draw_figures(
-    curves: Sequence[Response], theory: Sequence[Response], jumping: Sequence[Response], stem: Path
-) -> list[Path]:
-    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
-
-    `jumping`: the curves whose jumps are marked, those of stepped and swept tests. In other tests, the level does not
-    depend on the frequency, so that dampers do not change to another branch at one frequency.
-    """
+def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:
+    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files."""
     from analysis.figures.frf_figure import frf_figure
     from rig.figure_style import save_figure
 
@@ -175,7 +165,7 @@ def _draw_figures(
     if len(sweep_labels) == 1:
         labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(jumping)),
+            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(labeled)),
             stem,
         )
     inputs = {labeled[0].input for labeled in groups}
@@ -183,11 +173,10 @@ def _draw_figures(
     for labeled in groups:
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
-        same_jumping = [frf for frf in labeled if any(frf is other for other in jumping)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
-            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(same_jumping)),
+            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(labeled)),
             figure_stem,
         )
     return files
@@ -203,8 +192,13 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
-    """List the jumps of all curves, without duplicates."""
-    return sorted({(round(frequency, 6), text) for curve in curves for frequency, text in find_jumps(curve)})
+    """List the jumps of curves of stepped and swept tests, and of files, whose test is unknown, without duplicates.
+
+    In other tests, the level does not depend on the frequency, so that dampers do not change to another branch at one
+    frequency.
+    """
+    jumping = [curve for curve in curves if curve.test in ("", TestKind.TONES.value, TestKind.SWEEP.value)]
+    return sorted({(round(frequency, 6), text) for curve in jumping for frequency, text in find_jumps(curve)})
 
 
 def _without_duplicates(curves: Sequence[Response]) -> list[Response]:

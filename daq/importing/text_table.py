@@ -129,6 +129,14 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     return signals
 
 
+class _InvalidLine(RecordingError):
+    """Error of a line; `fault` is the message without the remedy, for a last line that is left out."""
+
+    def __init__(self, fault: str, remedy: str) -> None:
+        super().__init__(f"{fault}. {remedy}")
+        self.fault = fault
+
+
 class _Table:
     """The numbers of a text table, read in blocks of lines that all columns share."""
 
@@ -161,9 +169,8 @@ class _Table:
         """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""
         try:
             self._parse_line(line_number, line)
-        except RecordingError as error:
-            # Without the remedy: the line is omitted.
-            return str(error).rsplit(". ", 1)[0]
+        except _InvalidLine as error:
+            return error.fault
         last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
         lengths = [len(cell.lstrip("+-")) for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
@@ -289,9 +296,9 @@ class _Table:
         if layout.cells is not None and len(row) > layout.cells[-1]:
             row = [row[position] for position in layout.cells]
         if len(row) != len(layout.names):
-            raise RecordingError(
-                f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers. Correct "
-                "or remove the line."
+            raise _InvalidLine(
+                f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers",
+                "Correct or remove the line.",
             )
         values = []
         for column, cell in enumerate(row, 1):
@@ -299,8 +306,8 @@ class _Table:
             if value is None and column == 1:
                 value = stamp_seconds(cell)
             if value is None:
-                raise RecordingError(
-                    f"{where}, column {column}: {cell!r:.40} is not a number. Correct the cell, or remove the line."
+                raise _InvalidLine(
+                    f"{where}, column {column}: {cell!r:.40} is not a number", "Correct the cell, or remove the line."
                 )
             values.append(value)
         return values

@@ -125,7 +125,7 @@ def test_counts_read_are_twos_complement(bench, count_type):
     ):
         # The test of the scene may have ended. A step of the table makes the structure vibrate.
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
-        output.write(-0.1 if connection.chassis.last_volts[0] > 0.0 else 0.1)
+        output.write(-0.001 if connection.chassis.last_volts[0] > 0.0 else 0.001)
         task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3")
         task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=200)
         request = {"task": {"name": "signed"}, "num_samps_per_chan": 200, "timeout": 10.0, "array_size_in_samps": 800}

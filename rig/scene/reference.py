@@ -195,7 +195,8 @@ def help_on(key: str | None = None) -> str:
     if key is None:
         lines = [_key_line(entry, entry.name) for entry in keys() if "." not in entry.name]
         return "\n".join([_wrap(_INTRODUCTION, ""), "", *lines, "", "more: rig help KEY, such as test.force"])
-    dotted_key = _dotted(key)
+    # The kinds of test and shaker are listed with their section.
+    dotted_key = _dotted(key).removesuffix(".kind")
     by_name: dict[str, list[Key]] = {}
     for entry in keys():
         by_name.setdefault(_dotted(entry.name), []).append(entry)

@@ -32,7 +32,7 @@ class Alternatives:
             if isinstance(value, classes):
                 return type(value).model_validate(value)
             if not isinstance(value, Mapping):
-                raise unexpected_value_error(value, "keys and values")
+                raise unexpected_value_error(value, f"keys and values, with {_selecting_keys(classes)}")
             chosen = self.choose(value, classes)
             try:
                 return chosen.model_validate(value)
@@ -41,6 +41,12 @@ class Alternatives:
                 raise combined_error(chosen.__name__, problems) from None
 
         return core_schema.no_info_wrap_validator_function(read, handler(source))
+
+
+def _selecting_keys(classes: Classes) -> str:
+    """Return the keys that select one of the classes, or the values of the key `kind`."""
+    kinds = [str(cls.model_fields["kind"].default) for cls in classes if "kind" in cls.model_fields]
+    return f"kind: {', '.join(kinds)}" if kinds else f"one of the keys {', '.join(cls.keys()[0] for cls in classes)}"
 
 
 def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:

@@ -73,6 +73,10 @@ def test_help_on_shaker_lists_its_kinds() -> None:
     assert "electrodynamic" in help_on("shaker") and "rig help shaker.KIND" in help_on("shaker")
 
 
+def test_help_on_kind_is_help_on_section() -> None:
+    assert help_on("test.kind") == help_on("test")
+
+
 def test_misspelled_kind_names_the_nearest() -> None:
     with pytest.raises(SceneError, match=r"Did you mean 'test.stepped_sine'"):
         help_on("test.steped_sine")

@@ -137,10 +137,11 @@ def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axe
             np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
             where=is_above_noise, color=color, alpha=opacity, lw=0,
         )  # fmt: skip
-    for frequency in frf.omitted:
+    for frequencies in _omitted_ranges(frf):
         magnitude_axes.plot(
-            frequency, 0.0, "x", color=color, ms=5, clip_on=False, transform=magnitude_axes.get_xaxis_transform()
-        )
+            frequencies, [0.0, 0.0], "x-", color=color, ms=5, clip_on=False,
+            transform=magnitude_axes.get_xaxis_transform(),
+        )  # fmt: skip
     if not (is_above_noise | np.isnan(magnitude)).all():
         # One more point on either side makes the line continuous where its color changes to gray.
         noisy = ~is_above_noise | ~np.roll(is_above_noise, 1) | ~np.roll(is_above_noise, -1)
@@ -161,6 +162,13 @@ def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axe
     phase_axes.plot(*break_at_wraps(frf.frequency, angle), **line_style)
     if _has_scatter(frf):
         coherence_axes.plot(frf.frequency, frf.coherence, color=color, zorder=3)
+
+
+def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
+    """Return the first and last of the omitted frequencies in each gap between lines of a sorted curve, Hz."""
+    omitted = np.sort(frf.omitted)
+    gap = np.searchsorted(frf.frequency[np.isfinite(frf.value)], omitted)
+    return [(omitted[gap == number][0], omitted[gap == number][-1]) for number in np.unique(gap)]
 
 
 def _has_scatter(frf: Response) -> bool:

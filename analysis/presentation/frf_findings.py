@@ -133,6 +133,11 @@ def _peak_between_points(frf: Response) -> list[str]:
     highest = resonance_peak(frf, *(limit * frequency for limit in _PEAK_BAND))
     if highest is None:
         return []
+    if _is_next_to_omitted(frf, frequency):
+        return [
+            f"highest next to frequencies that were left out, {frequency:.4g} Hz: the peak may be among them. Remove "
+            "the cause, and measure again"
+        ]
     if highest.at_end:
         return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"]
     if highest.bound - highest.common_bound > _MAX_PEAK_UNCERTAINTY * highest.value:
@@ -152,6 +157,13 @@ def _peak_between_points(frf: Response) -> list[str]:
         f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
         f"at {highest.frequency:.2f} Hz"
     ]
+
+
+def _is_next_to_omitted(frf: Response, frequency: float) -> bool:
+    """Return whether the test left out a frequency between a line and one of its neighbors."""
+    below, above = frf.frequency[frf.frequency < frequency], frf.frequency[frf.frequency > frequency]
+    neighbors = below.max(initial=-np.inf), above.min(initial=np.inf)
+    return bool(np.any((frf.omitted > neighbors[0]) & (frf.omitted < neighbors[1])))
 
 
 def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:

@@ -64,6 +64,7 @@ class SweptTone:
     warnings: tuple[str, ...]
     # lines at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
+    left_out: Array  # frequencies without a line, Hz
     shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
@@ -74,7 +75,7 @@ class SweptTone:
         assert isinstance(budget.errors, LocalErrors)
         # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
         errors = replace(budget.errors, has_single_reference=False, shared=self.shared)
-        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors))
+        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.left_out)
         if not warn_of_dampers(rec):
             return frf
         error = np.where(self.on_floor, 0.0, self._sweep_error(frf))
@@ -198,7 +199,8 @@ def sweep_spectra(
     sweep_rate = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
     shared = max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
-    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, shared)
+    left_out = frequency[~np.array(is_clean)]
+    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, left_out, shared)
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:

@@ -147,6 +147,22 @@ def test_peak_between_points_is_reported(natural, motion, remarks):
         assert lines[0].endswith("at 20.80 Hz")
 
 
+def test_highest_point_next_to_omitted_frequencies_is_reported():
+    f = np.array([15.0, 16.0, 17.0, 18.0, 25.0, 26.0])
+    curve = Response.curve(f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.01j), "body1", omitted=np.arange(19.0, 25.0))
+    assert "body1: highest next to frequencies that were left out, 18 Hz" in describe_frfs([curve])[3]
+
+
+def test_omitted_frequencies_are_marked_as_a_range():
+    f, omitted = np.array([15.0, 16.0, 18.0, 25.0]), np.array([17.0, 20.0, 19.0, 21.0])
+    curve = Response.curve(f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.01j), "body1", omitted=omitted)
+    magnitude_axes = frf_figure([curve], "Receptance").axes[0]
+    marked = [tuple(line.get_xdata()) for line in magnitude_axes.lines if not np.any(line.get_ydata())]
+    assert marked == [(17.0, 17.0), (19.0, 21.0)]
+    drawn = magnitude_axes.lines[-1]
+    assert np.isnan(np.interp([17.0, 19.5], drawn.get_xdata(), drawn.get_ydata())).all()
+
+
 def test_long_title_does_not_overlap_axes(folder):
     with daq.open(folder / "one.mcap") as rec:
         [curves] = analysis.frequency_responses(rec)

@@ -278,3 +278,14 @@ def test_fast_sweep_with_flight_warns(tmp_path, end, warned):
         [[frf]] = analysis.frequency_responses(rec)
     # Two digits, so that several responses share the warning.
     assert any(re.match(r"Between \d\d and \d\d Hz this sweep is too fast", text) for text in frf.warnings) == warned
+
+
+def test_overloaded_part_of_sweep_is_omitted(tmp_path):
+    test = {"kind": "swept_sine", "from": "8 Hz", "to": "40 Hz", "duration": "20 s", "force": "1 N"}
+    scene = rig.loads(SCENE, where="a test").replace(dampers=[], test=test)
+    # The reading exceeds the range near the resonance, 18 Hz.
+    with daq.open(daq.record(scene.replace(converter={"rate": "1024 Hz", "range": 10.0}), tmp_path / "a.mcap")) as rec:
+        [[frf]] = analysis.frequency_responses(rec)
+    omitted = frf.omitted
+    assert omitted.min() < 18.0 < omitted.max() and frf.frequency.size + omitted.size == 400
+    assert not np.any((frf.frequency > omitted.min()) & (frf.frequency < omitted.max()))

@@ -235,7 +235,8 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
             groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
-        f"{rec.scene.name}: the tolerance of the sensors ({stated}) dominates the uncertainty. If the sensors "
-        "were calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: 1 %"
+        f"{rec.scene.name}: at most frequencies, the tolerance of the sensors ({stated}) is the largest "
+        "contribution to the uncertainty. If the sensors were calibrated, state the calibrated tolerance in the scene, "
+        "such as sensitivity_tolerance: 1 %"
     )
     return [remark]

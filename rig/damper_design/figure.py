@@ -20,7 +20,8 @@ from rig.output_files import atomic_write, file_stem
 from rig.results import format_decimals, format_number
 from rig.scene.damper import Damper
 from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
-from rig.scene.scene import STANDARD_GRAVITY
+from rig.scene.scene import STANDARD_GRAVITY, Scene
+from rig.scene.shaker import ForceShaker
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
 BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02
+_OTHER_MOTION = (
+    "At one frequency several steady-state motions may exist. The design assumes the one with the largest response; a "
+    "test that measures less has settled on another."
+)
 
 
 def summary(design: Design) -> str:
@@ -47,11 +52,14 @@ def summary(design: Design) -> str:
         "",
         *_tables(design),
     ]
-    if best.peak.irregular_share > 0.0:
-        location = (
-            f"at {format_number(best.peak.level)} N, the motion at {best.peak.irregular_share:.0%} of the frequencies"
-        )
-        lines += ["", f"{location} is irregular; the compliance there is an average, accurate to a few percent"]
+    shares = [100.0 * peak.irregular_share for peak in best.peaks]
+    if any(shares):
+        percentages = ", ".join(f"{share:.0f}" for share in shares)
+        lines += [
+            "",
+            f"the motion is irregular at {percentages} % of the frequencies at {levels} N; the compliance there is an "
+            "average, accurate to a few percent",
+        ]
     for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
             lines += [
@@ -143,9 +151,10 @@ def describe_check(design: Design, scene: Path) -> str:
             ),
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
             "",
-            "expected largest peaks in µm/N: under a sinusoidal force as in the design, and in this test (with limits)."
-            "\nIn the test, the spring of the shaker adds harmonics to the force, the force is accurate to "
-            f"{FORCE_TOLERANCE:.1%}\nand the motion is measured when it is steady within {test.settle.tolerance:.1%}.",
+            "expected largest peaks in µm/N under a sinusoidal force, as in the design, and in this test (with limits).",
+            f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to {100.0 * FORCE_TOLERANCE:.1f} % "
+            f"and the motion is measured when it is steady within {100.0 * test.settle.tolerance:.1f} %.",
+            *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *map(_expected_line, design.expected),
             *overload_lines(overloads, finite_contact),
@@ -160,6 +169,16 @@ def describe_check(design: Design, scene: Path) -> str:
             *grain_check(design.scene.dampers, design.expected, scene),
         ]
     )
+
+
+def _harmonics_of_force(scene: Scene) -> str:
+    """Return the first part of a sentence about the force of a test: with a coil spring it is not sinusoidal."""
+    return "" if isinstance(scene.driven_shaker, ForceShaker) else "the coil spring adds harmonics to the force, "
+
+
+def _has_other_motion(expected: Expected) -> bool:
+    """Return whether the largest peak is above the range that the test should measure."""
+    return expected.compliances is not None and expected.peak.compliance > expected.compliances[2]
 
 
 def _expected_line(expected: Expected) -> str:

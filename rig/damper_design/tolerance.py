@@ -39,7 +39,7 @@ class Tolerance:
         """Report the interval, and the recommended clearance if the chosen clearance is near an end.
 
         >>> print(Tolerance(0.0035, 0.00475, (False, False), 0.00462))
-        the largest peak rises by at most 0.5 dB for clearances from 3.5 to 4.75 mm. Build to the middle, 4.08 mm ± 16 %
+        the largest peak rises by at most 0.5 dB for clearances from 3.5 to 4.75 mm. Build to the middle, 4.08 mm
         >>> print(Tolerance(7e-6, float("inf"), (False, False), float("inf")))
         the largest peak rises by at most 0.5 dB for every clearance above 0.007 mm
         """
@@ -57,7 +57,7 @@ class Tolerance:
         width, position = np.log(self.high / self.low), np.log(self.chosen / self.low)
         if width > 0.0 and min(position, width - position) < _MIN_END_DISTANCE * width:
             middle = (self.low * self.high) ** 0.5
-            text += f". Build to the middle, {format_number(1e3 * middle)} mm ± {100.0 * np.expm1(0.5 * width):.0f} %"
+            text += f". Build to the middle, {format_number(1e3 * middle)} mm"
         return text
 
 

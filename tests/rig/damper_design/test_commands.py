@@ -48,6 +48,7 @@ def test_printed_commands_run(shaker: str, tmp_path: Path, monkeypatch: pytest.M
     instructions = describe_check(design, scene)
     # The scene lacks channels, its sensor would be overloaded, and its second mode, at 170.97 Hz, is outside the band.
     assert "has in addition" in instructions and "channels[1].accelerometer.saturation=" in instructions
+    assert ("the coil spring adds harmonics" in instructions) == (shaker is TABLE)
     assert "170.97" in summary(design) and "outside the band" in summary(design)
     commands = [shlex.split(line) for line in instructions.splitlines() if line.startswith(("daq ", "analysis "))]
     assert len(commands) == 4

@@ -105,6 +105,14 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
 
 
 @pytest.mark.thorough
+def test_lower_expected_peak_is_explained(design: rig.Design, tmp_path: Path) -> None:
+    expected = tuple(replace(expectation, compliances=(1e-6, 1.1e-6, 1.2e-6)) for expectation in design.expected)
+    explanation = "several steady-state motions may exist"
+    assert explanation in describe_check(replace(design, expected=expected), tmp_path / "scene.yaml")
+    assert explanation not in describe_check(design, tmp_path / "scene.yaml")
+
+
+@pytest.mark.thorough
 def test_summary_has_a_column_per_level(design: rig.Design) -> None:
     two_levels = replace(design.question, levels=(3.3, 6.6))
     trials = tuple(replace(trial, peaks=(trial.peak, replace(trial.peak, compliance=1e-5))) for trial in design.trials)

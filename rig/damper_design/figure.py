@@ -151,7 +151,7 @@ def describe_check(design: Design, scene: Path) -> str:
             ),
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
             "",
-            "expected largest peaks in µm/N under a sinusoidal force, as in the design, and in this test (with limits).",
+            "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
             f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to {100.0 * FORCE_TOLERANCE:.1f} % "
             f"and the motion is measured when it is steady within {100.0 * test.settle.tolerance:.1f} %.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),

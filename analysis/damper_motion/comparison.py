@@ -359,7 +359,8 @@ def peak_changes(
             bare_peak, damped_peak = (peak(response, band_low, band_high) for response in pair)
             if bare_peak is None or damped_peak is None or bare_peak.at_end:
                 continue
-            if damped_peak.at_end and not covers(curve, bare_peak.frequency):
+            may_be_missing = is_next_to_omitted(curve, damped_peak.frequency)
+            if damped_peak.at_end and (may_be_missing or not covers(curve, bare_peak.frequency)):
                 continue
             without_sensitivity = None
             if curve.response in same_sensors:
@@ -382,6 +383,16 @@ def by_name(curves: Sequence[Response]) -> dict[str, Response]:
 def covers(curve: Response, frequency: float) -> bool:
     """Return whether a frequency lies in the measured range of a curve."""
     return bool(curve.frequency.min() <= frequency <= curve.frequency.max())
+
+
+def is_next_to_omitted(curve: Response, frequency: float) -> bool:
+    """Return whether the test left out frequencies between a line and one of its neighbors; `frequency`: of the line.
+
+    If the curve is highest at this line, its peak may be among the omitted frequencies.
+    """
+    below, above = curve.frequency[curve.frequency < frequency], curve.frequency[curve.frequency > frequency]
+    neighbors = below.max(initial=-inf), above.min(initial=inf)
+    return bool(np.any((curve.omitted > neighbors[0]) & (curve.omitted < neighbors[1])))
 
 
 def peak_bands(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

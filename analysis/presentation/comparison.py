@@ -18,6 +18,7 @@ from analysis.damper_motion.comparison import (
     by_name,
     coarse_step_warnings,
     covers,
+    peak_bands,
     peak_changes,
     uncompared_highest_peaks,
 )
@@ -232,16 +233,20 @@ def _uncompared_peaks(
     compared = {(change.response, change.mode) for change in changes}
     curves = [by_name(group) for _, group in measured]
     lines = []
-    for name, mode in product([name for name in curves[1] if name in curves[0]], sorted(modes.frequency)):
+    bands = list(zip(*peak_bands(modes), strict=True))
+    for name, (mode, low, high) in product([name for name in curves[1] if name in curves[0]], bands):
         if (name, float(mode)) in compared:
             continue
-        bands = [
-            f"{path.name} was measured from {curves_by_name[name].frequency.min():.4g} to "
-            f"{curves_by_name[name].frequency.max():.4g} Hz"
-            for (path, _), curves_by_name in zip(measured, curves, strict=True)
-            if not covers(curves_by_name[name], float(mode))
-        ]
-        reason = "; ".join(bands) or "no separate peak in the first recording, or too few points around it"
+        causes = []
+        for (path, _), curves_by_name in zip(measured, curves, strict=True):
+            curve = curves_by_name[name]
+            if not covers(curve, float(mode)):
+                causes.append(
+                    f"{path.name} was measured from {curve.frequency.min():.4g} to {curve.frequency.max():.4g} Hz"
+                )
+            elif np.any((curve.omitted > low) & (curve.omitted < high)):
+                causes.append(f"frequencies near this mode were left out in {path.name} (see the warnings)")
+        reason = "; ".join(causes) or "no separate peak in the first recording, or too few points around it"
         lines.append(f"  {name}, mode at {format_decimals(mode, 2)} Hz: not compared: {reason}")
     return lines
 

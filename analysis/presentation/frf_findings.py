@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.damper_motion.comparison import resonance_peak
+from analysis.damper_motion.comparison import is_next_to_omitted, resonance_peak
 from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import (
     CommandOutput,
@@ -133,7 +133,7 @@ def _peak_between_points(frf: Response) -> list[str]:
     highest = resonance_peak(frf, *(limit * frequency for limit in _PEAK_BAND))
     if highest is None:
         return []
-    if _is_next_to_omitted(frf, frequency):
+    if is_next_to_omitted(frf, frequency):
         return [
             f"highest next to frequencies that were left out, {frequency:.4g} Hz: the peak may be among them. Remove "
             "the cause, and measure again"
@@ -157,13 +157,6 @@ def _peak_between_points(frf: Response) -> list[str]:
         f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
         f"at {highest.frequency:.2f} Hz"
     ]
-
-
-def _is_next_to_omitted(frf: Response, frequency: float) -> bool:
-    """Return whether the test left out a frequency between a line and one of its neighbors."""
-    below, above = frf.frequency[frf.frequency < frequency], frf.frequency[frf.frequency > frequency]
-    neighbors = below.max(initial=-np.inf), above.min(initial=np.inf)
-    return bool(np.any((frf.omitted > neighbors[0]) & (frf.omitted < neighbors[1])))
 
 
 def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import analysis
 import daq
+import rig
 from analysis.cli import app
 from analysis.damper_motion.comparison import (
     Peak,
@@ -25,10 +26,17 @@ from analysis.damper_motion.comparison import (
     resonance_peak,
     uncompared_highest_peaks,
 )
-from analysis.presentation.comparison import describe_changes
+from analysis.presentation.comparison import compare_peaks, describe_changes
 from rig.results.response import Response
 from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from tests.analysis.responses import synthetic
+
+ONE_BODY = """
+structure: {masses: [1 kg], springs: [12.8 kN/m], damping: {modal: 0.5 %}}
+shaker: {kind: force, body: 1}
+channels: [{name: a, at: body 1, accelerometer: {}}, {name: force, at: shaker}]
+converter: {rate: 1024 Hz}
+"""
 
 
 def measured_curve(frequency: np.ndarray, value: np.ndarray, error: float = 0.0) -> Response:
@@ -169,6 +177,27 @@ def test_small_peak_on_flank_is_compared() -> None:
     assert lost.decibel[1:] == (-math.inf, math.inf)
     assert "no peak is left between" in describe_changes([lost])[-1]
     assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
+
+
+def test_peak_among_omitted_frequencies_is_not_compared() -> None:
+    f = np.linspace(5.0, 30.0, 251)
+    curve = measured_curve(f, two_modes(f, 10.0, 0.02), 1e-3)
+    gap = (f > 9.0) & (f < 12.0)
+    changes = peak_changes(analysis.identify([curve]), [curve], [replace(curve.at(~gap), omitted=f[gap])])
+    assert [change.mode for change in changes] == pytest.approx([20.0], rel=1e-3)
+
+
+@pytest.mark.usefixtures("undrawn_figures")
+def test_reason_names_recording_with_omitted_frequencies(tmp_path) -> None:
+    sweep = {"kind": "swept_sine", "from": "8 Hz", "to": "40 Hz", "duration": "20 s", "force": "1 N"}
+    scene = rig.loads(ONE_BODY, where="a test").replace(test=sweep)
+    # The reading exceeds the range of 10 V near the resonance, 18 Hz.
+    daq.record(scene, tmp_path / "complete.mcap")
+    daq.record(scene.replace(converter={"rate": "1024 Hz", "range": "10 V"}), tmp_path / "overloaded.mcap")
+    comparison = compare_peaks([tmp_path / "complete.mcap", tmp_path / "overloaded.mcap"])
+    assert comparison.lines[-1].endswith(
+        "Hz: not compared: frequencies near this mode were left out in overloaded.mcap (see the warnings)"
+    )
 
 
 def test_shared_sensors_cancel_in_changes() -> None:

@@ -17,7 +17,7 @@ from analysis.responses.stepped_sine import Sweep, sweeps
 from rig.arrays import Array
 from rig.errors import RecordingError
 from rig.progress import CountProgress
-from rig.results import Result, complete_style
+from rig.results import Result, complete_style, format_percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,10 +85,8 @@ class Dampers(Result):
         if self.energy is None or not np.isfinite(self.energy.dampers).any():
             return text
         largest = int(np.nanargmax(self.energy.dampers))
-        share = 100.0 * self.energy.dampers[largest] / self.energy.supplied[largest]
-        return (
-            f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz ({share:.2g} % of the energy supplied)"
-        )
+        share = format_percent(self.energy.dampers[largest] / self.energy.supplied[largest])
+        return f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz ({share} of the energy supplied)"
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw supplied and dissipated energy per period against frequency."""

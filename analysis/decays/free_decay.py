@@ -22,7 +22,7 @@ from analysis.responses.measurands import motion_channel, response_channels
 from analysis.responses.systematic import clock_deviation
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
-from rig.results import Result, complete_style
+from rig.results import Result, complete_style, format_percent
 from rig.scene.scene import STANDARD_GRAVITY
 from rig.system.structural_model import structural_model
 
@@ -243,7 +243,8 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
     if lost.any():
         if lost.mean() > _MAX_LOST_FRACTION:
             raise RecordingError(
-                f"{rec.path}: {lost.mean():.0%} of the samples of hit {hit} are lost. Choose another hit, or record "
+                f"{rec.path}: {format_percent(lost.mean())} of the samples of hit {hit} are lost. Choose another hit, "
+                "or record "
                 "again."
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
@@ -265,13 +266,15 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     fraction = overloaded / max(stop - first, 1)
     if fraction > _MAX_OVERLOADED_FRACTION:
         raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {fraction:.0%} of hit {hit}'s decay. Hit more softly, "
+            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of hit {hit}'s decay. Hit more "
+            "softly, "
             "widen the converter's range, or lower the sensitivity in the scene."
         )
     if not fraction:
         return []
     return [
-        f"{info.name} was overloaded for {fraction:.2%} of the decay, so that its first amplitudes are too low. Hit "
+        f"{info.name} was overloaded for {format_percent(fraction)} of the decay, so that its first amplitudes are "
+        "too low. Hit "
         "more softly, or widen the converter's range."
     ]
 

@@ -20,7 +20,7 @@ from analysis.recordings.names import as_context, require_recording
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
-from rig.results import Result, complete_style, format_number
+from rig.results import Result, complete_style, format_number, format_percent
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model
@@ -259,7 +259,8 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
         largest = max(comparison.relative for comparison in compared)
         warnings.append(
-            f"The residuals reach {largest:.2%} of the curves, more than the errors of the curves explain (reduced "
+            f"The residuals reach {format_percent(largest)} of the curves, more than the errors of the curves explain "
+            "(reduced "
             f"chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
@@ -340,7 +341,8 @@ def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
     worst = max(compared, key=lambda comparison: comparison.relative)
     if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
-            f"{worst.curves.label}: the best fit leaves a residual of {worst.relative:.1%} of the curves (rms), "
+            f"{worst.curves.label}: the best fit leaves a residual of {format_percent(worst.relative)} of the curves "
+            "(rms), "
             f"{format_number(np.sqrt(estimated.variance))} times their stated errors."
         )
     return ""

@@ -10,6 +10,7 @@ import numpy as np
 from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solve
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
+from rig.results import format_percent
 
 # A combination of parameters is reported if the relative half-width of its 95 % interval is at least this.
 _MIN_HALF_WIDTH = 0.02
@@ -106,7 +107,8 @@ def coupled_values(
         cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
         names = ", ".join(problem.parameters[determined[k]].key for k in large)
         line = (
-            f"{names} can change {direction}, by up to {half_width:.1%}, with no visible change of the curves{cause}."
+            f"{names} can change {direction}, by up to {format_percent(half_width)}, with no visible change of the "
+            f"curves{cause}."
         )
         coupled.append((half_width, line))
     return *undetermined, *(line for _, line in sorted(coupled, key=lambda entry: -entry[0]))

@@ -10,6 +10,7 @@ from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.modal.pole_errors import LEAKAGE_FACTOR
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array
+from rig.results import format_percent
 from rig.results.response import Response
 
 # A larger relative standard uncertainty of a damping ratio causes a warning.
@@ -39,7 +40,9 @@ def mode_warnings(
     if modes.model_error:
         has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
         expected = "error bars" if has_error_bars else "scatter"
-        residual_text = f"the best linear fit leaves a residual of {100.0 * modes.model_error:.2g} % of the peak height"
+        residual_text = (
+            f"the best linear fit leaves a residual of {format_percent(modes.model_error)} of the peak height"
+        )
         if modes.model_error > _MAX_LINEAR_RESIDUAL:
             yield (
                 f"The modes do not explain the response: {residual_text}, more than the {expected}. Either the "
@@ -81,7 +84,7 @@ def mode_warnings(
         yield (
             f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
             f"{_listed(2.0 * half_widths[leaking], 3)} Hz), which raises the damping ratios by more than "
-            f"{_MAX_DAMPING_UNCERTAINTY:.0%}. Use blocks of at least "
+            f"{format_percent(_MAX_DAMPING_UNCERTAINTY)}. Use blocks of at least "
             f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
         )
     # Lines within the half-power bandwidth on either side of the resonance.
@@ -104,7 +107,7 @@ def mode_warnings(
     uncertain = (zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta) & (zeta_error <= MAX_RELATIVE_UNCERTAINTY * zeta)
     if uncertain.any():
         parts = ", ".join(
-            f"{100 * ratio:.2g} % at {frequency:.4g} Hz"
+            f"{format_percent(ratio)} at {frequency:.4g} Hz"
             for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."

@@ -12,7 +12,7 @@ from analysis.modal.lscf import ChartPole
 from analysis.modal.pole_residue import residual_terms
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.results import Result, complete_style, format_quantity
+from rig.results import Result, complete_style, format_percent, format_quantity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -96,7 +96,7 @@ class Modes(Result):
         if expanded < 2.0 * MAX_RELATIVE_UNCERTAINTY * ratio:
             return format_quantity(ratio, expanded, "%")
         # A mode of any damping ratio below 100 % would fit.
-        return f"below {ratio + expanded:.2g} %" if ratio + expanded < 100.0 else "not determined"
+        return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with their standard deviations."""

@@ -27,7 +27,7 @@ from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
 from daq.recording.recorded_test import TestKind
 from rig.progress import CountProgress
-from rig.results import format_interval, format_quantity
+from rig.results import format_interval, format_percent, format_quantity
 from rig.results.response import MOTIONS, Response
 from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY, SYSTEMATIC
@@ -225,7 +225,7 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     for name, info in rec.channels.items():
         if tolerance(info):
             source = preset_note(settings.get(name), "sensitivity_tolerance")
-            groups.setdefault(f"{100 * tolerance(info):.2g} %{source}", []).append(name)
+            groups.setdefault(f"{format_percent(tolerance(info))}{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
         f"{rec.scene.name}: at most frequencies, the tolerance of the sensors ({stated}) is the largest "

@@ -13,7 +13,7 @@ from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.reporting.measurements import Measurement
 from analysis.responses.systematic import tolerance
 from rig.escaping import escape_html
-from rig.results import format_decimals, format_number, round_to_bound
+from rig.results import format_decimals, format_number, format_percent, round_to_bound
 from rig.results.response import Response
 from rig.scene.yaml_writer import write
 
@@ -228,7 +228,7 @@ def settings(measurement: Measurement) -> str:
             scene.structure.label(info.at),
             info.quantity,
             f"{info.sensitivity:.5g} V per {info.unit}",
-            f"± {100 * tolerance(info):.2g} %" if tolerance(info) else "not stated",
+            f"± {format_percent(tolerance(info))}" if tolerance(info) else "not stated",
             "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {info.unit}",
             f"{abs(complex(info.response(middle))):.4f}",
         )

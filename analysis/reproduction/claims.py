@@ -10,6 +10,7 @@ from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.fig9_claim import fig9_claim
 from analysis.reproduction.figures import Columns, Parts
 from analysis.reproduction.parts import FIGURE_5_SETTING, NOISES
+from rig.results import format_percent
 from rig.scene.scene import STANDARD_GRAVITY
 
 # Natural frequencies stated in the paper, rad/s.
@@ -217,7 +218,8 @@ def _c5(parts: Parts) -> Claim:
     for noise in NOISES:
         at_antiresonances, at_peaks = differences(exact, parts[f"rec-noise-{noise}"])
         rows.append(
-            f"{noise} ug/√Hz: {100 * at_peaks:.2g} % at peaks, {100 * at_antiresonances:.2g} % at antiresonances"
+            f"{noise} ug/√Hz: {format_percent(at_peaks)} at peaks, {format_percent(at_antiresonances)} at "
+            "antiresonances"
         )
         if at_antiresonances > MIN_DIFFERENCE and at_antiresonances > MIN_DIFFERENCE_RATIO * at_peaks:
             differing_noises.append(noise)

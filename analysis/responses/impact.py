@@ -15,6 +15,7 @@ from analysis.responses.hits import Hits
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from rig.errors import RecordingError, SceneError
+from rig.results import format_percent
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -72,7 +73,8 @@ def averaged_spectra(
     has_leakage = averaged.end_ratio > _MAX_END_RATIO
     if has_leakage:
         notes.append(
-            f"{averaged.end_ratio:.0%} of the peak response remains at the end of a block, so the curve has leakage. "
+            f"{format_percent(averaged.end_ratio)} of the peak response remains at the end of a block, so the curve "
+            "has leakage. "
             "Use longer blocks, or leave out --estimator, --block and --window for a response without leakage."
         )
     segments = [(start, start + block_samples) for start in starts]

@@ -14,6 +14,7 @@ from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError, SceneError
 from rig.progress import CountProgress
+from rig.results import format_percent
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -110,7 +111,8 @@ def averaged_spectra(
         )
     elif has_leakage:
         notes.append(
-            f"{averaged.end_ratio:.0%} of the response to a burst remains when the next begins, so the curve has "
+            f"{format_percent(averaged.end_ratio)} of the response to a burst remains when the next begins, so the "
+            "curve has "
             "leakage. Use longer blocks, a smaller share of force in each block (test.burst), multisine or stepped "
             "sine."
         )

@@ -25,6 +25,7 @@ from analysis.responses.local_models.low_spectra import low_spectra
 from analysis.responses.measurands import motion_of, reference_of, response_channels
 from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError
+from rig.results import format_percent
 from rig.results.response import Response
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ class SegmentFits:
         if all_flaws:
             used_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
             notes.insert(
-                0, f"{100.0 * (1.0 - used_ratio):.2g} % of the test left out: {describe_flaws(rec, all_flaws)}."
+                0, f"{format_percent(1.0 - used_ratio)} of the test left out: {describe_flaws(rec, all_flaws)}."
             )
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}
@@ -248,7 +249,8 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
     if largest is None:
         return frf
     warning = (
-        f"{frf.response}: motion or drift before a hit, of {largest:.1%} of the response, affects the curve. Hit "
+        f"{frf.response}: motion or drift before a hit, of {format_percent(largest)} of the response, affects the "
+        "curve. Hit "
         "the structure at rest, start recording earlier, or record several hits in a row."
     )
     # The spectrum of a free decay has the shape of a resonance of the response. Every line is therefore treated as a

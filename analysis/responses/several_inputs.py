@@ -45,6 +45,7 @@ from analysis.responses.systematic import (
 from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
+from rig.results import format_percent
 from rig.results.response import Point, Response
 from rig.results.uncertainty import UncertaintyBudget, stack_budgets
 
@@ -449,8 +450,9 @@ def _add_warnings(response: Response) -> Response:
     n_coherent = int(np.sum(~np.isfinite(response.value).all(axis=(1, 2))))
     notes = [COHERENT_INPUTS.format(lines=n_coherent, all=response.frequency.size)] if n_coherent else []
     notes += [
-        f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by {pair.deviation:.1%} "
-        f"(median), more than their uncertainties at {1.0 - pair.within:.0%} of the lines. Check the "
+        f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by "
+        f"{format_percent(pair.deviation)} "
+        f"(median), more than their uncertainties at {format_percent(1.0 - pair.within)} of the lines. Check the "
         "sensors' directions, gains and locations."
         for pair in reciprocity(response)
         if pair.within < _MIN_RECIPROCAL_LINES

@@ -20,6 +20,7 @@ from daq.excitation.spectrum_shaping import (
 )
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
+from rig.results import format_percent
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
@@ -65,7 +66,8 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 message += f", experiment {experiment + 1} of {len(shakers)}"
             if factor < 1.0:
                 station.warn(
-                    f"{message}: the amplifier delivers only {factor:.0%} of the drive that the level requires. "
+                    f"{message}: the amplifier delivers only {format_percent(factor)} of the drive that the level "
+                    "requires. "
                     "Lower the level of the test."
                 )
             waves *= factor

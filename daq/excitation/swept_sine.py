@@ -20,7 +20,7 @@ from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
 from daq.excitation.sweep_control import Observation, SweepControl, estimate_amplitudes, observation_samples
 from rig.arrays import Array, ComplexArray
-from rig.results.text import format_decimals
+from rig.results.text import format_decimals, format_percent
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
@@ -169,8 +169,10 @@ class LevelMonitor:
             if self.lowest == 0.0:
                 remedy = f"At times the signals are below one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
-                f"the spring force deviates from its level of {self._level:g} N by more than {ALLOWED_DEVIATION:.0%} "
-                f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, {self._samples / samples:.1%} of "
+                f"the spring force deviates from its level of {self._level:g} N by more than "
+                f"{format_percent(ALLOWED_DEVIATION)} "
+                f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, "
+                f"{format_percent(self._samples / samples)} of "
                 f"the sweep, and most at {format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). "
                 f"The intervals are marked 'level' in the recording. {remedy}"
             )

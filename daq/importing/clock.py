@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.errors import RecordingError, RunWarning
+from rig.results import format_percent
 
 # Names of a column of times.
 TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
@@ -113,7 +114,8 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
             raise RecordingError(f"{where}: {uneven}") from None
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         warn(
-            f"{where} deviate from even spacing by up to {deviation * rate:.0%} of the sample interval. The "
+            f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
+            "The "
             "samples are imported as evenly spaced, because usually only the written times jitter."
         )
     else:

@@ -17,7 +17,7 @@ from rig.damper_design.ranking import MIN_MACHINABLE_CLEARANCE
 from rig.escaping import escape_figure
 from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
 from rig.output_files import atomic_write, file_stem
-from rig.results import format_decimals, format_number
+from rig.results import format_decimals, format_number, format_percent
 from rig.scene.damper import Damper
 from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
@@ -152,8 +152,9 @@ def describe_check(design: Design, scene: Path) -> str:
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
             "",
             "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
-            f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to {100.0 * FORCE_TOLERANCE:.1f} % "
-            f"and the motion is measured when it is steady within {100.0 * test.settle.tolerance:.1f} %.",
+            f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to "
+            f"{format_percent(FORCE_TOLERANCE)} "
+            f"and the motion is measured when it is steady within {format_percent(test.settle.tolerance)}.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *map(_expected_line, design.expected),

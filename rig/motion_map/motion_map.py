@@ -17,7 +17,7 @@ from rig.figure_style import cell_edges, new_figure, save_with_table, set_log_sc
 from rig.motion_map.grid import KIND_OF_UNIT, select_frequencies, select_row_values, take_off_levels, vertical_axis
 from rig.output_files import file_stem
 from rig.progress import CountProgress
-from rig.results import Result
+from rig.results import Result, format_percent
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.settings.quantities import FREQUENCY, positive_values
@@ -99,7 +99,7 @@ class MotionMap(Result):
         return (
             f"{self.scene.name}: {self.over} {self.value[0]:.3g} to {self.value[-1]:.3g} {self.unit}, "
             f"{self.frequency[0]:.4g} to {self.frequency[-1]:.4g} Hz; "
-            f"{', '.join(f'{kind} {share:.0%}' for kind, share in shares if share)}"
+            f"{', '.join(f'{kind} {format_percent(share)}' for kind, share in shares if share)}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -13,7 +13,7 @@ from rig.numerics import continuation
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit import Orbit
 from rig.orbits.problem import AXES, PARAMETERS, Parameter, column_name
-from rig.results import Result, complete_style, join_columns
+from rig.results import Result, complete_style, format_percent, join_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,7 +69,7 @@ class OrbitBranch(Result):
         unit = PARAMETERS[self.parameter].si
         return (
             f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
-            f"{self.value.max():.4g} {unit}, {self.stable.mean():.0%} stable, {self.folds.size} folds"
+            f"{self.value.max():.4g} {unit}, {format_percent(self.stable.mean())} stable, {self.folds.size} folds"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:

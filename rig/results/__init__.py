@@ -6,6 +6,7 @@ from rig.results.text import (
     format_frequencies,
     format_interval,
     format_number,
+    format_percent,
     format_quantity,
     round_to_bound,
 )
@@ -17,6 +18,7 @@ __all__ = [
     "format_frequencies",
     "format_interval",
     "format_number",
+    "format_percent",
     "format_quantity",
     "join_columns",
     "missing_package",

@@ -18,7 +18,7 @@ from scipy import special
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError, suggestion
 from rig.results.result import Result, complete_style, missing_package
-from rig.results.text import format_quantity
+from rig.results.text import format_percent, format_quantity
 from rig.results.uncertainty import (
     SCATTER,
     TOLERANCES,
@@ -442,7 +442,7 @@ class Response(Result, Sequence["Response"]):
         if line == self.peak_line():
             return []
         magnitude, bound = float(abs(self.value[line])), float(self.bound()[line])
-        uncertainty = f"{bound / magnitude:.0%}" if np.isfinite(bound) else "unbounded"
+        uncertainty = f"{format_percent(bound / magnitude)}" if np.isfinite(bound) else "unbounded"
         return [
             f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
             f"(uncertainty {uncertainty}, {self.parts()[line]})"

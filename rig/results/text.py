@@ -22,6 +22,15 @@ def format_number(value: float) -> str:
     return f"{float(f'{value:.3g}'):.10g}"
 
 
+def format_percent(ratio: float) -> str:
+    """Write a ratio in percent with two digits, without a power of ten.
+
+    >>> [format_percent(ratio) for ratio in (0.0314, 0.997, 12.0, 0.00021)]
+    ['3.1 %', '100 %', '1200 %', '0.021 %']
+    """
+    return f"{float(f'{100.0 * ratio:.2g}'):.10g} %"
+
+
 def format_decimals(value: float, decimals: int) -> str:
     """Write a number with fixed decimals, or with three significant digits if these are more.
 

@@ -294,7 +294,7 @@ class BudgetTable:
     def __str__(self) -> str:
         heading = ("contribution", "type", f"standard uncertainty / ({self.unit})", "share")
         body = [
-            (name, evaluation, f"{standard:.2g}", "-" if np.isnan(share) else f"{share:.1%}")
+            (name, evaluation, f"{standard:.2g}", "-" if np.isnan(share) else f"{100.0 * share:.1f} %")
             for name, evaluation, standard, share in self.rows
         ]
         body.append(("combined", "", f"{self.combined:.2g}", ""))

@@ -16,6 +16,7 @@ from rig.bed_response.steady_bed import as_one_mass, steady_grains
 from rig.errors import ShotrigError
 from rig.grain_beds.packing import settled_positions
 from rig.grain_beds.spheres import rayleigh_time, spheres_of
+from rig.results import format_percent
 from rig.scene.damper import Grains, TimedContact
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import frequency_response
@@ -64,7 +65,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         frequency,
         str(reference.motion_type[0]),
         f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of CPU time. The last two averages "
-        f"over {PERIODS} periods\n           differ by {100 * reference.spread:.2g} %{steady}. Errors below this "
+        f"over {PERIODS} periods\n           differ by {format_percent(reference.spread)}{steady}. Errors below this "
         "difference, or below the error of another packing, are not significant.",
     )
 

@@ -96,7 +96,7 @@ def test_force_below_level_is_marked() -> None:
     assert min(fields["worst"] for _, _, fields in level_marks) < 0.8
     assert bench_run.marks_of("measure")[0][2]["lowest"] < 0.8
     assert np.abs(bench_run.drive).max() <= 2.0 * (1 + 1e-12)
-    assert len(bench_run.warnings) == 1 and "from its level of 2.6 N by more than 10%" in bench_run.warnings[0]
+    assert len(bench_run.warnings) == 1 and "from its level of 2.6 N by more than 10 %" in bench_run.warnings[0]
 
 
 def test_pretest_estimates_response_of_table() -> None:

@@ -16,6 +16,9 @@ from rig.results.response import MAX_MARKERS, Response
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Number of mode shapes side by side; with more, their titles would overlap.
+_MAX_COLUMNS = 5
+
 
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
@@ -27,8 +30,10 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]
     low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
     count = modes.frequency.size
-    with new_figure(7.6) as figure:
-        rows = figure.add_gridspec(3, max(count, 1), height_ratios=[2.2, 1.3, 1.3])
+    shape_rows = max(-(-count // _MAX_COLUMNS), 1)  # rounded up
+    columns = max(-(-count // shape_rows), 1)
+    with new_figure(5.6 + 2.0 * shape_rows) as figure:
+        rows = figure.add_gridspec(2 + shape_rows, columns, height_ratios=[2.2, 1.3, *[1.3] * shape_rows])
         magnitude_axes = figure.add_subplot(rows[0, :])
         chart_axes = figure.add_subplot(rows[1, :])
         # Frequencies are dense around each resonance, so that the drawn model reaches its peaks.
@@ -66,11 +71,12 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         bodies = modes.of_bodies()
         heights = np.arange(1, len(bodies.names) + 1)
         for i in range(count):
-            axes = figure.add_subplot(rows[2, i])
+            row, column = divmod(i, columns)
+            axes = figure.add_subplot(rows[2 + row, column])
             axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, heights), "o-", color="#333333")
-            axes.set(xlim=(-1.25, 1.25), xlabel="shape")
+            axes.set(xlim=(-1.25, 1.25), xlabel="shape" if row == shape_rows - 1 else "")
             axes.axvline(0.0, color="#777777", lw=0.7)
-            names = ["ground", *map(escape_figure, bodies.names)] if i == 0 else [""] * (heights.size + 1)
+            names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
                 f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",

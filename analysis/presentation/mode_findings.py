@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,10 @@ MIN_SAME_SHAPE_MAC = 0.9
 # spacing of close modes may be smaller than the error of the scene's values. With a wrong sign, a shape can be that of
 # a distant mode.
 _MAX_FREQUENCY_RATIO = 1.25
+# Largest order (sum of the factors) of a combination of natural frequencies.
+_MAX_COMBINATION_ORDER = 5
+# Largest relative error of a combination: natural frequencies depend on amplitude if dampers move.
+_MAX_COMBINATION_ERROR = 0.015
 
 
 def present_modes(
@@ -117,13 +122,52 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
     nearest = nearest_mac(modes, theory)
     # Upper bound of the decrease of the MAC due to the uncertainty of the shape.
     mac_uncertainty = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
-    mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
-    if not mismatched.any():
-        return []
-    pairs = zip(modes.frequency[mismatched], nearest[mismatched], strict=True)
-    listed = ", ".join(f"{f:.4g} Hz (MAC {m:.2f})" for f, m in pairs)
-    return [
-        f"{listed}: the shape matches no mode of the scene's structure near this frequency (a match has a MAC above "
-        f"{MIN_SAME_SHAPE_MAC:g}). Check whether channels are swapped, reversed or at other locations. `analysis fit` "
-        "checks the values of the scene. If dampers fly, measure at a lower level."
-    ]
+    is_mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
+    mismatched = zip(modes.frequency[is_mismatched], nearest[is_mismatched], strict=True)
+    matched = modes.frequency[~is_mismatched].tolist() if modes.model_error else []
+    combined, others = [], []
+    for f, largest_mac in mismatched:
+        if combination := combination_of(f, matched):
+            combined.append(f"{f:.4g} Hz (about {combination})")
+        else:
+            others.append(f"{f:.4g} Hz (MAC {largest_mac:.2f})")
+    warnings = []
+    if combined:
+        warnings.append(
+            f"{', '.join(combined)}: probably combination frequencies of a nonlinear response, because the shape "
+            "matches no mode of the scene's structure. Measure at a lower level."
+        )
+    if others:
+        warnings.append(
+            f"{', '.join(others)}: the shape matches no mode of the scene's structure near this frequency (a match has "
+            f"a MAC above {MIN_SAME_SHAPE_MAC:g}). Check whether channels are swapped, reversed or at other locations. "
+            "`analysis fit` checks the values of the scene. If dampers fly, measure at a lower level."
+        )
+    return warnings
+
+
+def combination_of(frequency: float, natural: Sequence[float]) -> str:
+    """Return the sum or difference of multiples of natural frequencies that a frequency is close to, or "".
+
+    The response of a nonlinear structure contains such frequencies. The combination of lowest order is returned.
+
+    >>> [combination_of(frequency, [80.0, 140.0]) for frequency in (240.0, 299.8, 60.2, 110.0)]
+    ['3 x 80 Hz', '140 + 2 x 80 Hz', '140 - 80 Hz', '']
+    """
+    for order in range(2, _MAX_COMBINATION_ORDER + 1):
+        candidates = [(order * f, f"{order} x {f:.4g} Hz") for f in natural]
+        for first, second in combinations(natural, 2):
+            for factor in range(1, order):
+                multiples = [_multiple(factor, first), _multiple(order - factor, second)]
+                (low, low_text), (high, high_text) = sorted(multiples)
+                candidates.append((low + high, f"{low_text} + {high_text} Hz"))
+                candidates.append((high - low, f"{high_text} - {low_text} Hz"))
+        for value, text in candidates:
+            if abs(value - frequency) < _MAX_COMBINATION_ERROR * frequency:
+                return text
+    return ""
+
+
+def _multiple(factor: int, frequency: float) -> tuple[float, str]:
+    """Return a multiple of a frequency, Hz, and its text."""
+    return factor * frequency, f"{factor} x {frequency:.4g}" if factor > 1 else f"{frequency:.4g}"

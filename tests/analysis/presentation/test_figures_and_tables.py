@@ -6,7 +6,7 @@ import csv
 import re
 from contextlib import nullcontext
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -229,16 +229,17 @@ def test_axis_contains_wide_bounds(limit_um_per_n, includes_zero):
     assert ("includes zero" in caption) == includes_zero and "sensors' sensitivity" in caption
 
 
-def test_titles_of_five_modes_are_separate():
-    frequency, ratios = np.geomspace(10.0, 130.0, 200), np.full(5, 0.01)
-    frequencies = np.array([20.54, 51.61, 81.117, 97.837, 115.513])
+@pytest.mark.parametrize("count", [5, 6])
+def test_titles_of_modes_are_separate(count):
+    frequency, ratios = np.geomspace(10.0, 140.0, 200), np.full(count, 0.01)
+    frequencies = np.array([20.54, 51.61, 81.117, 97.837, 115.513, 127.402])[:count]
     names = tuple(f"b{body}" for body in range(1, 6))
     poles = tuple(ChartPole(order, f, 0.01, True) for f in frequencies for order in range(5, 25))
-    zeros = np.zeros(5)
+    zeros = np.zeros(count)
     modes = Modes(
         frequency=frequencies, frequency_error=zeros, damping=ratios, damping_error=zeros,
-        shape_error=np.zeros((5, 5)), residue=-1e-3j * np.ones((5, 5)), responses=names, chart=poles,
-        lower=zeros, upper=np.zeros((5, 3)), model_error=0.0, label="", warnings=(),
+        shape_error=np.zeros((5, count)), residue=-1e-3j * np.ones((5, count)), responses=names, chart=poles,
+        lower=np.zeros(5), upper=np.zeros((5, 3)), model_error=0.0, label="", warnings=(),
     )  # fmt: skip
     ones = np.ones(frequency.size)
     curves = [
@@ -248,8 +249,8 @@ def test_titles_of_five_modes_are_separate():
     figure = modes_figure(curves, modes, "Modes: five bodies")
     figure.canvas.draw()
     titles = [axes._left_title.get_window_extent() for axes in figure.axes[2:]]
-    assert all(left.x1 < right.x0 for left, right in pairwise(titles))
-    assert titles[-1].x1 < figure.bbox.x1
+    assert not any(first.overlaps(second) for first, second in combinations(titles, 2))
+    assert max(title.x1 for title in titles) < figure.bbox.x1
     chart = figure.axes[1]
     assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
 
@@ -300,3 +301,17 @@ def test_swapped_channels_are_reported():
     # With a wrong sign, a shape can be that of a distant mode.
     (note,) = theory_warnings(modes, theory._replace(shapes=theory.shapes[:, [1, 0, 2]]))
     assert "13.04 Hz" in note and "34.78 Hz" in note and "49.66" not in note
+
+
+def test_combination_frequency_is_no_swapped_channel():
+    path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
+    with daq.open(path) as rec:
+        modes = analysis.identify(analysis.frfs(rec))
+        theory = theoretical_modes(rec, modes)
+    first, second, _ = modes.frequency
+    combined = replace(modes, frequency=np.array([first, second, first + second]))
+    other_shape = theory._replace(shapes=theory.shapes[:, [0, 1, 1]])
+    (linear,) = theory_warnings(combined, other_shape)
+    (nonlinear,) = theory_warnings(replace(combined, model_error=0.1), other_shape)
+    assert "channels are swapped" in linear
+    assert nonlinear.startswith("47.81 Hz (about 13.04 + 34.78 Hz): probably combination frequencies")

@@ -5,6 +5,7 @@ An observation consists of the complex amplitudes of all quantities (force and d
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import NamedTuple
 
@@ -33,14 +34,15 @@ _MIN_SCATTER_RATIO = 0.75
 _SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6
-# Faster than `numpy.sum`, `numpy.mean`, `numpy.max` and `numpy.min` by a factor of two.
-_SUM, _LARGEST, _SMALLEST = np.add.reduce, np.maximum.reduce, np.minimum.reduce
+# Faster than `numpy.sum`, `numpy.mean` and `numpy.max` by a factor of two.
+_SUM, _LARGEST = np.add.reduce, np.maximum.reduce
 
 
 class TransientLaw(NamedTuple):
     """Geometric decay of the changes between successive observations, for each quantity."""
 
     changes: ComplexArray  # the last changes, (changes, quantities)
+    magnitudes: Array  # their magnitudes
     factor: ComplexArray  # decay factor: ratio of successive changes, by least squares; (quantities,)
     coherent: NDArray[np.bool_]  # whether the changes follow the law; (quantities,)
 
@@ -48,9 +50,10 @@ class TransientLaw(NamedTuple):
     def of(cls, observations: ComplexArray) -> TransientLaw:
         """Estimate the law from observations, shape (observations, quantities)."""
         changes = observations[1:] - observations[:-1]
-        cross, powers = _SUM(changes[:-1].conj() * changes[1:], axis=0), abs(changes) ** 2
+        magnitudes = np.abs(changes)
+        cross, powers = _SUM(changes[:-1].conj() * changes[1:], axis=0), magnitudes**2
         power, later_power = (np.maximum(_SUM(part, axis=0), 1e-280) for part in (powers[:-1], powers[1:]))
-        return cls(changes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
+        return cls(changes, magnitudes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
 
     def remaining_change(self) -> ComplexArray:
         """Return the predicted change from the last observation to the steady state, shape (quantities,)."""
@@ -63,7 +66,7 @@ class TransientLaw(NamedTuple):
 
         It uses the larger of the last two changes.
         """
-        change = _LARGEST(abs(self.changes[-2:]), axis=0)
+        change = np.maximum(self.magnitudes[-1], self.magnitudes[-2])
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
 
 
@@ -93,7 +96,8 @@ class Settling:
         # The observations since the last restart that are still required, in order of time.
         self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
         self.count = 0
-        self._predictions: list[ComplexArray] = []
+        # Of the first quantity.
+        self._predictions: list[complex] = []
         self._law: TransientLaw | None = None
         self._was_steady = False
         self.settled = False
@@ -106,9 +110,9 @@ class Settling:
         self._was_steady = self.settled = False
 
     @property
-    def latest(self) -> ComplexArray:
-        """Amplitudes of the latest observation, shape (quantities,)."""
-        return self._observations[-1]
+    def latest(self) -> complex:
+        """Amplitude of the first quantity in the latest observation."""
+        return self._observations[-1, 0]
 
     @property
     def is_rising(self) -> bool:
@@ -121,75 +125,77 @@ class Settling:
         self._observations = np.concatenate([stored, amplitudes[None]]) if self.count else amplitudes[None]
         self.count += 1
         if self.count < MIN_OBSERVATIONS:
-            self._predictions.append(amplitudes)
+            self._predictions.extend(amplitudes[:1])
             return
-        law = self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
-        is_extrapolated = law.coherent & (abs(law.factor) < _MAX_EXTRAPOLATED_FACTOR)
-        mean = _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
-        self._predictions.append(np.where(is_extrapolated, self._observations[-1] + law.remaining_change(), mean))
-        steady = law.coherent & (law.remaining_magnitude() < self.tolerance * self._magnitude())
-        # The following tests are slower.
-        if not all(steady):
-            steady |= self._agree_within_tolerance(law)
-        # Noise is tested when every quantity that follows the law is steady.
-        if not all(steady) and all(steady | ~law.coherent):
-            noise = self._is_noise(_NOISE_OBSERVATIONS, np.inf)
-            steady |= ~law.coherent & (
-                noise | self._is_noise(_NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * self.tolerance)
-            )
+        self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
+        self._predictions.extend(self._predict_final(self._law)[:1])
         # Two successive observations must be steady, because one may pass by chance, at the turning point of a beat.
-        is_steady = all(steady)
+        is_steady = self._is_steady(self._law)
         self.settled, self._was_steady = is_steady and self._was_steady, is_steady
 
-    def predicted_final(self) -> ComplexArray:
-        """Predicted amplitudes in the steady state; shape (quantities,)."""
+    def predicted_final(self) -> complex:
+        """Predicted amplitude of the first quantity in the steady state."""
         return self._predictions[-1]
 
-    def prediction_change(self) -> Array:
-        """Relative range of `predicted_final` over the last three observations; shape (quantities,)."""
-        magnitudes = abs(np.array(self._predictions[-3:]))
-        change: Array = _LARGEST(magnitudes, axis=0) - _SMALLEST(magnitudes, axis=0)
-        return change / np.maximum(magnitudes[-1], sys.float_info.min)
+    def prediction_change(self) -> float:
+        """Relative range of `predicted_final` over the last three observations."""
+        magnitudes = [float(abs(prediction)) for prediction in self._predictions[-3:]]
+        return (max(magnitudes) - min(magnitudes)) / max(magnitudes[-1], sys.float_info.min)
 
-    def phase_change(self) -> Array:
-        """Phase change of the transient between observations, rad, infinite without a law; shape (quantities,)."""
-        if self._law is None:
-            return np.full(self._observations[-1].size, np.inf)
-        phase_change = np.maximum(abs(np.angle(self._law.factor)), 1e-9)  # never 0, because it is a divisor
-        return np.where(self._law.coherent, phase_change, np.inf)
+    def phase_change(self) -> float:
+        """Phase change of the first quantity's transient between observations, rad; infinite without a law."""
+        if self._law is None or not self._law.coherent[0]:
+            return np.inf
+        return max(float(abs(np.angle(self._law.factor[0]))), 1e-9)  # never 0, because it is a divisor
 
-    def remaining_magnitude(self) -> Array:
-        """Estimated remaining change, relative to the amplitude; shape (quantities,)."""
-        if self._law is None:
-            return np.full(self._observations[-1].size, np.inf)
-        return self._law.remaining_magnitude() / self._magnitude()
-
-    def standard_error(self) -> Array:
-        """Relative standard error of `predicted_final`, from the scatter of the observations; shape (quantities,).
+    def standard_error(self) -> float:
+        """Relative standard error of `predicted_final`, from the scatter of the observations.
 
         0 with fewer than `_NOISE_OBSERVATIONS` observations.
         """
         if self.count < _NOISE_OBSERVATIONS:
-            return np.zeros(self._observations[-1].size)
-        latest = self._observations[-_NOISE_OBSERVATIONS // 2 :]
-        return np.sqrt(np.mean(abs(latest - latest.mean(axis=0)) ** 2, axis=0) / len(latest)) / self._magnitude()
+            return 0.0
+        latest = self._observations[-_NOISE_OBSERVATIONS // 2 :, 0]
+        variance = float(_SUM(abs(latest - _mean(latest)) ** 2)) / len(latest)
+        return math.sqrt(variance / len(latest)) / max(float(abs(latest[-1])), sys.float_info.min)
+
+    def _predict_final(self, law: TransientLaw) -> ComplexArray:
+        """Return the predicted amplitudes in the steady state, shape (quantities,); see `predicted_final`."""
+        # The first quantity decides.
+        if all(law.coherent[:1]) and all(abs(law.factor[:1]) < _MAX_EXTRAPOLATED_FACTOR):
+            return self._observations[-1] + law.remaining_change()
+        return _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
+
+    def _is_steady(self, law: TransientLaw) -> bool:
+        """Return whether all quantities are steady in the latest observation."""
+        limit = self.tolerance * self._magnitude()
+        steady = law.coherent & (law.remaining_magnitude() < limit)
+        # The following tests are slower.
+        if not all(steady) and self.count >= _N_AGREEING:
+            steady |= self._agree_within_tolerance(law, limit)
+        # Noise is tested when every quantity that follows the law is steady.
+        if not all(steady) and self.count >= _NOISE_OBSERVATIONS // 2 and all(steady | ~law.coherent):
+            noise = self._is_noise(_NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * self.tolerance)
+            if self.count >= _NOISE_OBSERVATIONS:
+                noise |= self._is_noise(_NOISE_OBSERVATIONS, np.inf)
+            steady |= ~law.coherent & noise
+        return all(steady)
 
     def _magnitude(self) -> Array:
         """Amplitudes of the latest observation, at least the smallest number, so that they can be divisors."""
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
-    def _agree_within_tolerance(self, law: TransientLaw) -> NDArray[np.bool_]:
+    def _agree_within_tolerance(self, law: TransientLaw, limit: Array) -> NDArray[np.bool_]:
         """Return whether the latest observations agree within the tolerance, with a steady mean; (quantities,).
 
         This test is for beating modes, which have no common factor. Changes that follow the law must agree within 1 %
         of the tolerance. In a transient with a time constant of up to thirty observations, the means of the two halves
-        differ by at least 10 % of the remaining change, hence the limit of the drift.
+        differ by at least 10 % of the remaining change, hence the limit of the drift. `limit`: tolerance in the unit of
+        each quantity.
         """
-        if self.count < _N_AGREEING:
-            return np.zeros(self._observations[-1].size, dtype=bool)
         latest = self._observations[-_N_AGREEING:]
-        spread, limit = _LARGEST(abs(latest - _mean(latest)), axis=0), self.tolerance * self._magnitude()
-        agrees: NDArray[np.bool_] = (~law.coherent | (spread < 0.01 * limit)) & (spread < limit)
+        spread = _LARGEST(abs(latest - _mean(latest)), axis=0)
+        agrees: NDArray[np.bool_] = spread < np.where(law.coherent, 0.01 * limit, limit)
         if any(agrees):
             drift = abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2]))
             agrees &= drift < 0.1 * limit
@@ -201,8 +207,6 @@ class Settling:
         Decaying beats scatter less in the second half. `max_scatter`: largest standard deviation, relative to the
         amplitude.
         """
-        if self.count < count:
-            return np.zeros(self._observations[-1].size, dtype=bool)
         half = count // 2
         halves = self._observations[-count:-half], self._observations[-half:]
         means = [_mean(part) for part in halves]

@@ -153,13 +153,13 @@ class SteadyTone(Tone):
                 transition_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
                     # The transient of a mode beats with the drive. A transition of two beat periods hardly excites it.
-                    two_beats = round(window * 4 * np.pi / float(detector.phase_change()[0]))
+                    two_beats = round(window * 4 * np.pi / detector.phase_change())
                     transition_samples = max(window, min(station.samples(_MAX_TRANSITION_S), two_beats))
                 detector.restart()
                 yield station.drive(self.transition(transition_samples, frequency, new_drive))
             elif detector.settled:
                 return control is None or control.is_at_level(
-                    float(abs(detector.predicted_final()[0])), float(detector.standard_error()[0])
+                    float(abs(detector.predicted_final())), detector.standard_error()
                 )
         return False
 
@@ -201,14 +201,15 @@ class SteadyTone(Tone):
 
 def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
     """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
-    force = float(abs(detector.predicted_final()[0]))
+    force = float(abs(detector.predicted_final()))
     if detector.count < MIN_OBSERVATIONS + 1:
-        is_excessive = detector.is_rising and abs(detector.latest[0]) > _MAX_FORCE_RATIO * control.level
-        return control.reduce_drive(drive, float(abs(detector.latest[0]))) if is_excessive else None
+        latest_force = float(abs(detector.latest))
+        is_excessive = detector.is_rising and latest_force > _MAX_FORCE_RATIO * control.level
+        return control.reduce_drive(drive, latest_force) if is_excessive else None
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
-    is_predictable = detector.settled or float(detector.prediction_change()[0]) < max_change
-    if not is_predictable or control.is_at_level(force, float(detector.standard_error()[0])):
+    is_predictable = detector.settled or detector.prediction_change() < max_change
+    if not is_predictable or control.is_at_level(force, detector.standard_error()):
         return None
     new_drive = control.next_drive(drive, force)
     # At the limit of the amplifier, the point is measured as not settled.

@@ -137,7 +137,12 @@ class Rehearsal(BenchLoop):
         )
         self.accelerations.add(motion.first, motion.acceleration)
         self.displacements.add(motion.first, motion.displacement)
-        impacts = motion.events[motion.events["speed"] > 0.0]
+        if motion.events.size:
+            self._add_events(motion.events)
+
+    def _add_events(self, events: NDArray[Any]) -> None:
+        """Update the closing speeds and the times of impacts."""
+        impacts = events[events["speed"] > 0.0]
         np.maximum.at(self.closing_speed, impacts["damper"] - 1, impacts["speed"])
         for number, time in zip(impacts["damper"].tolist(), impacts["time"].tolist(), strict=True):
             times = self.impact_times[number - 1]

@@ -118,18 +118,27 @@ class BenchLoop(ABC):
         """Apply a window of drive (inputs, samples) in blocks; return the readings, shape (channels, samples)."""
         first, n_samples = self.station.now, drive.shape[1]
         block_size = n_samples if self._block is None else self._block
-        readings = np.zeros((len(self.bench.channels), n_samples))
-        overload = np.zeros(readings.shape, dtype=bool)
-        for start in range(0, n_samples, block_size):
-            stop = min(start + block_size, n_samples)
-            block = self.bench.acquire(drive[:, start:stop])
-            # With a removed filter delay, the first blocks have fewer samples than drive.
-            columns = slice(stop - block.samples.shape[1], stop)
-            readings[:, columns] = self.bench.to_units(block.samples)
-            overload[:, columns] = block.overload
-            self.on_block(block, readings[:, columns])
+        blocks = [
+            self._acquire_block(drive[:, start : start + block_size]) for start in range(0, n_samples, block_size)
+        ]
+        readings, overload = blocks[0]
+        if len(blocks) > 1:
+            readings = np.concatenate([block[0] for block in blocks], axis=1)
+            overload = np.concatenate([block[1] for block in blocks], axis=1)
         self.station.now = first + n_samples
         self._last_drive = np.concatenate([self._last_drive, drive[:, -2:]], axis=1)[:, -2:]
         self._control_lost = self._control.watch(first, overload)
         self.on_window(first, drive, overload)
         return readings
+
+    def _acquire_block(self, drive: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Apply a block of drive (inputs, samples); return readings and overload flags, shape (channels, samples)."""
+        block = self.bench.acquire(drive)
+        readings, overload = self.bench.to_units(block.samples), block.overload
+        self.on_block(block, readings)
+        missing = drive.shape[1] - readings.shape[1]
+        if missing:
+            # With a removed filter delay, the first blocks have fewer samples than drive.
+            padding = (0, 0), (missing, 0)
+            readings, overload = np.pad(readings, padding), np.pad(overload, padding)
+        return readings, overload

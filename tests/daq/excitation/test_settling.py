@@ -62,9 +62,9 @@ def test_noise_settles_after_transient() -> None:
     observation, detector = observe_until_settled(lambda observation: 1.0 + 0.5 * 0.6**observation + noise[observation])
     # The scatter of 24 observations is compared; the transient is below the noise after 8.
     assert 20 < observation < 80
-    assert abs(detector.predicted_final()[0] - 1.0) < 0.02
+    assert abs(detector.predicted_final() - 1.0) < 0.02
     # Noise of 0.01 in each of two components, averaged over 12 observations: 0.004.
-    assert 0.001 < detector.standard_error()[0] < 0.02
+    assert 0.001 < detector.standard_error() < 0.02
 
 
 def test_drift_is_not_steady() -> None:
@@ -82,8 +82,8 @@ def test_end_of_long_transient_is_predicted() -> None:
     for observation in range(6):
         detector.add(np.array([2.0 - 1.9 * 0.96**observation + 0j]))
     assert not detector.settled
-    assert detector.predicted_final()[0] == pytest.approx(2.0, rel=1e-9)
-    assert detector.prediction_change()[0] < 1e-9
+    assert detector.predicted_final() == pytest.approx(2.0, rel=1e-9)
+    assert detector.prediction_change() < 1e-9
 
 
 def test_restart_discards_earlier_observations() -> None:

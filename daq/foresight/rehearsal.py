@@ -44,9 +44,10 @@ class Extremes:
         if values.size:
             magnitudes = np.abs(values)
             samples = magnitudes.argmax(axis=1)
-            largest = magnitudes[np.arange(len(magnitudes)), samples]
-            rows = largest > self.magnitude
-            self.magnitude[rows], self.sample[rows] = largest[rows], first + samples[rows]
+            for row, sample in enumerate(samples.tolist()):
+                largest = magnitudes[row, sample]
+                if largest > self.magnitude[row]:
+                    self.magnitude[row], self.sample[row] = largest, first + sample
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from analysis.recordings.names import as_context, require_recording
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
+from rig.numerics.blas_threads import with_one_blas_thread
 from rig.results import Result, complete_style, format_number, format_percent
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
@@ -168,6 +169,7 @@ class Fit(Result):
         ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
 
 
+@with_one_blas_thread
 def fit(
     recordings: Sequence[Recording | str | Path] | Recording | str | Path,
     scene: SceneLike,

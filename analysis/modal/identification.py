@@ -29,6 +29,7 @@ from analysis.modal.several_references import separate
 from analysis.responses.systematic import ALIASING, IRREGULAR
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
+from rig.numerics.blas_threads import with_one_blas_thread
 from rig.results.response import Response, stack
 
 # A point has at least this relative error, so that a few points with a very small error do not determine the result.
@@ -52,6 +53,7 @@ _MIN_DEGREES = 10.0
 _LIMIT_FACTOR = 1.8
 
 
+@with_one_blas_thread
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
     """Identify the common modes of a set of frequency responses of one test.
 

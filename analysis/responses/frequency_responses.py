@@ -18,6 +18,7 @@ from analysis.responses.measurands import (
 )
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
+from rig.numerics.blas_threads import with_one_blas_thread
 from rig.progress import CountProgress
 from rig.results.response import MOTIONS, stack
 from rig.results.response import Response as Response
@@ -159,6 +160,7 @@ BY_KIND = {
 
 
 @takes_path
+@with_one_blas_thread
 def frequency_responses(
     rec: Recording,
     channels: Sequence[str] | None = None,

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal.windows import hann
 
 from daq.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.excitation.station import Excitation, Station
@@ -89,7 +88,8 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
     spectrum = np.zeros(period // 2 + 1)
     spectrum[lines] = amplitudes
     # The Hann window smooths the spectrum and changes its level; the level is therefore set after the window.
-    response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann(period, sym=False)
+    hann = (1 + np.cos(np.linspace(-np.pi, np.pi, period, endpoint=False))) / 2
+    response = np.fft.fftshift(np.fft.irfft(spectrum, period)) * hann
     force_spectrum = abs(np.fft.rfft(response))[lines] * gains * np.sqrt(2.0 / period)
     return response * (level / np.sqrt(np.sum(force_spectrum**2)))
 

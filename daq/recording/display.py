@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +16,18 @@ from numpy.typing import NDArray
 
 from daq.mcap_file.writer import Message, Messages
 from daq.recording.displacement import DisplacementFilter, motion_sources
-from daq.recording.layout import DISPLAY, ROBOT, TRANSFORMS, Timebase
+from daq.recording.layout import (
+    DISPLAY,
+    MAX_DISPLAY_CHANNELS,
+    MAX_DISPLAY_GROUPS,
+    ROBOT,
+    TRANSFORMS,
+    Timebase,
+    block_length,
+    flush_length,
+)
 from daq.recording.protobuf import Schema
+from daq.recording.sample_groups import Group, Grouping
 from rig.arrays import Array
 
 if TYPE_CHECKING:
@@ -36,8 +46,9 @@ _HALF_LENGTH = 8
 _KAISER_BETA = 6.8
 # Its cutoff frequency (-6 dB), as a ratio to the display rate.
 _CUTOFF = 0.385
-# Maximum number of signals that are filtered together; it limits the memory of the matrix product.
-_MAX_SIGNALS = 64
+# Maximum number of multiplications of a matrix product: OpenBLAS divides larger ones among threads, which wait for each
+# other longer than they compute.
+_MAX_PRODUCT = 2**18
 
 _RULE = "=" * 80
 FLOAT_SCHEMA = Schema(
@@ -141,8 +152,7 @@ class DisplayDecimator:
         end = int(output_samples[-1]) + self._half_length + 1 - self._first
         values = self._samples[:, begin:end]
         if self.step > 1:
-            groups = (values[row : row + _MAX_SIGNALS] for row in range(0, len(values), _MAX_SIGNALS))
-            values = np.concatenate([_filter_and_decimate(group, self._taps, self.step) for group in groups])
+            values = _filter_and_decimate(values, self._taps, self.step)
         self._next_output = last + 1
         n_consumed = max(0, self._next_output * self.step - self._half_length - self._first)
         # The copy frees the consumed samples.
@@ -159,11 +169,16 @@ def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
     """
     filter_steps = taps.size // step
     n_outputs = samples.shape[1] // step - filter_steps + 1
-    signals = samples[:, : (n_outputs + filter_steps - 1) * step].reshape(len(samples), -1, step)
-    partial_sums = signals @ taps[:-1].reshape(filter_steps, step).T
     result = taps[-1] * samples[:, filter_steps * step :: step][:, :n_outputs]
-    for k in range(filter_steps):
-        result += partial_sums[:, k : k + n_outputs, k]
+    filter_segments = taps[:-1].reshape(filter_steps, step).T
+    max_outputs = max(1, _MAX_PRODUCT // taps.size - filter_steps)
+    for first in range(0, n_outputs, max_outputs):
+        outputs = result[:, first : first + max_outputs]
+        stop = first + outputs.shape[1] + filter_steps - 1
+        signals = samples[:, first * step : stop * step].reshape(len(samples), -1, step)
+        partial_sums = signals @ filter_segments
+        for k in range(filter_steps):
+            outputs += partial_sums[:, k : k + outputs.shape[1], k]
     return result
 
 
@@ -171,21 +186,34 @@ class Display:
     """Makes the messages for viewers: waveform, rms and peak of each channel, and transforms that move the drawn rig.
 
     If the truth (the simulated motion) is recorded, it moves the dampers and the points without a displacement channel.
+    `scale` are the factors from stored numbers to the units of the channels, shape (channels, 1).
     """
 
     def __init__(
-        self, scene: Scene, channels: Sequence[ChannelInfo], clock: Timebase, truth: Truth | None, register: Register
+        self,
+        scene: Scene,
+        channels: Sequence[ChannelInfo],
+        scale: Array,
+        clock: Timebase,
+        truth: Truth | None,
+        register: Register,
     ) -> None:
         from daq.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
 
-        self._clock, self._truth = clock, truth
+        self._clock, self._truth, self._scale = clock, truth, scale
+        # The recorder's groups are converted in longer groups.
+        groups = min(MAX_DISPLAY_GROUPS, max(1, MAX_DISPLAY_CHANNELS // len(channels)))
+        self._groups = Grouping(len(channels), groups * flush_length(clock.rate), np.dtype(float))
         self._decimator = DisplayDecimator(display_step(clock.rate))
-        topics = []
+        # Numbers of the topics: waveforms, and rms and peak of each channel.
+        self._waveforms: list[int] = []
+        self._levels: list[int] = []
         for info in channels:
             fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}
             names = (f"{DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
-            topics.append([register(name, FLOAT_SCHEMA, fields) for name in names])
-        self._waveforms, self._levels = np.split(np.array(topics), [1], axis=1)
+            waveform, *levels = (register(name, FLOAT_SCHEMA, fields) for name in names)
+            self._waveforms.append(waveform)
+            self._levels += levels
         self._robot = RobotDescription(scene, with_dampers=truth is not None)
         factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
         self._description = register(ROBOT, TEXT_SCHEMA, factor)
@@ -224,31 +252,46 @@ class Display:
             **sources,
         }
 
-    def levels(self, blocks: Iterable[tuple[int, Array]]) -> Messages:
-        """Return rms and peak at the ends of blocks.
+    def add(self, group: Group | None, stop: int) -> Iterator[Messages]:
+        """Add the stored samples up to sample index `stop`, None for no samples; yield the messages they complete."""
+        for first, samples in group.acquired() if group is not None else ():
+            self._groups.skip(first - self._groups.position)
+            self._groups.add(samples * self._scale)
+        self._groups.skip(stop - self._groups.position)
+        yield from self._convert()
 
-        `blocks` contains pairs: index of the first sample, and successive blocks of shape (channels, blocks, samples).
-        """
+    def finish(self) -> Iterator[Messages]:
+        """Yield the messages up to the last sample."""
+        self._groups.complete_group()
+        yield from self._convert()
+        yield from self._end_of_waveforms()
+
+    def _convert(self) -> Iterator[Messages]:
+        """Yield the messages of completed groups."""
+        for number in sorted(self._groups.complete):
+            group = self._groups.complete.pop(number)
+            for first, samples in group.acquired():
+                if self._decimator.stop not in (None, first):
+                    yield from self._end_of_waveforms()
+                yield from self._messages(*self._decimator.run(first, samples))
+            yield self._block_levels(group)
+
+    def _block_levels(self, group: Group) -> Messages:
+        """Return rms and peak at the ends of the blocks."""
         ends: list[int] = []
         levels = []
-        for first, samples in blocks:
+        for first, samples in group.blocks(block_length(self._clock.rate)):
             _, count, size = samples.shape
             rms = np.sqrt(np.add.reduce(samples * samples, axis=2) / size)
             peak = np.maximum(np.maximum.reduce(samples, axis=2), -np.minimum.reduce(samples, axis=2))
-            levels.append(np.array([rms, peak]))
+            levels.append(np.stack([rms, peak], axis=1))
             ends += range(first + size, first + size * count + 1, size)
-        data = encode_floats(np.concatenate(levels, axis=2).transpose(2, 1, 0))
-        times, sequence = self._clock.times_ns(ends)[:, None, None], self._sequence("level", len(ends))
-        return Messages(self._levels, times, times, data, sequence[:, None, None])
+        times = self._clock.times_ns(ends)
+        data = encode_floats(np.concatenate(levels, axis=2).reshape(-1, len(ends)))
+        return Messages(self._levels, times, times, data, self._sequence("level", len(ends)))
 
-    def waveforms(self, first: int, samples: Array) -> Iterator[Messages]:
-        """Yield the waveforms and transforms that the next samples, shape (channels, samples), complete."""
-        if self._decimator.stop not in (None, first):
-            yield from self.finish()
-        yield from self._messages(*self._decimator.run(first, samples))
-
-    def finish(self) -> Iterator[Messages]:
-        """Yield waveforms and transforms up to the last sample."""
+    def _end_of_waveforms(self) -> Iterator[Messages]:
+        """Yield waveforms and transforms up to the last sample before a gap or the end."""
         if self._decimator.stop is not None:
             yield from self._messages(*self._decimator.finish())
 
@@ -256,7 +299,7 @@ class Display:
         """Yield waveforms and, at every `TRANSFORM_STEP`-th of these samples, transforms."""
         if not numbers.size:
             return
-        times = self._clock.times_ns(numbers.tolist())
+        times = self._clock.times_ns(numbers)
         sequence = self._sequence("waveform", numbers.size)
         yield Messages(self._waveforms, times, times, encode_floats(values), sequence)
         with_transforms = numbers // self._decimator.step % TRANSFORM_STEP == 0
@@ -273,10 +316,5 @@ class Display:
                 row[:] = displacement_filter.run(values[channel])[with_transforms]
         if displacements.shape[1]:
             transform_times, sequence = times[with_transforms], self._sequence("transform", displacements.shape[1])
-            yield Messages(
-                self._transforms,
-                transform_times,
-                transform_times,
-                self._robot.transforms(transform_times, displacements),
-                sequence,
-            )
+            data = self._robot.transforms(transform_times, displacements)[None]
+            yield Messages([self._transforms], transform_times, transform_times, data, sequence)

@@ -6,12 +6,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from daq.signal_chain.field_checks import Check, is_number
 from rig.errors import RecordingError, SceneError
@@ -44,7 +43,7 @@ MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5
 # Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More hardly reduce the cost.
-MAX_DISPLAY_GROUPS = 4
+MAX_DISPLAY_GROUPS = 8
 # At most this product of channels and groups is converted at once, which limits the memory for samples that are not yet
 # displayed.
 MAX_DISPLAY_CHANNELS = 64
@@ -99,11 +98,16 @@ class Timebase:
         doubled_interval, numerator, divisor = self._ratio
         return self.start_ns + (doubled_interval * sample + numerator) // divisor
 
-    def times_ns(self, samples: Iterable[int]) -> NDArray[np.uint64]:
+    def times_ns(self, samples: ArrayLike) -> NDArray[np.uint64]:
         """Return the times of samples in nanoseconds, with the accuracy of `time_ns`."""
         doubled_interval, numerator, divisor = self._ratio
-        # Python's integers are used, because the products overflow 64 bits.
-        times = (np.array([*samples], object) * doubled_interval + numerator) // divisor + self.start_ns
+        whole, rest = divmod(doubled_interval, divisor)
+        numbers = np.asarray(samples)
+        stop = int(numbers.max()) + 1
+        if max(divisor * stop, self.time_ns(stop)) >= 2**63:
+            # At rates that are not whole numbers, the products overflow 64 bits. Python's integers are slower.
+            numbers = numbers.astype(object)
+        times = whole * numbers + (rest * numbers + numerator) // divisor + self.start_ns
         return times.astype(np.uint64)
 
     @cached_property

@@ -107,12 +107,7 @@ class Recorder:
         counts = self._storage_type == "counts"
         scales = [info.unit_per_count if counts else 1.0 / info.sensitivity for info in self.channels]
         self._scale = np.array(scales)[:, None]
-        kind = SCHEMAS[self._storage_type][2]
-        self._raw_groups = Grouping(len(self.channels), self._group_samples, kind)
-        # The display uses the same samples in longer groups.
-        max_groups = layout.MAX_DISPLAY_CHANNELS // len(self.channels)
-        self._groups_per_display = min(layout.MAX_DISPLAY_GROUPS, max(1, max_groups))
-        self._display_groups = Grouping(len(self.channels), self._groups_per_display * self._group_samples, kind)
+        self._raw_groups = Grouping(len(self.channels), self._group_samples, SCHEMAS[self._storage_type][2])
         self._pending_markers = [Marker("start", 0)]
         self._marker_count = self._chunk_count = self._samples_written = 0
         self._disk_is_full = False
@@ -174,8 +169,6 @@ class Recorder:
             group_end = consumed + self._group_samples - self._raw_groups.position % self._group_samples
             part, consumed = samples[:, consumed:group_end], group_end
             self._raw_groups.add(part)
-            if self._display is not None:
-                self._display_groups.add(part)
             self._write_groups(self._raw_groups.position // self._group_samples)
 
     def gap(self, lost_samples: int) -> None:
@@ -186,8 +179,6 @@ class Recorder:
         self._require_truth(lost_samples)
         first = self._raw_groups.position
         self._raw_groups.skip(lost_samples)
-        if self._display is not None:
-            self._display_groups.skip(lost_samples)
         self.mark("gap", first, first + lost_samples - 1)
         self._write_groups(self._raw_groups.position // self._group_samples)
 
@@ -279,7 +270,7 @@ class Recorder:
         if self._scene.recording.display:
             from daq.recording.display import Display
 
-            self._display = Display(self._scene, self.channels, self.clock, self._truth, self._register)
+            self._display = Display(self._scene, self.channels, self._scale, self.clock, self._truth, self._register)
         self._write_markers(1)
         if self._display is not None:
             self._write_chunk([self._display.introduction()])
@@ -328,8 +319,6 @@ class Recorder:
                 if self._truth is not None:
                     self._write_chunk(self._truth.events_before(math.inf))
                 if self._display is not None:
-                    self._display_groups.complete_group()
-                    self._write_display(math.inf)
                     self._write_chunk(self._display.finish())
             except DiskError as error:
                 if self._disk.failed:
@@ -362,7 +351,7 @@ class Recorder:
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
-        """Write and commit a group: its markers, samples and true motion, and displays that are due before it."""
+        """Write and commit a group: its markers, samples and true motion, and the display that it completes."""
         raw = self._raw_groups.complete.pop(number, None)
         # The reserved space (`RESERVE`) suffices to end the file.
         if self.free < sum(stream.group_bytes for stream in self._streams):
@@ -371,18 +360,19 @@ class Recorder:
                 f"{self._disk.current_path}: the disk is full; the file contains {self._content_text}. Free disk space "
                 "or use another disk."
             )
-        if self._display is not None:
-            self._write_display(number // self._groups_per_display)
-        self._write_markers((number + 1) * self._group_samples)
+        group_end = (number + 1) * self._group_samples
+        self._write_markers(group_end)
         if raw is not None:
             # Each channel has its own chunk, so that a reader of one channel need not decode the others.
-            self._chunk_count += self._file.add_chunk_per_channel(self._topics, self._blocks(raw))
+            self._chunk_count += self._file.add_chunk_per_channel(self._blocks(raw, self._topics))
         if self._truth is not None:
-            streams = [[] if group is None else self._blocks(group) for group in self._truth.take(number)]
+            streams = [[] if group is None else self._blocks(group, ()) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
                 rows = (messages_of_row(streams[stream], row, topic) for stream, row, topic in chunk)
                 self._write_chunk(chain.from_iterable(rows))
-            self._write_chunk(self._truth.events_before((number + 1) * self._group_samples))
+            self._write_chunk(self._truth.events_before(group_end))
+        if self._display is not None:
+            self._write_chunk(self._display.add(raw, group_end))
         self._commit()
         if raw is not None:
             self._samples_written = raw.spans[-1][1]
@@ -412,30 +402,16 @@ class Recorder:
                 f"`daq recover {path} -o FIXED.mcap`."
             ) from error
 
-    def _blocks(self, group: Group) -> list[Messages]:
-        """Encode the blocks of a group for all rows at once; `messages_of_row` adds the topics."""
+    def _blocks(self, group: Group, topics: Sequence[int]) -> list[Messages]:
+        """Encode the blocks of a group whose rows are topics."""
         encoded = []
         for first, samples in group.blocks(self._block_samples):
             _, blocks, size = samples.shape
-            starts = np.arange(blocks) * size + first
-            times = self.clock.times_ns([*starts.tolist(), first + blocks * size])
-            sequence = starts // self._block_samples % 2**32
-            encoded.append(Messages(0, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
+            starts = range(first, first + size * blocks, size)
+            times = np.array([self.clock.time_ns(sample) for sample in (*starts, starts.stop)], np.uint64)
+            sequence = np.array([start // self._block_samples % 2**32 for start in starts])
+            encoded.append(Messages(topics, times[1:], times[:-1], encode(self.clock, first, samples), sequence))
         return encoded
-
-    def _write_display(self, stop: float) -> None:
-        """Write the display of complete groups whose number is below `stop`."""
-        assert self._display is not None
-        for number in sorted(number for number in self._display_groups.complete if number < stop):
-            group = self._display_groups.complete.pop(number)
-            # Each acquired range of the group, in the units of the channels.
-            ranges = [
-                Group(first, samples * self._scale, [(first, first + samples.shape[1])])
-                for first, samples in group.acquired()
-            ]
-            waveforms = (each for part in ranges for each in self._display.waveforms(part.first, part.samples))
-            levels = self._display.levels(block for part in ranges for block in part.blocks(self._block_samples))
-            self._write_chunk(chain(waveforms, [levels]))
 
     def _write_markers(self, stop: float) -> None:
         """Write the markers that end before a sample."""
@@ -457,4 +433,4 @@ class Recorder:
 
 def messages_of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:
     """Yield the messages of one row of a group for a topic; `blocks` are from `Recorder._blocks`."""
-    return (message._replace(channel=topic, data=message.data[row]) for message in blocks)
+    return (message._replace(channels=[topic], data=message.data[row : row + 1]) for message in blocks)

@@ -136,10 +136,10 @@ def test_dampers_move_relative_to_their_bodies(tmp_path):
 def test_damper_without_truth_keeps_its_position(tmp_path):
     path = tmp_path / "a.mcap"
     with Recorder(path, DAMPER_SCENE, two_channels(), RATE) as recorder:
-        recorder.write_truth(true_motion(0, 9000, dampers=1))
+        recorder.write_truth(true_motion(0, 17_000, dampers=1))
         for part in (random_volts(2000), random_volts(2000)):
             if recorder.position:
-                recorder.gap(5000)
+                recorder.gap(13_000)
             recorder.write(part)
     times, links = transforms(path)
     samples = np.rint(times * RATE)

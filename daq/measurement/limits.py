@@ -154,7 +154,7 @@ class ControlLoss:
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
         """Check overload flags, shape (channels, samples); return a message if an overload lasts too long."""
-        overloaded_rows = [row for row in self._rows if flags[row].any()]
+        overloaded_rows = [row for row in self._rows if flags[row].any()] if flags.any() else []
         if not overloaded_rows:
             self._overload_start = None
             return None

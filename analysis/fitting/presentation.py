@@ -14,7 +14,7 @@ from rig.errors import RunError, SceneError
 from rig.figure_style import save_figure
 from rig.output_files import atomic_write, prepare_outputs
 from rig.provenance import allow_overwriting, output_source, relative_paths
-from rig.results.text import format_interval, table_lines
+from rig.results.text import format_interval, format_number, table_lines
 from rig.scene.scene import Scene
 
 
@@ -63,7 +63,7 @@ def describe(result: Fit) -> list[str]:
         if parameter.status != "undetermined":
             value = format_interval(parameter.value, parameter.half_width * abs(parameter.value))
         status = STATUS_TEXTS.get(parameter.status, parameter.status)
-        values.append((parameter.key, value, parameter.unit, f"{parameter.start:.4g}", status))
+        values.append((parameter.key, value, parameter.unit, format_number(parameter.start), status))
     sensors = [("sensor", "sensitivity deviation / %")] + [
         (name, format_interval(100 * deviation, 100 * bound))
         for name, (deviation, bound) in result.sensitivities.items()

@@ -115,5 +115,5 @@ def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
     if lines.unsteady is not None and lines.unsteady.any():
         sentences.append("Crosses: steady state not reached.")
     if lines.left_out.size:
-        sentences.append("Crosses at the axis: excluded frequencies (see the warnings).")
+        sentences.append("Crosses at the axis: omitted frequencies (see the warnings).")
     return sentences

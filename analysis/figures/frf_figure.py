@@ -113,7 +113,7 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
-        sentences.append("Gaps with a mark at the axis: excluded frequencies (see the warnings).")
+        sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
 
 

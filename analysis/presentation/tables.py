@@ -43,7 +43,7 @@ def _cell(value: str | float | int) -> str:
 
 
 def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
-    """Write a table of frequency responses, one row for each curve and frequency."""
+    """Write a table of frequency responses, one row for each curve and frequency, without values if it was omitted."""
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
         "scene", "response", "reference", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
@@ -52,15 +52,19 @@ def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
     ]  # fmt: skip
     rows: list[Row] = []
     for frf in frfs:
-        systematic = frf.systematic_bound() if frf.limits else np.full(frf.frequency.size, np.nan)
+        # Rows without values, so that a line drawn from the table is interrupted there.
+        curve = frf.with_gaps() if frf.omitted.size else frf
+        systematic = curve.systematic_bound() if curve.limits else np.full(curve.frequency.size, np.nan)
+        measured = np.isfinite(curve.value)
         rows += [
             (
-                frf.label, frf.response, frf.input, frf.frequency[i], value.real, value.imag, abs(value),
-                float(np.degrees(np.angle(value))), frf.error[i], frf.coherence[i],
-                systematic[i], "" if frf.unsteady is None else "no" if frf.unsteady[i] else "yes",
-                frf.resolution,
+                curve.label, curve.response, curve.input, curve.frequency[i], value.real, value.imag, abs(value),
+                float(np.degrees(np.angle(value))), curve.error[i], curve.coherence[i],
+                systematic[i] if measured[i] else np.nan,
+                "" if curve.unsteady is None or not measured[i] else "no" if curve.unsteady[i] else "yes",
+                curve.resolution,
             )
-            for i, value in enumerate(frf.value)
+            for i, value in enumerate(curve.value)
         ]  # fmt: skip
     return write_table(path, heading, rows)
 

@@ -234,7 +234,9 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         inputs: dict[str, str] = {}
         for row in reader:
             try:
-                value = scale * complex(float(row[real]), float(row[imag]))
+                # The test omitted frequencies with empty cells; a missing cell is an error.
+                parts = (float("nan" if row[name] == "" else row[name]) for name in (real, imag))
+                value = scale * complex(*parts)
                 columns = (
                     float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz", systematic)
                 )
@@ -339,6 +341,7 @@ def _curve(
         coherence=column(coherence),
         label=path.stem,
         resolution=resolution,
+        omitted=np.sort(frequency[(frequency > 0) & np.isfinite(frequency) & ~np.isfinite(value)]),
     )
 
 

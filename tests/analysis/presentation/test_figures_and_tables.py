@@ -216,7 +216,7 @@ def test_curve_is_interrupted_at_omitted_points():
     assert np.isnan(y[x == 14.5]).all() and np.isfinite(y[x != 14.5][:-1]).all()
     assert axes.get_xlim() == (10.0, 25.0)
     assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "x"] == [14.5, 25.0]
-    assert caption.replace("\n", " ").endswith("excluded frequencies (see the warnings).")
+    assert caption.replace("\n", " ").endswith("Gaps with a mark at the axis: omitted frequencies.")
 
 
 @pytest.mark.parametrize(("limit_um_per_n", "includes_zero"), [(0.8, False), (2.0, True), (np.inf, True)])

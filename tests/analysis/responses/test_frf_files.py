@@ -266,6 +266,15 @@ def test_mode_uncertainty_survives_a_written_file(extension, tmp_path):
     np.testing.assert_allclose(stored.frequency_error, expected.frequency_error, rtol=0.01)
 
 
+def test_table_keeps_omitted_frequencies(tmp_path):
+    frequency, omitted = np.array([10.0, 11.0, 14.0, 15.0]), np.array([12.0, 13.0])
+    curve = Response.curve(frequency, 1e-6 * (1.0 + 2.0j) * frequency, "tip", omitted=omitted)
+    frf_table(tmp_path / "a.csv", [curve])
+    [stored] = analysis.read_frfs(tmp_path / "a.csv")
+    np.testing.assert_array_equal(stored.frequency, frequency)
+    np.testing.assert_array_equal(stored.omitted, omitted)
+
+
 def test_missing_systematic_errors_are_reported(tmp_path):
     write_uff(tmp_path / "a.uff", accelerance(), ordinate_axis_units_lab="m/s2", orddenom_axis_units_lab="N")
     response = analysis.read_frfs(tmp_path / "a.uff")

@@ -57,11 +57,9 @@ class Tone:
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Generate a transition along half a cosine to a frequency and an amplitude; shape (samples,)."""
-        u = np.arange(samples + 1) / samples
-        # Phase in periods: the integral of f0 + (f1 - f0) (1 - cos(pi u)) / 2 over u.
-        integrated_rise = samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
+        u, rise, integrated_rise = _half_cosine(samples)
+        # Phase in periods: the integral of f0 + (f1 - f0) rise.
         periods = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
-        rise = (1 - np.cos(np.pi * u[:-1])) / 2
         envelope = self.amplitude + (amplitude - self.amplitude) * rise
         wave = envelope * np.sin(self._advance(_phases(periods)))
         self.frequency, self.amplitude = frequency, amplitude
@@ -80,6 +78,17 @@ class Tone:
 def _phases(periods: Array) -> Array:
     """Return the phases, rad, of numbers of periods, without whole periods."""
     return 2 * np.pi * np.fmod(periods, 1.0)
+
+
+# Most transitions have one of a few lengths.
+@lru_cache(maxsize=4)
+def _half_cosine(samples: int) -> tuple[Array, Array, Array]:
+    """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and the integral of the rise, samples.
+
+    The relative times and the integral have a value more, at the end.
+    """
+    u = np.arange(samples + 1) / samples
+    return u, (1 - np.cos(np.pi * u[:-1])) / 2, samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
 
 
 # The windows in which a tone settles have the same length.

@@ -74,8 +74,8 @@ class Rehearsal(BenchLoop):
         self.readings = Extremes(len(bench.channels))
         powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
         self._powered_on = np.round(powered_on_s * self.rate)
-        # Readings after the power-on transient.
-        self.driven_readings = Extremes(len(bench.channels))
+        # Readings after the power-on transient; without such a transient, these are all readings.
+        self.driven_readings = Extremes(len(bench.channels)) if self._powered_on.any() else self.readings
         self.overloaded = [False] * len(bench.channels)
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
@@ -132,10 +132,9 @@ class Rehearsal(BenchLoop):
             return
         motion = block.motion
         self.readings.add(block.first, readings)
-        is_driven = block.first >= self._powered_on
-        self.driven_readings.add(
-            block.first, readings if is_driven.all() else np.where(is_driven[:, None], readings, 0.0)
-        )
+        if self.driven_readings is not self.readings:
+            is_driven = block.first >= self._powered_on
+            self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
         self.accelerations.add(motion.first, motion.acceleration)
         self.displacements.add(motion.first, motion.displacement)
         if motion.events.size:

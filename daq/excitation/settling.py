@@ -161,7 +161,7 @@ class Settling:
 
     def _predict_final(self, law: TransientLaw) -> ComplexArray:
         """Return the predicted amplitudes in the steady state, shape (quantities,); see `predicted_final`."""
-        # The first quantity decides.
+        # The first quantity decides; without force control and motion channels there is none.
         if all(law.coherent[:1]) and all(abs(law.factor[:1]) < _MAX_EXTRAPOLATED_FACTOR):
             return self._observations[-1] + law.remaining_change()
         return _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])

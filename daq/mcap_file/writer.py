@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple, Protocol
 
@@ -21,16 +21,11 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap_file.chunk import MAGIC, RECORD_HEAD
+from daq.mcap_file.compression import Compressor
 
 # Opcodes as plain numbers: the enumeration members of the package are slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
-# At this level of zstd, messages are compressed as much as at the default level 3, in 70 % of the time.
-ZSTD_LEVEL = 1
-# Noisy samples hardly contain repeated sequences of bytes. A short search for them takes half the time of the level
-# and compresses the samples to 61 % instead of 57 % (24-bit counts). Readers unpack them in 75 % of the time.
-SAMPLES_HASH_LOG = 8
-SAMPLES_MIN_MATCH = 7
 
 # Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -45,6 +40,12 @@ _INDEX_FIELDS = _INDEX.size - RECORD_HEAD.size
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 # Channel, position of its message index in the file.
 _POSITION = struct.Struct("<HQ")
+# Opcode, length, first and last time, size and checksum of the records, length of the name of the compression.
+_CHUNK = struct.Struct("<BQQQQII")
+# Bytes of all message indexes of the chunk, length of the name of the compression.
+_CHUNK_INDEX_END = struct.Struct("<QI")
+# Sizes of the packed and unpacked records.
+_SIZE, _SIZES = struct.Struct("<Q"), struct.Struct("<QQ")
 _FOOTER = struct.Struct("<BQQQ")
 
 
@@ -59,26 +60,10 @@ class Stream(Protocol):
 
 
 class ChunkedFile:
-    """Writes an MCAP file with chunks (zstd or lz4), checksums, indexes and a summary at its end."""
+    """Writes an MCAP file with compressed chunks, checksums, indexes and a summary at its end."""
 
-    def __init__(self, stream: Stream, library: str, compression: str) -> None:
-        self._stream, self._compression = stream, compression.encode()
-        name = f"I{len(self._compression)}s"
-        self._chunk, self._chunk_sizes = (struct.Struct(form) for form in (f"<BQQQQI{name}Q", f"<Q{name}QQ"))
-        # The compressor is cached: creating it takes as long as compressing a small chunk.
-        if compression == "lz4":
-            import lz4.frame  # type: ignore[import-untyped]
-
-            self._compress: Callable[[bytes], bytes] = lz4.frame.compress
-            self._compress_samples = self._compress
-        else:
-            from zstandard import ZstdCompressionParameters, ZstdCompressor
-
-            self._compress = ZstdCompressor(level=ZSTD_LEVEL).compress
-            parameters = ZstdCompressionParameters.from_level(
-                ZSTD_LEVEL, hash_log=SAMPLES_HASH_LOG, min_match=SAMPLES_MIN_MATCH
-            )
-            self._compress_samples = ZstdCompressor(compression_params=parameters).compress
+    def __init__(self, stream: Stream, library: str) -> None:
+        self._stream = stream
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         # Schemas and channels to be written at the beginning of the next chunk.
@@ -120,7 +105,7 @@ class ChunkedFile:
         channel.write(self._new_descriptions)
         return channel.id
 
-    def add_chunk(self, messages: Iterable[Message | Messages]) -> bool:
+    def add_chunk(self, messages: Iterable[Message | Messages], compressor: Compressor) -> bool:
         """Write messages as a chunk, in their order; return False if there are none."""
         descriptions = self._new_descriptions.end()
         parts, position = [descriptions], len(descriptions)
@@ -145,12 +130,11 @@ class ChunkedFile:
         if not times:
             self._new_descriptions.write(descriptions)
             return False
-        content = b"".join(parts)
-        self._write_chunk(content, self._compress(content), entries, min(times), max(times))
+        self._write_chunk(b"".join(parts), compressor, entries, min(times), max(times))
         return True
 
-    def add_chunk_per_channel(self, messages: Sequence[Messages]) -> int:
-        """Write a chunk of samples for each channel; all messages have the same channels. Return their number."""
+    def add_chunk_per_channel(self, messages: Sequence[Messages], compressor: Compressor) -> int:
+        """Write a chunk for each channel; all messages have the same channels. Return the number of chunks."""
         channels = messages[0].channels
         encoded = [each.encode() for each in messages]
         times = [time for each in messages for time in _range_of(each)]
@@ -166,26 +150,28 @@ class ChunkedFile:
                     position += records[row].nbytes
                 index = b"".join(entries)
             content = b"".join([descriptions, *(records[row].tobytes() for records in encoded)])
-            packed = self._compress_samples(content)
-            self._write_chunk(content, packed, {channel: [index]}, min(times), max(times))
+            self._write_chunk(content, compressor, {channel: [index]}, min(times), max(times))
         return len(channels)
 
     def _write_chunk(
-        self, content: bytes, packed: bytes, entries: Mapping[int, Sequence[bytes]], earliest: int, latest: int
+        self,
+        content: bytes,
+        compressor: Compressor,
+        entries: Mapping[int, Sequence[bytes]],
+        earliest: int,
+        latest: int,
     ) -> None:
-        """Write the records of a chunk, and the message index of each of its channels.
+        """Compress and write the records of a chunk, and the message index of each of its channels.
 
-        `packed` is the compressed content, `entries` are the entries of the indexes by channel, `earliest` and `latest`
-        the log times of the chunk, ns.
+        `entries` are the entries of the indexes by channel, `earliest` and `latest` the log times of the chunk, ns.
         """
+        name, packed, size = compressor.name, compressor.compress(content), len(content)
         begin = self._stream.tell()
-        name, size = self._compression, len(content)
-        length = self._chunk.size + len(packed)
-        head = self._chunk.pack(
-            _CHUNK_CODE, length - RECORD_HEAD.size, earliest, latest, size, zlib.crc32(content),
-            len(name), name, len(packed),
-        )  # fmt: skip
-        self._stream.write(head + packed)
+        length = _CHUNK.size + len(name) + _SIZE.size + len(packed)
+        head = _CHUNK.pack(
+            _CHUNK_CODE, length - RECORD_HEAD.size, earliest, latest, size, zlib.crc32(content), len(name)
+        )
+        self._stream.write(b"".join((head, name, _SIZE.pack(len(packed)), packed)))
         positions, indexes, end = [], [], begin + length
         for channel, channel_entries in entries.items():
             positions.append(_POSITION.pack(channel, end))
@@ -197,12 +183,13 @@ class ChunkedFile:
         self._stream.write(b"".join(indexes))
         first_time, last_time = self._times or (earliest, latest)
         self._times = min(first_time, earliest), max(last_time, latest)
-        fixed_size = _CHUNK_INDEX.size - RECORD_HEAD.size + _POSITION.size * len(positions) + self._chunk_sizes.size
+        end_fields = (_CHUNK_INDEX_END.pack(end - begin - length, len(name)), name, _SIZES.pack(len(packed), size))
+        fields = b"".join((*positions, *end_fields))
         head = _CHUNK_INDEX.pack(
-            _CHUNK_INDEX_CODE, fixed_size, earliest, latest, begin, length, _POSITION.size * len(positions)
-        )
-        sizes = self._chunk_sizes.pack(end - begin - length, len(name), name, len(packed), size)
-        self._chunk_indexes.append(b"".join((head, *positions, sizes)))
+            _CHUNK_INDEX_CODE, _CHUNK_INDEX.size - RECORD_HEAD.size + len(fields), earliest, latest, begin, length,
+            _POSITION.size * len(positions),
+        )  # fmt: skip
+        self._chunk_indexes.append(head + fields)
 
     def add_attachment(self, create_time: int, log_time: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment."""

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.mcap_file.compression import lz4, zstd, zstd_for_samples
 from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message, Messages
 from daq.recording import layout
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
     from rig.simulation.motion import Motion
 
-# Compression of each storage type. No compression shrinks float64 samples by more than a tenth, and lz4 unpacks them
-# eight times as fast as zstd. zstd shrinks counts by a fifth.
-COMPRESSION = {"float64": "lz4", "float32": "zstd", "counts": "zstd"}
 # Size of the index of a chunk at the end of the file, bytes.
 _INDEX_BYTES_PER_CHUNK = 256
 # The version is read once, because that takes longer than writing ten groups of samples.
@@ -254,7 +252,9 @@ class Recorder:
 
     def _write_beginning(self) -> None:
         """Write all descriptions before the first sample, so that an incomplete file still has them."""
-        self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}", COMPRESSION[self._storage_type])
+        self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}")
+        self._zstd = zstd()
+        self._samples_compressor = lz4() if self._storage_type == "float64" else zstd_for_samples()
         self._marker_topic = self._register(layout.MARKERS, MARKER_SCHEMA, {})
         common = {"stored": self._storage_type, "start_ns": str(self.clock.start_ns), "layout": layout.VERSION}
         schema = block_schema(SCHEMAS[self._storage_type][0])
@@ -364,12 +364,14 @@ class Recorder:
         self._write_markers(group_end)
         if raw is not None:
             # Each channel has its own chunk, so that a reader of one channel need not decode the others.
-            self._chunk_count += self._file.add_chunk_per_channel(self._blocks(raw, self._topics))
+            self._chunk_count += self._file.add_chunk_per_channel(
+                self._blocks(raw, self._topics), self._samples_compressor
+            )
         if self._truth is not None:
             streams = [[] if group is None else self._blocks(group, ()) for group in self._truth.take(number)]
             for chunk in self._truth.chunks:
                 rows = (messages_of_row(streams[stream], row, topic) for stream, row, topic in chunk)
-                self._write_chunk(chain.from_iterable(rows))
+                self._chunk_count += self._file.add_chunk(chain.from_iterable(rows), lz4())
             self._write_chunk(self._truth.events_before(group_end))
         if self._display is not None:
             self._write_chunk(self._display.add(raw, group_end))
@@ -428,7 +430,7 @@ class Recorder:
 
     def _write_chunk(self, messages: Iterable[Message | Messages]) -> None:
         """Write messages as a separate chunk, so that readers of other topics need not decode them."""
-        self._chunk_count += self._file.add_chunk(messages)
+        self._chunk_count += self._file.add_chunk(messages, self._zstd)
 
 
 def messages_of_row(blocks: Iterable[Messages], row: int, topic: int) -> Iterator[Messages]:

@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment
 
 from daq.mcap_file.chunk import Damage, StoredMessage, messages_in, records_in
+from daq.mcap_file.compression import zstd
 from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
 from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import parse_record, with_checksum
@@ -166,7 +167,8 @@ class _Salvager:
     ) -> None:
         self._source, self._target, self._disk = source, target, disk
         self._schemas, self._channels, self._counts = schemas, channels, counts
-        self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}", "zstd")
+        self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}")
+        self._compressor = zstd()
         # The keys of the next four are channel numbers of the damaged file.
         self._new_numbers: dict[int, int] = {}  # channel number in the new file
         self._sample_ranges: dict[int, list[SampleRange]] = {}  # ranges of copied samples
@@ -226,7 +228,7 @@ class _Salvager:
                 readable_messages.append(Message(number, *times, bytes(message.data), message.sequence))
                 self._n_messages[message.channel] += 1
                 self._n_expected[message.channel] = max(self._n_expected[message.channel], message.sequence + 1)
-        self._file.add_chunk(readable_messages)
+        self._file.add_chunk(readable_messages, self._compressor)
 
     def _is_readable(self, message: StoredMessage) -> bool:
         """Register the content of a message; return False, with a note, if it cannot be read."""
@@ -243,8 +245,13 @@ class _Salvager:
         """Register the samples, or the gap, that a message contains."""
         if message.channel in self._sample_ranges:
             block = decode(message.data, self._schemas[channel.schema_id].name)
-            self._clock = block.clock if self._clock is None else self._clock
             ranges, first = self._sample_ranges[message.channel], block.first_sample
+            if ranges and first < ranges[-1][1]:
+                # A damaged file system may repeat parts of a file.
+                raise RecordingError(
+                    f"samples {first} to {block.stop - 1} are left out, because later samples precede them"
+                )
+            self._clock = block.clock if self._clock is None else self._clock
             if ranges and ranges[-1][1] == first:
                 first = ranges.pop()[0]
             ranges.append((first, block.stop))
@@ -317,7 +324,7 @@ class _Salvager:
             content = Marker("lost", first, stop - 1, fields).to_json()
             times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
             lost += [Message(number, *times, content, 0) for number in marker_channels]
-        self._file.add_chunk(lost)
+        self._file.add_chunk(lost, self._compressor)
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
             earlier = {} if outcome is None else {key: outcome.get(key, "") for key in ("status", "reason")}

@@ -8,6 +8,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
+from daq.mcap_file.compression import zstd
 from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
@@ -75,7 +76,7 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
     description = kind
     with Container(source) as container, target.open("wb") as file:
         summary = container.summary
-        copy = ChunkedFile(file, "soak", "zstd")
+        copy = ChunkedFile(file, "soak")
         schemas = {0: 0}
         for number, schema in summary.schemas.items():
             schemas[number] = copy.add_schema(schema.name, schema.encoding, schema.data)
@@ -120,7 +121,7 @@ def write_invalid_recording(source: Path, target: Path, rng: random.Random) -> s
                 messages.append(
                     Message(numbers[message.channel], *(time % 2**64 for time in times), data, message.sequence)
                 )
-            copy.add_chunk(messages)
+            copy.add_chunk(messages, zstd())
         if kind == "chunk":
             # 64 MB of zeros, or millions of empty records of an unknown type.
             content = bytes(1 << 26) if rng.random() < 0.5 else struct.pack("<BQ", 0xEE, 0) * (7_000_000)

@@ -4,11 +4,11 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from daq.mcap_file.writer import ZSTD_LEVEL, ChunkedFile, Message, Messages
+from daq.mcap_file.compression import lz4, zstd, zstd_for_samples
+from daq.mcap_file.writer import ChunkedFile, Message, Messages
 
 # Messages of three chunks: channel, log time, publish time (ns, up to 64 bits), data, sequence number.
 CHUNKS = [
@@ -18,16 +18,16 @@ CHUNKS = [
 ]
 
 
-def file_by_chunked_file(compression):
+def file_by_chunked_file(compressor):
     stream = BytesIO()
-    file = ChunkedFile(stream, "test 1", compression)
+    file = ChunkedFile(stream, "test 1")
     schema = file.add_schema("pkg.Thing", "protobuf", b"\x01\x02")
     for topic in ("/a", "/b"):
         file.add_channel(topic, "protobuf", schema, {"unit": "m", "name": topic})
-    is_written = [file.add_chunk(chunk) for chunk in CHUNKS[:2]]
+    is_written = [file.add_chunk(chunk, compressor) for chunk in CHUNKS[:2]]
     file.add_metadata("run", {"seed": "1"})
     file.add_attachment(1, 2, "scene.yaml", "application/yaml", b"name: x")
-    is_written.append(file.add_chunk(CHUNKS[2]))
+    is_written.append(file.add_chunk(CHUNKS[2], compressor))
     file.finish()
     assert is_written == [True, False, True]
     return stream.getvalue()
@@ -54,11 +54,10 @@ def file_by_mcap_package(compression):
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4"])
-def test_writer_equals_the_package_writer(compression, monkeypatch):
-    compressor = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+@pytest.mark.parametrize("compressor", [zstd(), zstd_for_samples(), lz4()])
+def test_writer_equals_the_package_writer(compressor, monkeypatch):
     monkeypatch.setattr("zstandard.compress", compressor.compress)
-    assert file_by_chunked_file(compression) == file_by_mcap_package(compression)
+    assert file_by_chunked_file(compressor) == file_by_mcap_package(compressor.name.decode())
 
 
 def test_batched_messages_equal_single_messages():
@@ -76,8 +75,8 @@ def test_batched_messages_equal_single_messages():
     written = []
     for chunk in ([before, batch, after], [before, *single_messages, Message(3, 7, 7, data[0, 0].tobytes(), 2)]):
         stream = BytesIO()
-        file = ChunkedFile(stream, "test 1", "zstd")
-        assert file.add_chunk(chunk)
+        file = ChunkedFile(stream, "test 1")
+        assert file.add_chunk(chunk, zstd())
         file.finish()
         written.append(stream.getvalue())
     assert written[0] == written[1]
@@ -85,7 +84,7 @@ def test_batched_messages_equal_single_messages():
 
 def test_file_without_chunks_can_be_read():
     stream = BytesIO()
-    ChunkedFile(stream, "test 1", "zstd").finish()
+    ChunkedFile(stream, "test 1").finish()
     summary = make_reader(BytesIO(stream.getvalue())).get_summary()
     assert summary is not None
     assert summary.statistics.message_count == 0

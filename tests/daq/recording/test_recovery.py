@@ -152,6 +152,15 @@ def test_overwritten_bytes_affect_only_their_chunks(intact_file, tmp_path, lengt
         assert check_readable(tmp_path / "fixed.mcap")[intact].all()
 
 
+def test_repeated_chunk_is_left_out(intact_file, tmp_path):
+    data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
+    (begin, _, _), (end, _, _) = [chunk for chunk in chunks if "/raw/body1" in chunk[2]][:2]
+    (tmp_path / "a.mcap").write_bytes(data[:end] + data[begin:])
+    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert check_readable(tmp_path / "fixed.mcap").all()
+    assert any("later samples precede" in note for note in salvage.notes)
+
+
 def test_samples_after_removed_bytes_keep_their_numbers(intact_file, tmp_path):
     data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
     raw_chunks = [chunk for chunk in chunks if "/raw/body1" in chunk[2]]

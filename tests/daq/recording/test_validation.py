@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import daq
 from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
+from daq.mcap_file.compression import zstd
 from daq.mcap_file.reader import Container
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording.layout import Timebase
@@ -74,7 +75,7 @@ def rewrite(path: Path, checksums: bool = True, shift: int = 0) -> Path:
     """Copy a recording without the checksums of its chunks, or with its last two chunks `shift` samples later."""
     target = path.with_name("rewrite.mcap")
     with Container(path) as container, target.open("wb") as file:
-        copy, summary = ChunkedFile(file, "test", "zstd"), container.summary
+        copy, summary = ChunkedFile(file, "test"), container.summary
         schemas = {
             number: copy.add_schema(schema.name, schema.encoding, schema.data)
             for number, schema in summary.schemas.items()
@@ -92,7 +93,7 @@ def rewrite(path: Path, checksums: bool = True, shift: int = 0) -> Path:
                     data = encode(clock, first, block.samples[None, None]).tobytes()
                     times = clock.time_ns(first + block.samples.size), clock.time_ns(first)
                 messages.append(Message(message.channel, *times, data, message.sequence))
-            copy.add_chunk(messages)
+            copy.add_chunk(messages, zstd())
         copy.finish()
     if not checksums:
         content = bytearray(target.read_bytes())

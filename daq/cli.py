@@ -371,9 +371,14 @@ def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene
 
 
 def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
-    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes."""
-    if output is not None and len(scenes) == 1 and (output.suffix == ".mcap" or not output.is_dir()):
-        return [output]
+    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes.
+
+    A name without suffix is a folder, as for other commands, unless a file has this name.
+    """
+    if output is not None and len(scenes) == 1:
+        is_file_name = output.is_file() or (output.suffix != "" and not output.is_dir())
+        if is_file_name or output.suffix == ".mcap":
+            return [output]
     if output is not None and output.suffix == ".mcap":
         raise typer.BadParameter(f"-o {output}: one file cannot contain {len(scenes)} tests. Give a folder.")
     folder = output if output is not None else Path("recordings")

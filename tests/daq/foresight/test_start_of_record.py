@@ -44,6 +44,12 @@ def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:
     assert path.exists()
 
 
+def test_output_without_suffix_is_a_folder(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, [*HIT, "-o", str(tmp_path / "runs")])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "runs" / "fig10b-no-damper.mcap").is_file()
+
+
 @pytest.mark.parametrize(
     ("name", "effect"),
     [

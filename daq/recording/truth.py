@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,6 +64,7 @@ class Truth:
         )
         self._events: deque[tuple[float, int, str, float]] = deque()
         self._n_events = 0
+        # The last groups of displacements and gaps by number.
         self._recent_groups: dict[int, Group] = {}
         # Rows of displacements and gaps in the first stream.
         self._position_rows = np.r_[
@@ -102,13 +104,13 @@ class Truth:
     def take(self, number: int) -> tuple[Group | None, Group | None]:
         """Return and remove the groups of motion and of contacts with a number; None if they have no samples.
 
-        The last groups of motion remain available to `positions`.
+        The displacements and gaps of the last groups remain available to `positions`.
         """
         motion, contacts = (stream.complete.pop(number, None) for stream in self.streams)
         if motion is not None:
             oldest = number - MAX_DISPLAY_GROUPS
             self._recent_groups = {n: group for n, group in self._recent_groups.items() if n >= oldest}
-            self._recent_groups[number] = motion
+            self._recent_groups[number] = replace(motion, samples=motion.samples[self._position_rows])
         return motion, contacts
 
     def events_before(self, stop: float) -> list[Message]:
@@ -141,7 +143,7 @@ class Truth:
             for start, stop in group.spans:
                 (inside,) = np.nonzero((start <= samples) & (samples < stop))
                 latest_known[1 + inside] = 1 + inside
-                positions[:, 1 + inside] = group.samples[self._position_rows[:, None], samples[inside] - group.first]
+                positions[:, 1 + inside] = group.samples[:, samples[inside] - group.first]
         positions = positions[:, np.maximum.accumulate(latest_known)]
         self._last_positions = positions[:, -1]
         return positions[:, 1:]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from math import floor, hypot, inf, isfinite, isinf, log10, prod, sqrt
 
 import numpy as np
-from scipy import special
+import scipy
 
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
@@ -217,7 +217,7 @@ def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) 
 def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
     """Return the 95 % bounds of height and frequency of a peak due to the errors of its points, shape (2,)."""
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
-    factor = special.stdtrit(known_degrees(points.degrees).min(), 0.975)
+    factor = scipy.special.stdtrit(known_degrees(points.degrees).min(), 0.975)
     random_bound = factor * np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
     # Equal relative errors of all points add up in the height, and cancel in the frequency.
     in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound())
@@ -335,7 +335,7 @@ def _decibel_tolerance(bare: Peak, damped: Peak) -> float:
     The errors of the sensors are independent, with uniform distributions (GUM, section 4.3.7).
     """
     limits = [20.0 * log10(1.0 + tolerance) for compared in (bare, damped) for tolerance in compared.tolerances]
-    return min(sum(limits), float(special.ndtri(0.975)) * hypot(*limits) / sqrt(3.0))
+    return min(sum(limits), float(scipy.special.ndtri(0.975)) * hypot(*limits) / sqrt(3.0))
 
 
 def peak_changes(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
+import scipy
 
 from analysis.responses.aliasing import aliased_ratios
 from analysis.responses.measurands import motion_of, reference_of, response_channels
@@ -116,7 +116,8 @@ def _bound(
         phase_sensitivity.append(abs(product).sum(axis=1))
         fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
     bounds = [
-        np.sqrt(np.nan_to_num(scatter)) * special.stdtrit(np.maximum(lines.scatter.degrees_of_freedom, 1.0), 0.975)
+        np.sqrt(np.nan_to_num(scatter))
+        * scipy.special.stdtrit(np.maximum(lines.scatter.degrees_of_freedom, 1.0), 0.975)
     ]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
     bounds.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))

@@ -179,12 +179,12 @@ def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) ->
 
 @lru_cache(maxsize=8)
 def _speed_per_jump(scene: Scene, damper: Damper) -> float:
-    from rig.system.structural_model import structural_model
+    from rig.system.structural_model import bed_masses, mass_matrix
 
-    model, body = structural_model(scene), damper.body - 1
-    damper_mass = model.bed_mass[scene.dampers.index(damper)]
+    mass, body = mass_matrix(scene.structure), damper.body - 1
+    damper_mass = bed_masses(scene, mass)[scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
-        return float(1.0 + 1.0 / (model.inverse_mass[body, body] * damper_mass))
+        return float(1.0 + 1.0 / (np.linalg.inv(mass)[body, body] * damper_mass))
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:

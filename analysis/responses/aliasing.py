@@ -13,7 +13,7 @@ from analysis.responses.systematic import ALIASING, ChannelContributions, gain_e
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
 from rig.scene.shaker import ElectrodynamicShaker, TableShaker
-from rig.system.structural_model import structural_model
+from rig.system.structural_model import bed_masses, mass_matrix
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -101,17 +101,17 @@ def _impact_ratio(scene: Scene, body: int) -> float:
     It is the damper mass over the mass of the body: a damper that follows the body within its clearance receives a
     force in proportion to its mass, and impacts transmit at most this force.
     """
-    bed_masses = [
+    masses = [
         bed_mass
-        for damper, bed_mass in zip(scene.dampers, structural_model(scene).bed_mass, strict=True)
+        for damper, bed_mass in zip(scene.dampers, bed_masses(scene, mass_matrix(scene.structure)), strict=True)
         if damper.body == body and damper.moves and not (damper.contact or damper.grains)
     ]
-    return float(sum(bed_masses)) * _inverse_mass(scene, body) if bed_masses else 0.0
+    return float(sum(masses)) * _inverse_mass(scene, body)
 
 
 def _inverse_mass(scene: Scene, body: int) -> float:
     """Return the acceleration of a body per force on it while no other force acts on any body, 1/kg."""
-    return float(structural_model(scene).inverse_mass[body - 1, body - 1])
+    return float(np.linalg.inv(mass_matrix(scene.structure))[body - 1, body - 1])
 
 
 def _image_ratio(

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy import special
 
 from rig.arrays import Array, ComplexArray
 
@@ -82,11 +81,11 @@ def moderate(variance: Array, degrees_of_freedom: Array, expected: Array, half_w
         return variance, degrees_of_freedom
     half_degrees, width = degrees_of_freedom / 2.0, min(2 * half_width + 1, variance.size)
     logarithm = np.log(np.clip(variance / expected, 1.0 / _MAX_RATIO, _MAX_RATIO))
-    logarithm += np.log(half_degrees) - special.digamma(half_degrees)
+    logarithm += np.log(half_degrees) - scipy.special.digamma(half_degrees)
     local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * half_width + 1, mode="nearest")
     observed_scatter = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
     # Scatter due to the finite degrees of freedom. The remaining scatter is due to different true ratios.
-    chance_scatter = float(np.mean(special.polygamma(1, half_degrees)))
+    chance_scatter = float(np.mean(scipy.special.polygamma(1, half_degrees)))
     max_prior_degrees = (width - 1.0) * degrees_of_freedom
     prior_degrees = (
         max_prior_degrees
@@ -102,6 +101,6 @@ def _inverse_trigamma(value: float) -> float:
     """Solve ``trigamma(x) = value`` by Newton's method for its reciprocal, which is convex [1]_."""
     x = 0.5 + 1.0 / value
     for _ in range(_ITERATIONS):
-        trigamma = float(special.polygamma(1, x))
-        x += trigamma * (1.0 - trigamma / value) / float(special.polygamma(2, x))
+        trigamma = float(scipy.special.polygamma(1, x))
+        x += trigamma * (1.0 - trigamma / value) / float(scipy.special.polygamma(2, x))
     return x

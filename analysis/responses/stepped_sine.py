@@ -15,7 +15,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from analysis.recordings.slices import PIECE_SAMPLES, read_slices
 from analysis.responses.clean_segments import describe_flaws, find_flaws
@@ -146,7 +145,7 @@ class LockIn:
             np.stack(matrices) for matrices in zip(*map(self._gram, distinct_lengths.tolist()), strict=True)
         )
         normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
-        solution = linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0), assume_a="pos")
+        solution = np.linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0))
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
         # Coefficients of the common fit in terms of each part.
         common = window_to_part @ solution

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError, suggestion
@@ -269,7 +269,7 @@ class Response(Result, Sequence["Response"]):
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
         """Return the half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
-        return self.error * special.stdtrit(known_degrees(self.degrees), 0.5 + confidence / 2.0)
+        return self.error * scipy.special.stdtrit(known_degrees(self.degrees), 0.5 + confidence / 2.0)
 
     def parts(self) -> list[str]:
         """Return the name of the largest contribution to the uncertainty at each line of a curve."""

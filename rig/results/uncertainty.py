@@ -16,7 +16,6 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from rig.arrays import Array, ComplexArray
 from rig.results.text import round_to_bound
@@ -319,7 +318,9 @@ def coverage_factor(confidence: float, degrees: Array) -> Array:
     >>> coverage_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
     [2.45, 19.97, 2.58]
     """
-    return np.asarray(np.sqrt(2.0 * special.fdtri(2.0, known_degrees(degrees), confidence)))
+    # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
+    known = known_degrees(degrees)
+    return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
 
 
 def known_degrees(degrees: Array) -> Array:

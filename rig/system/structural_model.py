@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import lapack, solve_triangular
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
@@ -80,11 +80,6 @@ class StructuralModel:
         mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
         return NaturalModes(omega, shapes, mass, damping)
 
-    @cached_property
-    def inverse_mass(self) -> Array:
-        """Accelerance at infinite frequency: the inverse of the mass matrix, shape (bodies, bodies), 1/kg."""
-        return np.asarray(np.linalg.inv(self.mass))
-
     def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
         """Return the model with the masses of the locked and of the riding beds added to their bodies.
 
@@ -143,12 +138,17 @@ def structural_model(scene: Scene) -> StructuralModel:
     """
     mass, damping, stiffness = structure_matrices(scene.structure)
     body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
-    bed_masses = [
-        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[j, j]
-        for damper, j in zip(scene.dampers, body, strict=True)
-    ]
     locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
-    return StructuralModel(mass, damping, stiffness, np.array(bed_masses, dtype=np.float64), body, locked)
+    return StructuralModel(mass, damping, stiffness, bed_masses(scene, mass), body, locked)
+
+
+def bed_masses(scene: Scene, mass: Array) -> Array:
+    """Return the mass of each damper's bed, kg, in the scene's order; `mass`: mass matrix of the structure."""
+    masses = (
+        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[damper.body - 1, damper.body - 1]
+        for damper in scene.dampers
+    )
+    return np.fromiter(masses, dtype=np.float64)
 
 
 def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
@@ -229,13 +229,19 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
     `structure`: a chain, or matrices. Returns `mass, damping, stiffness`, shape (bodies, bodies), M [kg], C [N s/m]
     and K [N/m] of M x'' + C x' + K x = f.
     """
+    mass = mass_matrix(structure)
     if structure.matrices is not None:
-        mass = _symmetric(np.array(structure.matrices.mass))
         stiffness = _symmetric(np.array(structure.matrices.stiffness))
     else:
-        mass = np.diag(np.array(structure.masses or ()))
         stiffness = chain_matrix(structure.springs or ())
     return mass, _damping(structure, mass, stiffness), stiffness
+
+
+def mass_matrix(structure: Structure) -> Array:
+    """Return the mass matrix of the structure without beds, kg, shape (bodies, bodies)."""
+    if structure.matrices is not None:
+        return _symmetric(np.array(structure.matrices.mass))
+    return np.diag(np.array(structure.masses or ()))
 
 
 def chain_matrix(elements: tuple[float, ...]) -> Array:
@@ -264,7 +270,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     """
     # `scipy.linalg.eigh` calls the same routine, but takes six times as long for a few bodies. A fit makes 10 000
     # calls.
-    squared_omega, shapes, info = lapack.dsygvd(stiffness, mass)
+    squared_omega, shapes, info = scipy.linalg.lapack.dsygvd(stiffness, mass)
     if info:
         raise SceneError(
             "structure: the natural modes cannot be computed. Check that the mass matrix is positive definite, and "
@@ -292,10 +298,10 @@ def _modes_of_extreme_masses(mass: Array, stiffness: Array) -> tuple[Array, Arra
     they differ by many orders of magnitude (Z. Drmac, K. Veselic, SIAM J. Matrix Anal. Appl. 29 (2008) 1322-1362).
     """
     mass_factor = np.linalg.cholesky(mass)
-    reduced = solve_triangular(mass_factor, np.linalg.cholesky(stiffness), lower=True)
-    values, left, _, scale, _, _ = lapack.dgejsv(reduced, joba=2, jobv=3)
+    reduced = scipy.linalg.solve_triangular(mass_factor, np.linalg.cholesky(stiffness), lower=True)
+    values, left, _, scale, _, _ = scipy.linalg.lapack.dgejsv(reduced, joba=2, jobv=3)
     omega = np.sort(values * (scale[0] / scale[1]))
-    return omega**2, solve_triangular(mass_factor, left[:, np.argsort(values)], lower=True, trans="T")
+    return omega**2, scipy.linalg.solve_triangular(mass_factor, left[:, np.argsort(values)], lower=True, trans="T")
 
 
 def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:

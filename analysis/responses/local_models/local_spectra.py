@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 from numpy.typing import NDArray
-from scipy import special
 
 from analysis.responses.budget import assemble_budget
 from analysis.responses.force_pulse import slow_and_fast
@@ -206,5 +205,5 @@ class LocalSpectra:
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
             # Upper 95 % bound of the noise power for these degrees of freedom.
             n = fit.degrees_of_freedom
-            bound[row] = np.maximum(bound[row], fit.noise_power * n / special.chdtri(n, 0.95))
+            bound[row] = np.maximum(bound[row], fit.noise_power * n / scipy.special.chdtri(n, 0.95))
         return bound

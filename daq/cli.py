@@ -376,8 +376,7 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
     A name without suffix is a folder, as for other commands, unless a file has this name.
     """
     if output is not None and len(scenes) == 1:
-        is_file_name = output.is_file() or (output.suffix != "" and not output.is_dir())
-        if is_file_name or output.suffix == ".mcap":
+        if output.suffix == ".mcap" or output.is_file() or (output.suffix and not output.is_dir()):
             return [output]
     if output is not None and output.suffix == ".mcap":
         raise typer.BadParameter(f"-o {output}: one file cannot contain {len(scenes)} tests. Give a folder.")

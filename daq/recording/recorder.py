@@ -167,7 +167,8 @@ class Recorder:
             group_end = consumed + self._group_samples - self._raw_groups.position % self._group_samples
             part, consumed = samples[:, consumed:group_end], group_end
             self._raw_groups.add(part)
-            self._write_groups(self._raw_groups.position // self._group_samples)
+            if self._raw_groups.complete:
+                self._write_groups(self._raw_groups.position // self._group_samples)
 
     def gap(self, lost_samples: int) -> None:
         """Skip samples that were not acquired: they read as NaN, and a marker `gap` reports them."""
@@ -342,10 +343,7 @@ class Recorder:
 
     def _write_groups(self, stop: float) -> None:
         """Write the complete groups whose number is below `stop`, in order."""
-        streams = self._streams
-        if not any(stream.complete for stream in streams):
-            return
-        for number in sorted({number for stream in streams for number in stream.complete}):
+        for number in sorted({number for stream in self._streams for number in stream.complete}):
             if number < stop:
                 with delayed_interrupt():
                     self._write_group(number)

@@ -371,13 +371,9 @@ def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene
 
 
 def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
-    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes.
-
-    A name without suffix is a folder, as for other commands, unless a file has this name.
-    """
-    if output is not None and len(scenes) == 1:
-        if output.suffix == ".mcap" or output.is_file() or (output.suffix and not output.is_dir()):
-            return [output]
+    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes."""
+    if len(scenes) == 1 and output is not None and _is_file_name(output):
+        return [output]
     if output is not None and output.suffix == ".mcap":
         raise typer.BadParameter(f"-o {output}: one file cannot contain {len(scenes)} tests. Give a folder.")
     folder = output if output is not None else Path("recordings")
@@ -387,6 +383,11 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
             f"two scenes would be recorded to the same file in {folder}. Record them one by one, with -o FILE.mcap."
         )
     return paths
+
+
+def _is_file_name(path: Path) -> bool:
+    """Return whether an output is a file: a new name without suffix is a folder, as for other commands."""
+    return path.suffix == ".mcap" or path.is_file() or (path.suffix != "" and not path.is_dir())
 
 
 def _prepare_recording(path: Path, overwrite: bool) -> Path:

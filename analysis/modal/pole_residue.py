@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from analysis.modal.trust_region import minimize_squares
 from rig.arrays import Array, ComplexArray
 
 # Maximum number of evaluations: a fit from good initial values converges earlier, others are stopped.
@@ -74,7 +74,10 @@ def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATI
     # With as many unknowns as values, the model is exact for any poles.
     has_residual = problem.target.shape[1] > 2 * start.size + len(problem.residual_terms[0])
     if start.size and has_residual:
-        x = minimize_squares(problem.reduced_residual, problem.reduced_jacobian, x, max_evaluations)
+        x = scipy.optimize.least_squares(
+            problem.reduced_residual, x, problem.reduced_jacobian,
+            xtol=1e-9, ftol=1e-9, gtol=1e-12, max_nfev=max_evaluations,
+        ).x  # fmt: skip
     poles = problem.poles(x)
     unknown, residual = problem.unknowns(x), problem.residual(x)
     count, shape = start.size, curves.value.shape

@@ -66,11 +66,11 @@ class DiscreteCircuit(NamedTuple):
     # moment, and from 1 V of each disturbance; (states + 4 + disturbances, width).
     transition: Array
     impulse_response: Array  # jump of states and moments due to a unit impulse; (width,)
-    # Exponentials of the generator over k/64 and k/4096 of the interval, k = 0 to 64. Zeros pad the size of the vector
-    # to a multiple of `LANES`; (65, size, size).
+    # Exponentials of the generator over k/64 and k/4096 of the interval, k = 0 to 64. Zeros pad each row to a
+    # multiple of `LANES`; (65, size, padded size).
     coarse_exponentials: Array
     fine_exponentials: Array
-    generator: Array  # rate of change of the vector; (1, size, size)
+    generator: Array  # rate of change of the vector; (1, size, padded size)
     taylor_terms: int  # number of terms after which the Taylor series over 1/4096 is exact
     integrals_to_moments: Array  # (integrals, integrals)
 
@@ -180,9 +180,9 @@ def _powers(matrix: Array) -> Array:
 
 
 def transpose_and_pad(matrices: Array) -> Array:
-    """Transpose matrices of shape (count, size, size), and pad them with zeros to a multiple of `LANES`."""
+    """Transpose matrices of shape (count, size, size), and pad their rows with zeros to a multiple of `LANES`."""
     count, size, _ = matrices.shape
-    padded = aligned_zeros(count, padded_length(size), padded_length(size))
+    padded = aligned_zeros(count, size, padded_length(size))
     padded[:, :size, :size] = matrices.transpose(0, 2, 1)
     return padded
 

@@ -68,7 +68,7 @@ class Limits(NamedTuple):
     # limit; (4 + disturbances + states,).
     bound_weights: Array
     step_counts: NDArray[np.int64]  # number of steps in an interval; (2,)
-    # Transition of the propagated vector over a step, stored like `coarse_exponentials`; (2, size, size).
+    # Transition of the propagated vector over a step, stored like `coarse_exponentials`; (2, size, padded size).
     step_transitions: Array
     # Change of the propagated vector over a step if a constant disturbance is 1 V; zero for disturbances that are not
     # constant; (2, disturbances, width).

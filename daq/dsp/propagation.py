@@ -39,7 +39,7 @@ def circuit_workspace(discrete: DiscreteCircuit) -> CircuitWorkspace:
     # would also compete for the same cache lines.
     sources, magnitudes = (aligned_zeros(discrete.moment_weights.shape[0], STRETCH + LANES) for _ in range(2))
     return CircuitWorkspace(
-        segment_workspace(discrete.generator.shape[1]), sources, magnitudes, aligned_zeros(2, STRETCH)
+        segment_workspace(discrete.generator.shape[2]), sources, magnitudes, aligned_zeros(2, STRETCH)
     )
 
 

@@ -9,6 +9,7 @@ A jump of velocity at a break is an impulse of acceleration. A force is interpol
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,52 +47,50 @@ class CubicInput(NamedTuple):
 
 
 class MotionInterpolator:
-    """Interpolates the motion of one point, a row of `Motion`, block after block; `rate`: samples per second."""
+    """Interpolates the motion of points, rows of `Motion`, block after block; `rate`: samples per second."""
 
-    def __init__(self, row: int, rate: float) -> None:
-        self._row = row
+    def __init__(self, rows: Sequence[int], rate: float) -> None:
+        self._rows = np.array(rows, dtype=np.int64)
         self._rate = rate
-        # Acceleration, velocity and displacement: at the last sample, and at both ends of a segment.
-        self._last = np.zeros(3)
+        # Acceleration, velocity and displacement: of each point at the last sample, and at both ends of a segment.
+        self._last = np.zeros((len(rows), 3))
         self._segment_ends = np.zeros(3), np.zeros(3)
 
-    def interpolate(self, motion: Motion) -> CubicInput:
-        """Return the cubics of the next block.
+    def interpolate(self, motion: Motion) -> list[CubicInput]:
+        """Return the cubics of the next block for each point.
 
-        The point is at rest before sample 0. A velocity at sample 0 is therefore an impulse of acceleration there.
+        The points are at rest before sample 0. A velocity at sample 0 is therefore an impulse of acceleration there.
         """
-        row = self._row
-        acceleration, velocity = motion.acceleration[row], motion.velocity[row]
-        displacement = motion.displacement[row]
-        interval_cubics = np.empty((4, acceleration.size))
-        if acceleration.size == 0:
-            return CubicInput(interval_cubics, *_NO_SEGMENTS)
-        if motion.first == 0:
-            self._last[2] = displacement[0]
+        points, samples = self._rows.size, motion.displacement.shape[1]
+        interval_cubics = np.empty((points, 4, samples))
+        if not samples:
+            return [CubicInput(cubics, *_NO_SEGMENTS) for cubics in interval_cubics]
         # An interval with n breaks has n + 1 segments. The impulse at sample 0 is the end of a segment of length 0.
-        breaks = motion.break_sample.size
-        has_segments = breaks > 0 or motion.first == 0
-        segment_interval, segments = allocate_segments(2 * breaks + 1) if has_segments else _NO_SEGMENTS
-        count = 0
-        if motion.first == 0:
-            segments[0, IMPULSE] = velocity[0] * self._rate
-            count = 1
-        if breaks:
-            count = _describe_segments(
-                motion.break_sample - motion.first,
-                motion.break_offset,
-                (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
-                self._row,
-                (acceleration, velocity, displacement),
-                self._last,
-                1.0 / self._rate,
-                count,
-                segment_interval,
-                segments,
-                self._segment_ends,
-            )
-        _describe_intervals(acceleration, velocity, displacement, self._last, self._rate, interval_cubics)
-        return CubicInput(interval_cubics, segment_interval[:count], segments[:count])
+        max_segments = 2 * motion.break_sample.size + (motion.first == 0)
+        segment_interval, segments = np.zeros(max_segments, np.int64), np.zeros((points, max_segments, 6))
+        count = _describe_motion(
+            self._rows,
+            motion.first == 0,
+            # Contiguous, so that the compiler vectorizes the loops over samples.
+            (
+                np.ascontiguousarray(motion.acceleration),
+                np.ascontiguousarray(motion.velocity),
+                np.ascontiguousarray(motion.displacement),
+            ),
+            motion.break_sample - motion.first,
+            motion.break_offset,
+            (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
+            self._last,
+            self._rate,
+            interval_cubics,
+            segment_interval,
+            segments,
+            self._segment_ends,
+        )
+        return [
+            CubicInput(interval_cubics[point], segment_interval[:count], segments[point, :count])
+            for point in range(points)
+        ]
 
 
 def allocate_segments(count: int) -> tuple[NDArray[np.int64], Array]:
@@ -132,13 +131,50 @@ def copy_into(values: Array, target: Array) -> None:
 
 
 @unfused_kernel
+def _describe_motion(
+    rows: NDArray[np.int64],
+    is_start: bool,
+    at_samples: tuple[Array, Array, Array],  # acceleration, velocity and displacement, (points, samples)
+    break_interval: NDArray[np.int64],
+    break_offset: Array,
+    at_breaks: tuple[Array, Array, Array],
+    last: Array,
+    rate: float,
+    interval_cubics: Array,
+    segment_interval: NDArray[np.int64],
+    segments: Array,
+    segment_ends: tuple[Array, Array],
+) -> int:
+    """Fill in the cubics of the points `rows`, and return the number of segments, which is the same for all points.
+
+    `is_start`: whether the block begins with sample 0. The first dimension of `last`, `interval_cubics` and `segments`
+    are the points; for the other arguments see `_describe_intervals` and `_describe_segments`.
+    """
+    acceleration, velocity, displacement = at_samples
+    count = 0
+    for p in range(rows.size):
+        row = rows[p]
+        if is_start:
+            last[p, 2] = displacement[row, 0]
+            segments[p, 0, IMPULSE] = velocity[row, 0] * rate
+        of_point = acceleration[row], velocity[row], displacement[row]
+        count = _describe_segments(
+            break_interval, break_offset, at_breaks, row, of_point, last[p], 1.0 / rate, int(is_start),
+            segment_interval, segments[p], segment_ends,
+        )  # fmt: skip
+        _describe_intervals(of_point, last[p], rate, interval_cubics[p])
+    return count
+
+
+@unfused_kernel
 def _describe_intervals(
-    acceleration: Array, velocity: Array, displacement: Array, last: Array, rate: float, interval_cubics: Array
+    at_samples: tuple[Array, Array, Array], last: Array, rate: float, interval_cubics: Array
 ) -> None:
     """Fill in `interval_cubics` as if no interval had breaks; then copy the block's last sample to `last`.
 
-    `last`: acceleration, velocity and displacement at the sample before the block.
+    `at_samples`: acceleration, velocity and displacement of the point; `last`: at the sample before the block.
     """
+    acceleration, velocity, displacement = at_samples
     end = acceleration.size
     start, mean, moment = interval_cubics[0], interval_cubics[2], interval_cubics[3]
     copy_into(acceleration, interval_cubics[1])

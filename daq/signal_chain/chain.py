@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -57,7 +58,11 @@ class Chain:
         channels = default_channels(scene, points) if scene.channels is None else scene.channels
         self._delays = delays(converter.skew, len(channels), true_rate)
         self._inputs, self._sources = tuple(inputs), [_source(channel, scene) for channel in channels]
-        self._interpolators = [_interpolator(channel, rate, points) for channel in channels]
+        # Channels measure motion, or a force or drive.
+        is_motion = [not (channel.measures_force or channel.measures_voltage) for channel in channels]
+        motion_rows = [_point_row(channel, points) for channel in compress(channels, is_motion)]
+        self._motion_interpolator = MotionInterpolator(motion_rows, rate)
+        self._force_interpolators = [None if motion else ForceInterpolator() for motion in is_motion]
         self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         # Number of initial samples that are omitted, because the delay of the filter is removed.
@@ -104,9 +109,10 @@ class Chain:
         jitter = None if self._jitter is None else self._jitter.standard_normal(stop - first)
         volts = np.empty((len(self._paths), stop - first))
         overload = np.zeros(volts.shape, dtype=bool)
-        for row, (interpolator, path) in enumerate(zip(self._interpolators, self._paths, strict=True)):
-            if isinstance(interpolator, MotionInterpolator):
-                cubics = interpolator.interpolate(motion)
+        motion_cubics = iter(self._motion_interpolator.interpolate(motion))
+        for row, (interpolator, path) in enumerate(zip(self._force_interpolators, self._paths, strict=True)):
+            if interpolator is None:
+                cubics = next(motion_cubics)
             else:
                 # An omitted input is zero, such as the force of an unused hammer.
                 name, factor = self._sources[row]
@@ -114,7 +120,9 @@ class Chain:
                 if forces is not None and name in self._inputs:
                     signal = np.ascontiguousarray(factor * forces[self._inputs.index(name)], dtype=float)
                 cubics = interpolator.interpolate(signal)
-            volts[row], overload[row] = path.measure(cubics, jitter)
+            volts[row], flags = path.measure(cubics, jitter)
+            if flags is not None:
+                overload[row] = flags
         self.overload = overload[:, max(self.latency - first, 0) :]
         return volts[:, max(self.latency - first, 0) :]
 
@@ -141,10 +149,8 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[unit]
 
 
-def _interpolator(channel: Channel, rate: float, points: Sequence[str]) -> MotionInterpolator | ForceInterpolator:
-    """Return the interpolator of the quantity that a channel measures: of a motion, or of a force or drive."""
-    if channel.measures_force or channel.measures_voltage:
-        return ForceInterpolator()
+def _point_row(channel: Channel, points: Sequence[str]) -> int:
+    """Return the row of the motion that a channel measures."""
     if channel.at not in points:
         raise SceneError(f"channel {channel.name!r}: the rig has no {channel.at}. Choose {', '.join(points)}.")
-    return MotionInterpolator(list(points).index(channel.at), rate)
+    return list(points).index(channel.at)

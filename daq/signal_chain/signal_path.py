@@ -101,11 +101,11 @@ class SignalPath:
             noise_generator = generator(seed, name, "converter noise")
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
-    def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | bool]:
+    def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | None]:
         """Return the samples of a block, V, and for each sample whether a limit of sensor or amplifier affected it.
 
-        `cubics` are the cubics of the sensor's input in the intervals of the block. `timing_error` is the timing error
-        of each sample in standard deviations of the jitter.
+        The flags are None without a limit. `cubics` are the cubics of the sensor's input in the intervals of the block.
+        `timing_error` is the timing error of each sample in standard deviations of the jitter.
         """
         if self._delay is not None:
             cubics = self._delay.shift(cubics)
@@ -129,7 +129,7 @@ class SignalPath:
             noise = np.empty(volts.size)
             self._noise.fill(noise)
             volts += noise
-        return volts, False if self._limits is None else self._overloads.flags(sample_ends)
+        return volts, None if self._limits is None else self._overloads.flags(sample_ends)
 
 
 class Overloads:

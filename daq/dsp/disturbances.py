@@ -84,7 +84,9 @@ class Disturbances:
             # the previous block were drawn with that block.
             sample = -(-np.arange(first, stop) // self._oversampling)  # rounded up
             voltages_with_last = np.concatenate([self._last, voltages], axis=1)
-            voltages, self._last = voltages_with_last[:, sample - (self._n_samples - 1)], voltages_with_last[:, -1:]
+            # With `take`, unlike with an index, the rows are contiguous, which is faster.
+            voltages = voltages_with_last.take(sample - (self._n_samples - 1), axis=1)
+            self._last = voltages_with_last[:, -1:]
             self._split_polynomials(voltages, (np.arange(first, stop) - 1) % self._oversampling)
         self._n_samples += count
         return voltages

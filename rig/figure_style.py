@@ -25,6 +25,8 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#55
 WIDTH_INCH = 7.2
 # Resolution of PNG files, dots per inch.
 _DPI = 150
+# Compression level of PNG files: level 6, the default, takes half as long again and reduces them by 5 %.
+_PNG_COMPRESSION = 3
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
 # Powers of ten give too few labels if the limits of a logarithmic axis have a smaller ratio than this.
@@ -90,7 +92,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
         with atomic_write(png) as temporary:
-            figure.savefig(temporary, dpi=_DPI, metadata={"Software": None})
+            compression = {"compress_level": _PNG_COMPRESSION}
+            figure.savefig(temporary, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
         # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
         # engine also places them, but before its last change of the axes.
         for axes in figure.axes:

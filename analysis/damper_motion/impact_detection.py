@@ -293,17 +293,17 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
     side = max(_MIN_SIDE_SAMPLES, round(_SIDE_TIME_S * info.rate))  # number of samples on each side
     acceleration = np.full(impact_samples.size, np.nan)
     jump_sample = np.floor(impact_samples).astype(np.intp)
-    evaluable = np.flatnonzero((jump_sample >= side) & (jump_sample + excluded + side <= samples.size))
+    evaluable = (jump_sample >= side) & (jump_sample + excluded + side <= samples.size)
     offsets = np.concatenate([np.arange(-side, 0), np.arange(excluded, excluded + side)])
-    for index in evaluable:
-        indices = jump_sample[index] + offsets
-        time = (indices - impact_samples[index] - 0.5 * info.average) / (side + excluded)
-        columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
-        if integrations:
-            # The jump of the velocity, or the kink of the displacement.
-            columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
-        coefficients = np.linalg.lstsq(np.stack(columns, axis=1), samples[indices], rcond=None)[0]
-        # The acceleration is the derivative of this order at the impact: the coefficient times the factorial.
-        factorial = (1.0, 1.0, 2.0)[integrations]
-        acceleration[index] = coefficients[integrations] * factorial * (info.rate / (side + excluded)) ** integrations
+    indices = jump_sample[evaluable, None] + offsets
+    time = (indices - impact_samples[evaluable, None] - 0.5 * info.average) / (side + excluded)
+    columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
+    if integrations:
+        # The jump of the velocity, or the kink of the displacement.
+        columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
+    basis, factor = np.linalg.qr(np.stack(columns, axis=2))
+    coefficients = np.linalg.solve(factor, basis.mT @ samples[indices, None])[:, integrations, 0]
+    # The acceleration is the derivative of this order at the impact: the coefficient times the factorial.
+    factorial = (1.0, 1.0, 2.0)[integrations]
+    acceleration[evaluable] = coefficients * factorial * (info.rate / (side + excluded)) ** integrations
     return acceleration

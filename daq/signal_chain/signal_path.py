@@ -7,7 +7,7 @@ interval.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from daq.signal_chain.decimation_filter import DELAY_SAMPLES, DecimationFilter
 from daq.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.signal_chain.stage import Stage, is_averaged
 from rig.arrays import Array
-from rig.numerics.jit import machine_code_for
 from rig.scene.measurement_chain import Converter
 
 # Number of Legendre polynomials per interval that represent noise before a filter; see `daq.dsp.noise.FastNoise`.
@@ -83,9 +82,6 @@ class SignalPath:
         self._limits = tabulate_limits(
             sections, limited_section, sensor.limit, np.array(state_limits), gain, rate, entries, self._discrete
         )
-        # Machine code of `propagate`, from the first block on. All arrays are contiguous, so that their types are equal
-        # in all blocks.
-        self._propagate: Callable[..., None] | None = None
         self._state, self._workspace = np.zeros(circuit.c.size), circuit_workspace(self._discrete)
         self._overloads = Overloads(stages, rate, self._sampler.intervals)
         self._output_matrix, self._feedthrough = self._sampler.output_matrix, self._sampler.feedthrough
@@ -119,14 +115,11 @@ class SignalPath:
         self._first_interval += intervals
         disturbances = self._disturbances.draw(intervals)
         outputs = np.empty((self._feedthrough.size, intervals))
-        arguments = (
+        propagate(
             cubics, self._discrete, self._limits, self._state, disturbances, self._output_matrix, self._feedthrough,
             self._feedthrough_excess, outputs, self._sampler.moments_buffer(intervals),
             self._overloads.severity_buffer(intervals), self._workspace,
         )  # fmt: skip
-        if self._propagate is None:
-            self._propagate = machine_code_for(propagate, arguments)
-        self._propagate(*arguments)
         volts = self._sampler.read(outputs, sample_ends)
         if self._disturbances.has_direct:
             self._disturbances.add_direct(disturbances[:, sample_ends], volts)

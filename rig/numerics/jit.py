@@ -204,15 +204,3 @@ def unfused_kernel(function: F) -> F:
     be bit-identical, so that results do not depend on the block size.
     """
     return _njit(function, is_kernel=True, nogil=True, fastmath=False)
-
-
-def machine_code_for(kernel: F, arguments: tuple[object, ...]) -> F:
-    """Return the machine code of a kernel for arguments of these types; it is compiled if necessary.
-
-    A call of a kernel first determines the types of all arguments, which takes 0.3 µs for each array in a named tuple.
-    A call of the machine code does not check types. Use it only if the types, which include the memory layout of
-    arrays, are equal in all calls.
-    """
-    if _CONFIG.DISABLE_JIT:
-        return kernel
-    return cast(F, cast(Any, kernel).compile(tuple(map(numba.typeof, arguments))))

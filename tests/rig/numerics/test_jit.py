@@ -154,17 +154,6 @@ def test_kernels_run_without_compilation(kernels: Path) -> None:
     assert machine_code(kernels) == {}
 
 
-@pytest.mark.parametrize("disable_jit", ["0", "1"])
-def test_machine_code_computes_as_its_kernel(kernels: Path, disable_jit: str) -> None:
-    code = (
-        "from kernels.outer import outer; from kernels.pair import Pair\n"
-        "from rig.numerics.jit import machine_code_for\n"
-        "arguments = (Pair(1.0, 100.0),)\n"
-        "print(machine_code_for(outer, arguments)(*arguments), outer(*arguments))"
-    )
-    assert run(kernels, code, NUMBA_DISABLE_JIT=disable_jit).stdout == "112.0 112.0\n"
-
-
 def test_callee_is_compiled_once_per_type(kernels: Path) -> None:
     (kernels / "twice.py").write_text(TWICE)
     assert run(kernels, PRINT_COMPILED).stdout.splitlines() == ["5.0 4.0", "outer inner inner"]

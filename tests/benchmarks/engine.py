@@ -15,6 +15,7 @@ import numpy as np
 
 import rig
 from rig.engine.propagator import tone_propagator
+from rig.engine.trajectory import Trajectory
 from rig.simulation.plant import Plant
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -25,6 +26,10 @@ from rig.work_precision.first_order_form import FirstOrderForm
 
 # Number of periods for all solvers; many, because the first periods have few events.
 PERIODS = 100
+# Number of periods for the parts of the engine's time: the motion of most of them is steady.
+LONG_RUN_PERIODS = 1000
+# Factor on the drive for which every damper stays on its floor.
+WEAK_LEVEL = 0.01
 # Event detection at a wall is suspended for this time after a damper leaves it.
 GUARD_PAUSE_S = 2e-5
 RATE = 51200.0  # samples per second
@@ -49,21 +54,43 @@ def tone_of(scene: rig.Scene) -> tuple[HybridSystem, ToneDrive]:
     return system, tone
 
 
-def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) -> float:
-    """Return the engine's CPU time for a period of the drive, starting from rest, s."""
+def engine_run(
+    scene: rig.Scene, periods: int = PERIODS, repeats: int = 200, level: float = 1.0
+) -> tuple[float, float, float]:
+    """Propagate with the engine from rest; return CPU time (s), full steps and events, each for a period of the drive.
+
+    `level`: factor on the amplitude of the drive.
+    """
     system, tone = tone_of(scene)
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega)
-    propagator.set_state(tone.state, np.array([1.0, 0.0]))
+    propagator.set_state(tone.state, np.array([level, 0.0]))
     start = propagator.snapshot()
     # One segment of steps per period; row -1: no state is stored.
     segment_steps, rows, starts_period = np.full(periods, steps), np.full(periods, -1), np.ones(periods, dtype=bool)
 
-    def run() -> None:
+    def run() -> Trajectory:
         propagator.resume(start)
-        propagator.propagate_tone(segment_steps, rows, starts_period)
+        return propagator.propagate_tone(segment_steps, rows, starts_period, level)
 
-    run()
-    return shortest_time(run, repeats) / periods
+    events = len(run().event_segment) / periods
+    return shortest_time(run, repeats) / periods, steps, events
+
+
+def engine_period(scene: rig.Scene, periods: int = PERIODS, repeats: int = 200) -> float:
+    """Return the engine's CPU time for a period of the drive, starting from rest, s."""
+    return engine_run(scene, periods, repeats)[0]
+
+
+def print_parts_of_periods() -> None:
+    """Print how much of the CPU time of a period is due to steps, and how much to events."""
+    print(f"Parts of this time over {LONG_RUN_PERIODS} periods; steps: from the same drive, too weak for events")
+    print(f"  {'':4s}{'period/us':>10s}{'steps':>7s}{'ns a step':>11s}{'events':>8s}{'ns an event':>13s}")
+    for case in "ABC":
+        scene = rig.load(f"reference-{case}")
+        period, steps, events = engine_run(scene, LONG_RUN_PERIODS, 30)
+        without_events, _, _ = engine_run(scene, LONG_RUN_PERIODS, 30, WEAK_LEVEL)
+        step_ns, event_ns = without_events / steps * 1e9, (period - without_events) / events * 1e9
+        print(f"  {case:4s}{period * 1e6:10.2f}{steps:7.0f}{step_ns:11.0f}{events:8.2f}{event_ns:13.0f}")
 
 
 def solver_periods(scene: rig.Scene) -> dict[str, float]:
@@ -109,6 +136,7 @@ def main() -> None:
         for name, seconds in solver_periods(scene).items():
             print(f"   {name} {seconds * 1e3:6.2f} ms = {seconds / engine_time:6.0f} x", end="", flush=True)
         print()
+    print_parts_of_periods()
     print("Plant under a drive sampled at 51.2 kHz, in times real time (motion, gaps and breaks included)")
     for name, amplitude in (("reference-A", 2.6), ("reference-C", 10.0), ("fig8-three-dampers", 5.0)):
         sine, noisy = plant_speed(name, amplitude, 0.0), plant_speed(name, amplitude, 0.3 * amplitude)

@@ -270,14 +270,14 @@ class _Point(NamedTuple):
 def _compute(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
     # Run once without measurement, so that compilation and loading are not included in the CPU time.
-    SteadyContinuation(row.scene, STEADY_TOLERANCE, 1).point(float(row.frequency[0]), None)
-    computed, points = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.max_wait).points(row.frequency)
+    next(SteadyContinuation(row.scene, STEADY_TOLERANCE, 1).motions(row.frequency))
+    computed, motions = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.max_wait).motions(row.frequency)
     for _ in row.frequency:
         cpu_start = time.thread_time()
-        point = next(points)
+        motion = next(motions)
         cpu = time.thread_time() - cpu_start
-        steady, impacts = point.steady, float(point.impacts.sum())
-        computed.append(_Point(list(point.types), impacts, steady.repetition, steady.periods, cpu))
+        steady, impacts = motion.steady, float(motion.impacts.sum())
+        computed.append(_Point(motion.types, impacts, steady.repetition, steady.periods, cpu))
     return computed
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import CONTACT_EVENTS
+from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
 from rig.errors import SceneError
 from rig.progress import CountProgress
 from rig.results import Result, complete_style
@@ -163,8 +163,24 @@ def draw_compliance(
 
 
 @dataclass(frozen=True)
+class SteadyMotion:
+    """Steady-state motion at one frequency, over one repetition.
+
+    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`; `types`:
+    motion type of each damper; `impacts`: of each damper per period of the drive.
+    """
+
+    steady: SteadyState
+    end_state: tuple[Array, ...]
+    trajectory: Trajectory
+    initial_states: Array
+    types: list[str]
+    impacts: Array
+
+
+@dataclass(frozen=True)
 class SteadyPoint:
-    """Steady-state motion at one frequency; `end_state` is the initial state for the next frequency.
+    """Response of a steady-state motion at one frequency; `end_state` is the initial state for the next frequency.
 
     The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
     `settle`, and the drive level relative to the level of the linear structure.
@@ -264,9 +280,10 @@ def _compute_in_two_sections(
     order: Array,
 ) -> list[SteadyPoint]:
     """Compute two halves of the frequencies in parallel, and let the second continue the motion of the first."""
-    middle = len(order) // 2
-    if middle == 0:
+    # The first point of the second section is always recomputed, so that sections of up to two points save no time.
+    if len(order) < 4:
         return compute_section(order)
+    middle = len(order) // 2
     pending = pool.submit(compute_section, order[middle:])
     first = compute_section(order[:middle])
     second = pending.result()
@@ -307,7 +324,26 @@ class SteadyContinuation:
             yield previous
 
     def point(self, frequency: float, previous: SteadyPoint | None) -> SteadyPoint:
-        """Compute the steady-state motion at one frequency, from the motion at another or from rest."""
+        """Compute the steady-state response at one frequency, from the motion at another or from rest."""
+        propagator, steps = self._propagator(frequency, previous)
+        if not self.controls_spring_force:
+            return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
+        return self._reach_spring_force(propagator, steps, frequency, previous)
+
+    def motions(self, order: Sequence[float] | Array) -> Iterator[SteadyMotion]:
+        """Yield the motions of `points` without their response; the force must act directly on a body.
+
+        The Fourier integrals of the response would take a sixth of the time.
+        """
+        assert not self.controls_spring_force
+        previous = None
+        for frequency in order:
+            propagator, steps = self._propagator(float(frequency), previous)
+            previous = self._settle(propagator, steps, 1.0, self.tolerance)
+            yield previous
+
+    def _propagator(self, frequency: float, previous: SteadyMotion | SteadyPoint | None) -> tuple[Propagator, float]:
+        """Return a propagator at the end of the motion at another frequency or at rest, and its steps per period."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
@@ -315,9 +351,7 @@ class SteadyContinuation:
             propagator.set_state(tone.state, np.array([1.0, 0.0]))
         else:
             propagator.resume(previous.end_state)
-        if not self.controls_spring_force:
-            return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
-        return self._reach_spring_force(propagator, steps, frequency, previous)
+        return propagator, steps
 
     def _reach_spring_force(
         self, propagator: Propagator, steps: float, frequency: float, previous: SteadyPoint | None
@@ -341,18 +375,34 @@ class SteadyContinuation:
         converged = abs(trials[-1][1]) < 10.0 * LEVEL_TOLERANCE
         return point if converged else replace(point, steady=replace(point.steady, converged=False))
 
+    def _settle(self, propagator: Propagator, steps: float, level: float, tolerance: float) -> SteadyMotion:
+        """Integrate until the motion is steady at a drive level, and over one repetition."""
+        system = self.system
+        propagator.start_period(level)
+        steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
+        repetition = steady.repetition or IRREGULAR_PERIODS
+        trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
+        impact_dampers = trajectory.event_damper[np.isin(trajectory.event_kind, CONTACT_EVENTS)]
+        return SteadyMotion(
+            steady=steady,
+            end_state=propagator.snapshot(),
+            trajectory=trajectory,
+            initial_states=initial_states,
+            types=motion_types(
+                trajectory, system, steady.repetition, steps / INSTANTS_PER_PERIOD * propagator.tables.step
+            ),
+            impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
+        )
+
     def _measure(
         self, propagator: Propagator, steps: float, frequency: float, level: float, tolerance: float
     ) -> SteadyPoint:
         """Integrate until the motion is steady at a drive level, and compute its response over one repetition."""
         system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
-        propagator.start_period(level)
-        steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
-        repetition = steady.repetition or IRREGULAR_PERIODS
-        trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
-        end_state = propagator.snapshot()
-        durations = np.full(len(initial_states), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
-        harmonic = fourier_integral(propagator.tables, trajectory, initial_states, durations, omega) / (
+        motion = self._settle(propagator, steps, level, tolerance)
+        trajectory, repetition = motion.trajectory, motion.steady.repetition or IRREGULAR_PERIODS
+        durations = np.full(len(motion.initial_states), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
+        harmonic = fourier_integral(propagator.tables, trajectory, motion.initial_states, durations, omega) / (
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
@@ -361,7 +411,6 @@ class SteadyContinuation:
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
-        types = motion_types(trajectory, system, steady.repetition, float(durations[0]))
         is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
         impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
         np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
@@ -371,11 +420,11 @@ class SteadyContinuation:
             compliance=harmonic[:bodies] / force if force else np.full(bodies, np.nan + 0j),
             peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
             force=abs(force),
-            types=types,
-            impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
+            types=motion.types,
+            impacts=motion.impacts,
             closing_speed=closing_speed,
-            steady=steady,
-            end_state=end_state,
+            steady=motion.steady,
+            end_state=motion.end_state,
             level=level,
         )
 

@@ -117,8 +117,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     has_jump = (
         five_points.size > 3 and abs(abs(1.0 / predicted[0]) / magnitude[highest] - 1.0) > _MAX_LEAVE_ONE_OUT_ERROR
     )
-    has_omitted_neighbor = np.any((in_band.omitted > f[highest - 1]) & (in_band.omitted < f[highest + 1]))
-    if has_jump or f.size < 4 or has_omitted_neighbor:
+    if has_jump or f.size < 4 or is_next_to_omitted(in_band, f[highest]):
         return Peak(
             float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]),
             tolerances=tolerances, clock=clock,

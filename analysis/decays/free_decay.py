@@ -244,8 +244,7 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
         if lost.mean() > _MAX_LOST_FRACTION:
             raise RecordingError(
                 f"{rec.path}: {format_percent(lost.mean())} of the samples of hit {hit} are lost. Choose another hit, "
-                "or record "
-                "again."
+                "or record again."
             )
         samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
         warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
@@ -267,15 +266,13 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     if fraction > _MAX_OVERLOADED_FRACTION:
         raise RecordingError(
             f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of hit {hit}'s decay. Hit more "
-            "softly, "
-            "widen the converter's range, or lower the sensitivity in the scene."
+            "softly, widen the converter's range, or lower the sensitivity in the scene."
         )
     if not fraction:
         return []
     return [
         f"{info.name} was overloaded for {format_percent(fraction)} of the decay, so that its first amplitudes are "
-        "too low. Hit "
-        "more softly, or widen the converter's range."
+        "too low. Hit more softly, or widen the converter's range."
     ]
 
 

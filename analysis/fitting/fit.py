@@ -262,8 +262,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
         largest = max(comparison.relative for comparison in compared)
         warnings.append(
             f"The residuals reach {format_percent(largest)} of the curves, more than the errors of the curves explain "
-            "(reduced "
-            f"chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
+            f"(reduced chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.orbits is None else group.orbits.uncovered
@@ -344,8 +343,7 @@ def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
     if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {format_percent(worst.relative)} of the curves "
-            "(rms), "
-            f"{format_number(np.sqrt(estimated.variance))} times their stated errors."
+            f"(rms), {format_number(np.sqrt(estimated.variance))} times their stated errors."
         )
     return ""
 

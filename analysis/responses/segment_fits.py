@@ -250,8 +250,7 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
         return frf
     warning = (
         f"{frf.response}: motion or drift before a hit, of {format_percent(largest)} of the response, affects the "
-        "curve. Hit "
-        "the structure at rest, start recording earlier, or record several hits in a row."
+        "curve. Hit the structure at rest, start recording earlier, or record several hits in a row."
     )
     # The spectrum of a free decay has the shape of a resonance of the response. Every line is therefore treated as a
     # resonance with the magnitude of the response at this line; its skirts decrease with the distance from it.

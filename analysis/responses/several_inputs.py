@@ -451,9 +451,8 @@ def _add_warnings(response: Response) -> Response:
     notes = [COHERENT_INPUTS.format(lines=n_coherent, all=response.frequency.size)] if n_coherent else []
     notes += [
         f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by "
-        f"{format_percent(pair.deviation)} "
-        f"(median), more than their uncertainties at {format_percent(1.0 - pair.within)} of the lines. Check the "
-        "sensors' directions, gains and locations."
+        f"{format_percent(pair.deviation)} (median), more than their uncertainties at "
+        f"{format_percent(1.0 - pair.within)} of the lines. Check the sensors' directions, gains and locations."
         for pair in reciprocity(response)
         if pair.within < _MIN_RECIPROCAL_LINES
     ]

@@ -67,8 +67,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
             if factor < 1.0:
                 station.warn(
                     f"{message}: the amplifier delivers only {format_percent(factor)} of the drive that the level "
-                    "requires. "
-                    "Lower the level of the test."
+                    "requires. Lower the level of the test."
                 )
             waves *= factor
             fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations

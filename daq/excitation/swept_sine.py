@@ -170,11 +170,10 @@ class LevelMonitor:
                 remedy = f"At times the signals are below one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than "
-                f"{format_percent(ALLOWED_DEVIATION)} "
-                f"in {self._intervals} interval{'s' if self._intervals > 1 else ''}, "
-                f"{format_percent(self._samples / samples)} of "
-                f"the sweep, and most at {format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). "
-                f"The intervals are marked 'level' in the recording. {remedy}"
+                f"{format_percent(ALLOWED_DEVIATION)} in {self._intervals} "
+                f"interval{'s' if self._intervals > 1 else ''}, {format_percent(self._samples / samples)} of the "
+                f"sweep, and most at {format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). The "
+                f"intervals are marked 'level' in the recording. {remedy}"
             )
 
     def _end_interval(self) -> None:

@@ -115,8 +115,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         warn(
             f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
-            "The "
-            "samples are imported as evenly spaced, because usually only the written times jitter."
+            "The samples are imported as evenly spaced, because usually only the written times jitter."
         )
     else:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)

@@ -442,7 +442,7 @@ class Response(Result, Sequence["Response"]):
         if line == self.peak_line():
             return []
         magnitude, bound = float(abs(self.value[line])), float(self.bound()[line])
-        uncertainty = f"{format_percent(bound / magnitude)}" if np.isfinite(bound) else "unbounded"
+        uncertainty = format_percent(bound / magnitude) if np.isfinite(bound) else "unbounded"
         return [
             f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
             f"(uncertainty {uncertainty}, {self.parts()[line]})"

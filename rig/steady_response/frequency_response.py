@@ -166,16 +166,19 @@ def draw_compliance(
 class SteadyMotion:
     """Steady-state motion at one frequency, over one repetition.
 
-    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`; `types`:
-    motion type of each damper; `impacts`: of each damper per period of the drive.
+    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`, whose
+    segments last `interval` s; of each damper, `types`: motion type, `impacts`: impacts per period of the drive,
+    `closing_speed`: as in `SteadyResponse`.
     """
 
     steady: SteadyState
     end_state: tuple[Array, ...]
     trajectory: Trajectory
     initial_states: Array
+    interval: float
     types: list[str]
     impacts: Array
+    closing_speed: Array
 
 
 @dataclass(frozen=True)
@@ -382,16 +385,19 @@ class SteadyContinuation:
         steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
         repetition = steady.repetition or IRREGULAR_PERIODS
         trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
-        impact_dampers = trajectory.event_damper[np.isin(trajectory.event_kind, CONTACT_EVENTS)]
+        interval = steps / INSTANTS_PER_PERIOD * propagator.tables.step
+        is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
+        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
+        np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
         return SteadyMotion(
             steady=steady,
             end_state=propagator.snapshot(),
             trajectory=trajectory,
             initial_states=initial_states,
-            types=motion_types(
-                trajectory, system, steady.repetition, steps / INSTANTS_PER_PERIOD * propagator.tables.step
-            ),
+            interval=interval,
+            types=motion_types(trajectory, system, steady.repetition, interval),
             impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
+            closing_speed=closing_speed,
         )
 
     def _measure(
@@ -401,7 +407,7 @@ class SteadyContinuation:
         system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
         motion = self._settle(propagator, steps, level, tolerance)
         trajectory, repetition = motion.trajectory, motion.steady.repetition or IRREGULAR_PERIODS
-        durations = np.full(len(motion.initial_states), steps / INSTANTS_PER_PERIOD * propagator.tables.step)
+        durations = np.full(len(motion.initial_states), motion.interval)
         harmonic = fourier_integral(propagator.tables, trajectory, motion.initial_states, durations, omega) / (
             np.pi * repetition / omega
         )
@@ -411,9 +417,6 @@ class SteadyContinuation:
             force = -1j * level_of(self.scene) * level
         else:
             force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
-        is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
-        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
-        np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,
@@ -422,7 +425,7 @@ class SteadyContinuation:
             force=abs(force),
             types=motion.types,
             impacts=motion.impacts,
-            closing_speed=closing_speed,
+            closing_speed=motion.closing_speed,
             steady=motion.steady,
             end_state=motion.end_state,
             level=level,

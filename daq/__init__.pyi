@@ -4,7 +4,6 @@ from .bench_page.bench import bench
 from .compiling import warm_up
 from .foresight.foresee import foresee
 from .importing.import_files import import_, import_files
-from .live_scope.scope import scope
 from .measurement.run import RunWarning, record
 from .recording.recorder import Recorder
 from .recording.recording import Recording, open
@@ -31,7 +30,6 @@ __all__ = [
     "recover",
     "replay",
     "run",
-    "scope",
     "serve",
     "warm_up",
 ]

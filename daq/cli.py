@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rig.arguments import Changes, Overwrite, SceneName, SceneNames, load_scene
+from rig.arguments import Changes, Overwrite, SceneNames, load_scene
 from rig.command_line import create_application, run_command
 from rig.console import pause_reports, progress, user_terminal
 from rig.errors import RecordingError
@@ -209,36 +209,6 @@ def recover(
         print(line)
 
 
-@app.command("scope", example="daq scope fig9 --frequency 34 --force 2")
-def run_scope(
-    scene: SceneName,
-    changes: Changes = None,
-    output: Annotated[Path | None, _output("Recording to write. Default: recordings/SCENE-scope.mcap.")] = None,
-    overwrite: Replace = False,
-    frequency: Annotated[
-        float | None,
-        _option(
-            "HZ", "Initial drive frequency, Hz. Default: that of the test, or of the lowest mode.", "-f", "--frequency"
-        ),
-    ] = None,
-    force: Annotated[float, _option("N", "Initial force amplitude, N.", "-F", "--force")] = 0.0,
-    web: Web = False,
-) -> None:
-    """Drive a rig live: type its frequency and force, watch its motion.
-
-    All channels are recorded.
-    """
-    from daq.live_scope.scope import scope
-    from daq.measurement.run_report import summary
-
-    default = Path("recordings") / f"{Path(scene).stem}-scope.mcap"
-    settings = load_scene(scene, changes)
-    path = _prepare_recording(output if output is not None else default, overwrite)
-    with pause_reports():
-        scope(settings, path, frequency=frequency, force=force, web=web, overwrite=overwrite)
-    print(summary(path))
-
-
 @app.command(
     "run",
     context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
@@ -295,7 +265,6 @@ def serve_a_rig(
     ] = 30.0,
     output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
     overwrite: Replace = False,
-    viewer: Annotated[bool, _option(None, "Show all channels live in the viewer.", "--viewer")] = False,
     proto_folder: Annotated[
         Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
     ] = None,
@@ -321,7 +290,7 @@ def serve_a_rig(
     bench = _load_bench_scene(scene, changes)
     path = None if output is None else _prepare_recording(output, overwrite)
     with pause_reports():
-        serve(bench, clock, address, port, certificates, limits, path, overwrite, viewer, proto_folder)
+        serve(bench, clock, address, port, certificates, limits, path, overwrite, proto_folder)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")

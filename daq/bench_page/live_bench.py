@@ -138,8 +138,7 @@ class TestController:
         """Apply the changed frequency and level to a running sine."""
         if self._controls is not None and self.running:
             try:
-                self._controls.execute(f"f {self.settings.frequency!r}")
-                self._controls.execute(f"F {self.settings.level!r}")
+                self._controls.set(self.settings.frequency, self.settings.level)
             except SceneError as error:
                 self.message = str(error)
 
@@ -159,7 +158,7 @@ class TestController:
         if settings.kind == "sine":
             test_settings = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
             controls = ToneControls(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=test_settings), ManualTone(controls, _ignore).excite, controls
+            return self._scene.replace(test=test_settings), ManualTone(controls).excite, controls
         kind = "swept_sine" if settings.kind == "sweep" else "random"
         band = {"from": settings.low, "to": settings.high}
         test_settings = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}

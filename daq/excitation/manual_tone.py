@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
 
@@ -11,7 +10,6 @@ import numpy as np
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
-from rig.arrays import Array
 from rig.errors import SceneError
 
 # The steady state is reached within this fraction of the amplitude. The tolerance is coarse, because an operator does
@@ -31,92 +29,52 @@ class ToneControls:
     `highest`: highest permitted frequency, Hz.
 
     >>> controls = ToneControls(13.0, 0.0, highest=1000.0)
-    >>> controls.execute("f 34.8"), controls.execute("F 2.6"), controls.settings
-    (True, True, (34.8, 2.6))
-    >>> controls.execute("q"), controls.quit
-    (True, True)
+    >>> controls.set(34.8, 2.6)
+    >>> controls.settings
+    (34.8, 2.6)
     """
-
-    HELP = "`f 34.8` sets the frequency to 34.8 Hz, `F 2.6` the force amplitude to 2.6 N, `q` quits"
 
     def __init__(self, frequency: float, force: float, highest: float) -> None:
         self.highest = highest
-        self.quit = False
-        self._set(frequency, force)
+        self.set(frequency, force)
 
-    def execute(self, line: str) -> bool:
-        """Execute a command line; return whether it is not empty."""
-        key, _, text = line.strip().partition(" ")
-        frequency, force = self.settings
-        if key in ("q", "quit", "exit") and not text:
-            self.quit = True
-        elif key in ("f", "F"):
-            try:
-                value = float(text)
-            except ValueError:
-                raise SceneError(f"{text!r}: not a number. {self.HELP}.") from None
-            self._set(*((value, force) if key == "f" else (frequency, value)))
-        elif key:
-            raise SceneError(f"{line.strip()!r}: unknown command. {self.HELP}.")
-        return bool(key)
-
-    def _set(self, frequency: float, force: float) -> None:
+    def set(self, frequency: float, force: float) -> None:
+        """Change both; raises `SceneError` if a value is out of range."""
         if not 0.0 < frequency <= self.highest:
-            raise SceneError(f"f {frequency:g}: out of range. Give a frequency above 0 and up to {self.highest:g} Hz.")
+            raise SceneError(
+                f"frequency: {frequency:g} Hz is out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
+            )
         if not 0.0 <= force < np.inf:
-            raise SceneError(f"F {force:g}: out of range. Give a force amplitude of 0 N or more.")
+            raise SceneError(f"force: {force:g} N is out of range. Give a force amplitude of 0 N or more.")
         self.settings = frequency, force
-
-
-@dataclass(frozen=True)
-class ToneEstimate:
-    """Amplitudes of the tone in one window; phases of force and displacement have the same reference."""
-
-    frequency: float  # requested, Hz
-    level: float  # requested, N
-    is_settled: bool  # the level has been reached and the motion is steady
-    drive: float  # amplitude of the drive, in its unit
-    force: complex  # force of the coil spring, or the drive if it is a force, N
-    displacement: dict[str, complex]  # by channel, m
-
-    def receptance(self, channel: str) -> complex:
-        """Return displacement over force, m/N."""
-        return self.displacement[channel] / self.force if self.force else complex(np.nan)
 
 
 @dataclass
 class ManualTone:
-    """Excitation by a tone with the operator's settings; `report` is called with the estimate of every window."""
+    """Excitation by a tone with the operator's settings."""
 
     controls: ToneControls
-    report: Callable[[ToneEstimate], None]
-    _is_steady: bool = field(default=False, init=False)
     _level: float = field(default=0.0, init=False)
 
     def excite(self, station: Station) -> Excitation:
-        """Output the tone until the operator quits; mark steady intervals as a stepped sine does."""
+        """Output the tone until the run ends; mark steady intervals as a stepped sine does."""
         # Raises `SceneError` without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         if not station.force_is_drive:
             # Raises `SceneError` if the channels of the spring force are missing.
             station.force_weights(1.0)
         tone = SteadyTone(station, self.controls.settings[0], controlled=not station.force_is_drive)
-        while not self.controls.quit:
+        while True:
             requested = self.controls.settings
             # Closing the generator marks the steady-state interval, even if the run ends early.
             with closing(self._hold_setting(tone, *requested)) as drives:
-                phase, drive = tone.phase, next(drives)
-                while True:
-                    readings = yield drive
-                    self.report(self._estimate(tone, readings, phase, requested))
-                    if self.controls.quit or self.controls.settings != requested:
-                        break
-                    phase, drive = tone.phase, drives.send(readings)
-        yield tone.end()
+                readings = yield next(drives)
+                while self.controls.settings == requested:
+                    readings = yield drives.send(readings)
 
     def _hold_setting(self, tone: SteadyTone, frequency: float, level: float) -> Excitation:
         """Change to a frequency in Hz and a force level in N, and hold both until the generator is closed."""
-        self._is_steady, station = False, tone.station
+        station = tone.station
         window = whole_periods(frequency, station.rate, WINDOW_S)
         if level == 0.0:
             yield station.drive(tone.transition(max(station.samples(TRANSITION_S), window), frequency, 0.0))
@@ -141,7 +99,7 @@ class ManualTone:
 
     def _hold_drive(self, tone: SteadyTone, window: int, settled: bool, fields: dict[str, float]) -> Excitation:
         """Hold the drive until the force deviates from its level, and mark the interval."""
-        self._is_steady, deviating_windows, force, station = settled, 0, fields["level"], tone.station
+        deviating_windows, force, station = 0, fields["level"], tone.station
         first = station.now
         try:
             while deviating_windows < _DEVIATING_WINDOWS:
@@ -151,20 +109,7 @@ class ManualTone:
                     force = float(abs(tone.amplitudes(readings, phase)[0]))
                 deviating_windows = deviating_windows + 1 if abs(force / fields["level"] - 1.0) > _MAX_DEVIATION else 0
         finally:
-            self._is_steady = False
             if station.now > first:
                 station.mark(
                     "measure", first, station.now, drive=tone.amplitude, force=force, settled=settled, **fields
                 )
-
-    def _estimate(
-        self, tone: SteadyTone, readings: Array, phase: float, requested: tuple[float, float]
-    ) -> ToneEstimate:
-        motions, station = tone.amplitudes(readings, phase), tone.station
-        # The drive is amplitude * sin(phase), and a complex amplitude A represents Re(A e^{i phase}).
-        force = -1j * tone.amplitude
-        if not station.force_is_drive:
-            force, motions = complex(motions[0]), motions[1:]
-        names = [info.name for info in station.channels if info.quantity not in ("force", "voltage")]
-        displacement = {name: complex(value) for name, value in zip(names, motions, strict=True)}
-        return ToneEstimate(*requested, self._is_steady, tone.amplitude, force, displacement)

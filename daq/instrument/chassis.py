@@ -83,7 +83,7 @@ class Chassis:
         lock = threading.RLock()
         # `changed` is notified when samples have passed; its lock protects the whole chassis.
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
-        # Called with every block at the sample rate of the bench, for example by the scope or a recording.
+        # Called with every block at the sample rate of the bench, for example by a recording.
         self.listeners: list[Callable[[Bench, Block], None]] = []
         # Called with the inputs of a task before they are sampled.
         self.conditioning_listeners: list[Callable[[Sequence[Channel]], None]] = []

@@ -63,7 +63,7 @@ def is_recorded(scene: Scene, path: Path) -> bool:
             return False
         with daq.open(path) as rec:
             is_same_version = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
-            # Live recordings, of the scope or of clients, have no markers of a test.
+            # Live recordings of clients have no markers of a test.
             return is_same_version and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
     except (ShotrigError, OSError):
         return False

@@ -1,4 +1,4 @@
-"""Shows and records the bench while clients of a server use it: live view in the rerun viewer, and recording."""
+"""Records the bench while clients of a server use it, and ends the thread of a live display."""
 
 from __future__ import annotations
 
@@ -7,21 +7,13 @@ import sys
 import threading
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.engines.log import MarkedRecording
 from rig.errors import RecordingError, ShotrigError
 from rig.output_files import create_folder
 
-if TYPE_CHECKING:
-    import rerun as rr
-
-# Maximum number of blocks that wait for the display. If the view is late, it omits blocks; a recording never does.
-_MAX_WAITING_BLOCKS = 64
 #: Maximum wait for a display that does not respond, s.
 MAX_CLOSING_S = 10.0
 
@@ -52,35 +44,6 @@ def _report(message: str) -> None:
     # The terminal may be closed already.
     with suppress(OSError):
         print(message, file=sys.stderr, flush=True)
-
-
-class LiveView:
-    """Shows the bench of a chassis in the rerun viewer, from a separate thread; `stream` leads to the viewer."""
-
-    def __init__(self, chassis: Chassis, stream: rr.RecordingStream) -> None:
-        from daq.live_scope.screen import Screen
-
-        bench = chassis.bench
-        self._chassis = chassis
-        self._screen = Screen(stream, bench.scene, bench.channels, bench.rate)
-        self._blocks: queue.Queue[tuple[Any, NDArray[np.float64]] | None] = queue.Queue(_MAX_WAITING_BLOCKS)
-        self._thread = threading.Thread(target=self._show, name="view", daemon=True)
-        self._thread.start()
-        chassis.listeners.append(self._on_block)
-
-    def _on_block(self, bench: Any, block: Any) -> None:
-        if not self._blocks.full():
-            self._blocks.put_nowait((block, bench.to_units(block.samples)))
-
-    def _show(self) -> None:
-        while (block := self._blocks.get()) is not None:
-            self._screen.show_block(*block)
-
-    def close(self) -> None:
-        """Show the waiting blocks, and end the view; see `end_display`."""
-        with self._chassis.changed:
-            self._chassis.listeners.remove(self._on_block)
-        end_display(self._blocks, self._thread)
 
 
 class LiveRecording:

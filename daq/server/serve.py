@@ -19,7 +19,7 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
 from daq.server.discovery import write_proto_files
-from daq.server.live import LiveRecording, LiveView
+from daq.server.live import LiveRecording
 from daq.server.served_instrument import Limits
 from daq.server.service import Server
 from daq.server.starter_script import report_missing_excitation, starter_script
@@ -61,7 +61,6 @@ def serve(
     limits: Limits | None = None,
     record: Path | None = None,
     overwrite: bool = False,
-    viewer: bool = False,
     protocol: Path | None = None,
 ) -> None:
     """Serve a rig until Ctrl-C, SIGTERM or the end of its terminal.
@@ -80,8 +79,6 @@ def serve(
         Recording of all channels during the session.
     overwrite : bool
         Whether an existing file may be replaced.
-    viewer : bool
-        Whether to show the bench in the rerun viewer.
     protocol : Path, optional
         Folder for the .proto files of the protocol.
 
@@ -112,13 +109,6 @@ def serve(
         stack.callback(server.close)
         if record is not None:
             stack.callback(LiveRecording(chassis, record, overwrite).close)
-        if viewer:
-            from daq.viewing import outputs
-
-            viewer_window = stack.enter_context(outputs.window("Omit --viewer to serve without the viewer."))
-            stream = stack.enter_context(outputs.recording_stream())
-            stream.connect_grpc(viewer_window.url)
-            stack.callback(LiveView(chassis, stream).close)
         # Exclude the present objects from later garbage collections, which would delay clients.
         gc.collect()
         gc.freeze()

@@ -16,8 +16,6 @@ CURSOR_PERIODS = 2.5
 TIMELINE = "time"
 # Parent of the entities of overloaded channels.
 OVERLOAD_ENTITY = "test/overload"
-# Time span of a live plot, s.
-LIVE_SPAN_S = 0.5
 #: Position of the camera, and the point it looks at, m.
 Camera = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -72,24 +70,6 @@ def layout(
         row_heights = [3.0, 1.5 + lane_height, 3.8, 3.0, 0.8 + 0.6 * damper_count]
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
     return _two_columns(camera, notes, right_column, row_heights, panel)
-
-
-def live_layout(plots: Sequence[tuple[str, str]], damper_count: int, camera: Camera) -> rrb.Blueprint:
-    """Arrange a live view: rig and readings at the left, the last seconds of every curve at the right.
-
-    `plots` and `camera` are as in `layout`.
-    """
-    latest_range = _cursor_range(LIVE_SPAN_S, 0.0)
-    right_column: list[rrb.View] = [_curve_view(entity, title, latest_range) for entity, title in plots]
-    row_heights = [4.0] * len(right_column)
-    if damper_count:
-        right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm]", latest_range))
-        axis = rrb.TimeAxis(view_range=latest_range)
-        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name="contact", time_view=axis))
-        row_heights += [3.0, 0.8 + 0.6 * damper_count]
-    reading = rrb.TextDocumentView(origin="reading", name="reading")
-    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following")
-    return _two_columns(camera, reading, right_column, row_heights, panel)
 
 
 def _two_columns(

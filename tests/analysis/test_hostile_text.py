@@ -32,7 +32,7 @@ TESTED_COMMANDS = {
     ),
 }
 EXEMPT_COMMANDS = {
-    "daq": {"bench", "record", "replay", "scope", "run", "serve", "import"},
+    "daq": {"bench", "record", "replay", "run", "serve", "import"},
     "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit"},
 }
 

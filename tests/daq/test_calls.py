@@ -11,7 +11,7 @@ import daq
 import rig
 from rig.errors import SceneError
 
-COMMANDS = ("record", "import_", "info", "recover", "replay", "scope", "serve", "bench", "run")
+COMMANDS = ("record", "import_", "info", "recover", "replay", "serve", "bench", "run")
 
 
 @pytest.fixture(scope="module")

@@ -264,7 +264,7 @@ def use_rare_command(workspace: Workspace, rng: random.Random) -> tuple[CommandR
     (folder / "c.py").write_text(CLIENT_SCRIPT)
     words = scenes.rare_command("s.yaml", rng)
     # Servers and viewers run until a signal. A second signal would end them while they close their files.
-    runs_forever = words[1] in ("serve", "scope")
+    runs_forever = words[1] == "serve"
     return run(words, folder, on_poll=signal_sender(signal.SIGTERM, 15.0) if runs_forever else None), []
 
 
@@ -287,7 +287,7 @@ def use_random_command_line(workspace: Workspace, rng: random.Random) -> tuple[C
     before = command_lines.folder_contents(folder)
     words = command_lines.draw_command_line(rng)
     # End commands that do not end by themselves; end those that wait silently for their user earlier.
-    latest_end = 15.0 if words[1] in ("serve", "scope", "replay") else 25.0
+    latest_end = 15.0 if words[1] in ("serve", "replay") else 25.0
     result = run(words, folder, on_poll=signal_sender(signal.SIGTERM, rng.uniform(5.0, latest_end)))
     return _without_signal_effects(result, signal.SIGTERM), command_lines.lost_files(
         before, command_lines.folder_contents(folder), words

@@ -301,7 +301,6 @@ def rare_command(path: str, rng: random.Random) -> list[str]:
         f"daq run --scene {path} --clock fast --seconds {unusual} c.py",
         f"daq import x.csv --scene {path} --from {unusual} -o i.mcap",
         f"daq serve {path} --port {unusual}",
-        f"daq scope {path} -F {unusual} -o i.mcap",
     )
     words = rng.choice(commands).split()
     if rng.random() < 0.1:

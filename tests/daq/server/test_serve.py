@@ -3,99 +3,20 @@
 import contextlib
 import socket
 import subprocess
-import threading
-from types import SimpleNamespace
 
 import grpc
 import nidaqmx
-import numpy as np
 import pytest
 from nidaqmx.system import System
-from rerun.chunk import RrdReader
 
 import daq
 import rig
 from daq.instrument.connecting import connect_scene
 from daq.server.client_defaults import open_channel
-from daq.server.live import LiveRecording, LiveView
+from daq.server.live import LiveRecording
 from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
 from daq.server.service import Server
-from daq.viewing.outputs import recording_stream
 from rig.errors import SceneError
-
-
-def test_viewer_shows_channels(tmp_path):
-    with (
-        daq.connect("fig8-three-dampers", clock="fast") as rig,
-        recording_stream() as stream,
-        nidaqmx.Task(grpc_options=rig) as task,
-    ):
-        stream.save(tmp_path / "live.rrd")
-        with contextlib.closing(LiveView(rig.chassis, stream)):
-            task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:3", min_val=-5, max_val=5)
-            task.timing.cfg_samp_clk_timing(5120.0, samps_per_chan=1000)
-            readings = task.read(1000)
-        stream.flush()
-        infos, rate = rig.sensors, rig.chassis.bench.rate
-    assert rate == 5120.0
-    values_by_channel = {info.name: [] for info in infos}
-    n_motion_chunks = 0
-    for chunk in RrdReader(tmp_path / "live.rrd").stream():
-        folder, name = chunk.entity_path.rpartition("/")[::2]
-        if folder.startswith("/channels/") and not chunk.is_static:
-            values_by_channel[name].append(chunk.to_record_batch().column("Scalars:scalars").flatten().to_numpy())
-        n_motion_chunks += chunk.entity_path == "/rig/body_2" and not chunk.is_static
-    assert n_motion_chunks
-    for info, volts in zip(infos, readings, strict=True):
-        displayed = np.concatenate(values_by_channel[info.name])
-        assert displayed.size == 1000
-        # The viewer displays the quantity in a unit that differs by a power of ten.
-        scale = np.ptp(displayed) / np.ptp(np.array(volts) / info.sensitivity)
-        np.testing.assert_allclose(np.sort(displayed), scale * np.sort(volts) / info.sensitivity, rtol=1e-9, atol=1e-12)
-
-
-def test_stuck_viewer_does_not_delay_the_bench(monkeypatch):
-    released = threading.Event()
-    screen = SimpleNamespace(show_block=lambda block, values: released.wait())
-    monkeypatch.setattr("daq.live_scope.screen.Screen", lambda *_: screen)
-    bench = SimpleNamespace(scene=None, channels=(), rate=1.0, to_units=lambda samples: samples)
-    chassis = SimpleNamespace(bench=bench, listeners=[], changed=threading.Lock())
-    view, block = LiveView(chassis, None), SimpleNamespace(samples=np.zeros((3, 0)))
-    sends_blocks = threading.Thread(target=lambda: [chassis.listeners[0](bench, block) for _ in range(200)])
-    sends_blocks.start()
-    sends_blocks.join(10.0)
-    is_delayed = sends_blocks.is_alive()
-    released.set()
-    sends_blocks.join()
-    view.close()
-    assert not is_delayed
-
-
-@pytest.mark.parametrize(("sent", "not_shown"), [(3, 3), (200, 65)])
-def test_stuck_viewer_does_not_prevent_closing(sent, not_shown, monkeypatch, capsys):
-    started, released = threading.Event(), threading.Event()
-
-    def show_block(block, values):
-        started.set()
-        released.wait()
-
-    monkeypatch.setattr("daq.live_scope.screen.Screen", lambda *_: SimpleNamespace(show_block=show_block))
-    monkeypatch.setattr("daq.server.live.MAX_CLOSING_S", 0.0)
-    bench = SimpleNamespace(scene=None, channels=(), rate=1.0, to_units=lambda samples: samples)
-    chassis = SimpleNamespace(bench=bench, listeners=[], changed=threading.Lock())
-    view, block = LiveView(chassis, None), SimpleNamespace(samples=np.zeros((3, 0)))
-    on_block = chassis.listeners[0]
-    on_block(bench, block)
-    assert started.wait(10.0)
-    for _ in range(sent - 1):
-        on_block(bench, block)
-    closes = threading.Thread(target=view.close, daemon=True)
-    closes.start()
-    closes.join(10.0)
-    is_closed = not closes.is_alive()
-    released.set()
-    # The viewer shows one block, and 64 wait.
-    assert is_closed and f"The last {not_shown} blocks of samples were not shown" in capsys.readouterr().err
 
 
 @pytest.fixture

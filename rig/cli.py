@@ -118,11 +118,11 @@ def help_(
 def explain(
     scene: SceneName,
     changes: Changes = None,
-    measure: Annotated[
-        bool, typer.Option("--measure", help="Also measure the computing time that each effect adds.")
+    no_prediction: Annotated[
+        bool, typer.Option("--no-prediction", help="List the effects without a prediction of the test.")
     ] = False,
 ) -> None:
-    """Predict the signals of a test, and list the modeled effects.
+    """List the modeled effects, and predict the signals of the test.
 
     Each effect is listed with the number of state variables that it adds to the model.
     """
@@ -130,15 +130,9 @@ def explain(
     from rig.effects.extensions import test_predictions
 
     loaded_scene = load_scene(scene, changes)
-    for prediction in test_predictions(loaded_scene):
-        print(f"{prediction}\n")
-    print(rig.explain(loaded_scene))
-    if measure:
-        from rig.effects.effect_cost import effect_costs, text
-
-        with show_activity() as report:
-            costs = effect_costs(loaded_scene, report)
-        print("\n" + text(costs))
+    print(rig.explain(loaded_scene), flush=True)
+    for prediction in [] if no_prediction else test_predictions(loaded_scene):
+        print(f"\n{prediction}")
 
 
 @app.command(example="rig simulate fig9 --duration 2s -o run.npz")

@@ -1,4 +1,4 @@
-"""Effects that a scene turns on, the states they add, and their cost in CPU time: `rig explain`.
+"""Effects that a scene turns on, and the states that they add: `rig explain`.
 
 Packages that build on the rig register their effects through entry points; none is imported here. Start with
 `explanation`.

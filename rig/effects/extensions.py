@@ -1,4 +1,4 @@
-"""Functions that other packages register as entry points: effects, cost estimates, test predictions.
+"""Functions that other packages register as entry points: effects and test predictions.
 
 They are imported when they are called, so that the package `rig` does not depend on these packages.
 """

@@ -21,8 +21,7 @@ _DEFAULTS_OF_INNER_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
     "Write quantities with units (0.98 mm, 6.6 kN/m, 5 %). A number without a unit is in SI, a frequency in Hz. An "
     "effect whose key is omitted and has no default is not modeled, and takes no computing time. The names of effects "
-    "are those of `rig explain SCENE`, which lists the state variables that each adds; with --measure, it also "
-    "measures their computing time."
+    "are those of `rig explain SCENE`, which lists the state variables that each adds."
 )
 #: Effect of a key under its name in `rig explain`, and the number of added states (None: it depends on the scene).
 EFFECTS: dict[str, tuple[str, int | None]] = {

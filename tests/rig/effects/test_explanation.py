@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pytest
 
 import rig
-from rig.effects.effect_cost import differences, effect_costs, motion_steps, text
 from rig.scene.scene_files import bundled_scenes
 from rig.system.assembly import assemble
 
@@ -51,46 +49,6 @@ def test_channels_with_equal_effects_share_one_list() -> None:
     text = str(rig.explain("fig8-three-dampers"))
     assert text.count("quantization") == 1
     assert text.count("channel body") == 3
-
-
-@pytest.mark.thorough
-def test_cost_lists_each_effect_and_its_states(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.effects.effect_cost.REPEATS", 1)
-    scene = rig.load("fig9")
-    costs = effect_costs(scene)
-    names = [cost.name for cost in costs]
-    assert names == [
-        "structure",
-        "shaker",
-        "particle dampers",
-        "ceilings",
-        "channels, ideal",
-        "sensitivity",
-        "sensor resonance",
-        "sensor low cut-off",
-        "sensor noise",
-        "integrator",
-        "quantization",
-        "recording",
-        "display",
-    ]
-    assert sum(cost.states for cost in costs) == sum(rig.explain(scene).states.values())
-    assert all(cost.total > 0.0 for cost in costs)
-    assert text(costs).splitlines()[-1].startswith("with all effects, one core simulates ")
-
-
-def test_negative_cost_has_no_share() -> None:
-    steps = list(motion_steps(rig.load("fig9")))[:4]
-    # Seconds of two repetitions: shaker within the scatter, dampers significant, ceilings faster.
-    times = np.array([[1.0, 0.9, 3.0, 2.0], [1.2, 1.0, 3.1, 2.0]])
-    *rows, scatter, faster, _ = text(differences(steps, times)).splitlines()
-    assert [row.split()[-1] for row in rows[1:]] == ["50.0%", "-", "105.0%", "-"]
-    assert scatter.endswith(": shaker") and faster.endswith(": ceilings")
-
-
-def test_minimal_scene_costs_structure_and_ideal_channels() -> None:
-    scene = rig.loads("structure: {masses: [1 kg], springs: [4 kN/m]}\nrecording: {display: false}", where="test")
-    assert [cost.name for cost in effect_costs(scene)] == ["structure", "channels, ideal", "recording"]
 
 
 def test_natural_frequencies_are_listed_first_and_last() -> None:

@@ -24,6 +24,7 @@ from rig.ending_signals import TERMINATION_SIGNALS, received_signals
 from rig.errors import RunError, ShotrigError
 from rig.ranks import join
 from rig.shadowing import shadowing_files
+from rig.unexpected import describe_unexpected, version
 
 if TYPE_CHECKING:
     from rig.command_help import Application
@@ -52,7 +53,7 @@ def create_application(help_text: str) -> Application:
 
     def print_version(requested: bool) -> None:
         if requested:
-            print(f"shotrig {_version()}")
+            print(f"shotrig {version()}")
             raise typer.Exit
 
     option = typer.Option(False, "--version", callback=print_version, is_eager=True, help="Print the version.")
@@ -62,12 +63,6 @@ def create_application(help_text: str) -> Application:
         pass
 
     return app
-
-
-def _version() -> str:
-    from importlib.metadata import version
-
-    return version("shotrig")
 
 
 def run_command(module: str) -> NoReturn:
@@ -200,33 +195,6 @@ def _is_caused_by_interrupt(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
-
-
-def describe_unexpected(error: BaseException) -> str:
-    """Describe an unexpected error, and save the details that are needed to find its cause."""
-    import platform
-    import tempfile
-    import traceback
-
-    name = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    summary = f"error: unexpected error ({name[:300]}); this is a fault of shotrig"
-    details = "\n".join(
-        [
-            f"shotrig {_version()}, Python {platform.python_version()}, {platform.platform()}",
-            f"command: {sys.argv}",
-            "".join(traceback.format_exception(error)),
-        ]
-    )
-    try:
-        descriptor, path = tempfile.mkstemp(prefix="shotrig-error-", suffix=".txt")
-        with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
-            file.write(details)
-    except OSError:
-        return (
-            f"{summary}. Run the command again with --debug directly after the program's name (rig --debug ...), and "
-            "report the output."
-        )
-    return f"{summary}. Report it, and attach the file {path}."
 
 
 # -- signals ---------------------------------------------------------------------------------------------

@@ -76,6 +76,10 @@ def join() -> None:
             f"mpiexec, {Path(sys.prefix) / 'bin' / 'mpiexec'}."
         )
     _world, _machine = world, world.Split_type(mpi.COMM_TYPE_SHARED)
+    # Every command imports this module, and few need workers.
+    from rig import workers
+
+    workers.SERIAL = True
     # Child processes must not join the ranks.
     for name in [name for name in os.environ if name.startswith(("PMI_", "OMPI_"))]:
         del os.environ[name]

@@ -28,11 +28,12 @@ from typing import Any, TypeVar
 
 from rig.ending_signals import TERMINATION_SIGNALS
 from rig.errors import RunError, SceneError
-from rig.ranks import rank_count
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
+#: Whether pieces are computed in this process, because it shares each of them with other MPI ranks (`rig.ranks.join`).
+SERIAL = False
 #: Number of times that the workers are restarted after one of them ended unexpectedly.
 MAX_RESTARTS = 2
 # A killed worker's exit code is awaited for at most this time, s.
@@ -50,7 +51,7 @@ class Workers:
     """Workers that compute pieces of a study; leaving the context ends them immediately.
 
     `cluster`: address of a running Dask scheduler, or "local" to start a local cluster; None: processes of this
-    machine, one for each core, or only this process if it shares each piece with other MPI ranks (`rig.ranks`).
+    machine, one for each core, or only this process if `SERIAL`.
     Raises `SceneError` if no cluster answers at this address, or Dask is not installed.
     """
 
@@ -80,7 +81,7 @@ class Workers:
 
         Raises `RunError` if workers repeatedly end unexpectedly. An exception raised by `function` is passed on.
         """
-        if self._cluster is None and rank_count() > 1:
+        if self._cluster is None and SERIAL:
             # This includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return

@@ -26,10 +26,10 @@ from rig.arrays import Array
 from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import bed_top, settled_positions
-from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.scene.damper import Grains
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY, Scene
+from rig.system.spheres import rayleigh_time, spheres_of
 
 #: Clearances in m for each acceleration in g; infinite: no ceiling. Clearances above the flight height of the mass
 #: are equivalent to no ceiling and are omitted.

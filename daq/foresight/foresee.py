@@ -32,13 +32,13 @@ from daq.foresight.rehearsal_plan import (
 from daq.measurement.estimate import estimate
 from daq.measurement.limits import controlled_places
 from daq.virtual_bench.bench import Bench
-from rig.damper_design.overloads import impact_acceleration
 from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
 from rig.system.assembly import assemble
+from rig.system.impact_acceleration import impact_acceleration
 
 # A rehearsal may last at most this multiple of the duration that the CPU time allows, or of the expected duration.
 _MAX_TIME_RATIO = 1.5

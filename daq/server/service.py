@@ -25,7 +25,7 @@ from daq.server.discovery import Discovery
 from daq.server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
 from daq.server.served_instrument import Limits, ServedInstrument, format_error, truncate
 from daq.server.sessions import SessionExists
-from rig.command_line import describe_unexpected
+from rig.unexpected import describe_unexpected
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis

@@ -11,11 +11,11 @@ import numpy as np
 
 from daq.signal_chain.decimation_filter import PASSBAND_EDGE, STOPBAND_EDGE
 from rig.arrays import Array
-from rig.grain_beds.spheres import contact_time, spheres_of
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
+from rig.system.spheres import contact_time, spheres_of
 
 # With a filter, the motion is resolved at least up to this frequency, Hz.
 MIN_BAND_HZ = 1000.0

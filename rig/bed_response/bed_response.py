@@ -19,13 +19,13 @@ from rig.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.errors import SceneError
 from rig.grain_beds.lammps_library import lammps_version
 from rig.grain_beds.packing import settled_positions
-from rig.grain_beds.spheres import spheres_of
 from rig.progress import CountProgress
 from rig.results import Result, complete_style, format_decimals
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.settings.quantities import FREQUENCY, count, positive_values
 from rig.study import Study, digest
+from rig.system.spheres import spheres_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

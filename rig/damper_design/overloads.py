@@ -14,15 +14,11 @@ from rig.scene.measurement_chain import Accelerometer, Integrator
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.system.assembly import assemble
-from rig.system.hybrid_system import HybridSystem
+from rig.system.impact_acceleration import impact_acceleration
 
 if TYPE_CHECKING:
     from rig.damper_design.check import Expected
     from rig.damper_design.worst_peak import Peak
-
-
-#: Peak response of a sensor without damping to a step, relative to the step.
-_STEP_OVERSHOOT = 2.0
 
 
 @dataclass(frozen=True)
@@ -139,45 +135,6 @@ def _remedies(number: int, sensor: Accelerometer | None, acceleration: float) ->
         recovery = () if sensor.overload_recovery is None else (f"{key}.overload_recovery=null",)
         return (*recovery, f"{key}.saturation=null")
     return (f"{key}.resonance=30kHz", f"{key}.saturation=1e6 g")
-
-
-def impact_acceleration(
-    system: HybridSystem, row: int, closing_speed: Sequence[float], resonance: float | None
-) -> float:
-    """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s^2.
-
-    An instantaneous impact causes a velocity jump of the body. The sensor then indicates that jump times 2 pi times
-    its resonance frequency; without a resonance the value is unbounded. In a finite-duration
-    contact, the force is estimated as the larger of the initial dashpot force, v c, and the peak of the spring force
-    without damping, v sqrt(k m).
-
-    `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
-    (dampers,): approach speed of each damper to a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
-    None without a resonance.
-
-    >>> import rig
-    >>> jump = 0.1 * 0.71 / 0.781  # plastic impact of a tenth of the body's mass at 1 m/s: velocity jump, m/s
-    >>> system = assemble(rig.load("fig9", {"dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}]}))
-    >>> round(impact_acceleration(system, 1, [1.0], 1000.0) / (2 * np.pi * 1000.0 * jump), 9)
-    1.0
-    >>> impact_acceleration(system, 0, [1.0], None)
-    0.0
-    """
-    inverse_mass = np.linalg.inv(system.mass)
-    accelerations = [0.0]
-    for j, speed in enumerate(closing_speed):
-        body = system.damper_coordinate[j]
-        if system.finite_contact[j]:
-            dashpot = system.wall_damping[j]
-            spring = np.sqrt(system.reduced_mass[j] * system.wall_stiffness[j])
-            force = speed * float(np.maximum(dashpot, spring).max())
-            accelerations.append((1.0 if resonance is None else _STEP_OVERSHOOT) * abs(inverse_mass[row, body]) * force)
-            continue
-        impulse = (1.0 + system.restitution[j]) * speed / (1.0 / system.damper_mass[j] + inverse_mass[body, body])
-        jump = abs(inverse_mass[row, body]) * impulse
-        angular_frequency = np.inf if resonance is None else 2.0 * np.pi * resonance
-        accelerations.append(float(jump * angular_frequency) if jump else 0.0)
-    return float(max(accelerations))
 
 
 def _format_acceleration(acceleration: float) -> str:

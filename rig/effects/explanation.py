@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from rig.effects.extensions import registered_functions
 from rig.escaping import escape_html
-from rig.grain_beds.spheres import spheres_of
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
@@ -22,6 +21,7 @@ from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableSha
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
+from rig.system.spheres import spheres_of
 from rig.system.structural_model import StructuralModel, structural_model
 
 if TYPE_CHECKING:

@@ -9,8 +9,6 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-from rig.scene.scene import Scene
-
 
 def registered_functions(group: str) -> list[Any]:
     """Load the functions of a group of entry points such as "shotrig.effects", in the order of their names."""
@@ -26,7 +24,7 @@ def _entry_points() -> Any:
     return entry_points()
 
 
-def test_predictions(scene: Scene) -> list[str]:
+def test_predictions(scene: Any) -> list[str]:
     """Return the predictions that each package prints about a scene's test, such as overloads and durations."""
     texts = [predict(scene) for predict in registered_functions("shotrig.foresight")]
     return [text for text in texts if text]

@@ -20,8 +20,8 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.lammps_library import new_lammps
 from rig.grain_beds.rebound import restitution_at_step
-from rig.grain_beds.spheres import Spheres
 from rig.scene.damper import Grains
+from rig.system.spheres import Spheres
 
 #: Walls of a cavity, in the order of the entries of `Bed.forces`.
 WALLS = ("floor", "ceiling", "side")

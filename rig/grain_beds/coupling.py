@@ -28,10 +28,10 @@ from rig.engine.trajectory import Trajectory, gaps_and_contacts
 from rig.grain_beds.bed import WALLS
 from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.shared_bed import new_bed
-from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
+from rig.system.spheres import spheres_of
 
 
 class BedStates(NamedTuple):

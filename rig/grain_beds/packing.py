@@ -21,9 +21,9 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.bed import CEILING, FLOOR, Bed
 from rig.grain_beds.lammps_library import lammps_version
-from rig.grain_beds.spheres import Spheres, rayleigh_time
 from rig.scene.scene import STANDARD_GRAVITY
 from rig.study import code_digest
+from rig.system.spheres import Spheres, rayleigh_time
 
 #: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1

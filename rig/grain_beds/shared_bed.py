@@ -12,8 +12,8 @@ from rig.arrays import Array
 from rig.errors import RunError
 from rig.grain_beds.bed import Bed
 from rig.grain_beds.lammps_library import new_lammps
-from rig.grain_beds.spheres import Spheres
 from rig.ranks import OneRankError, Shared, communicators, rank_count, ranks_on_machine, sum_over_ranks
+from rig.system.spheres import Spheres
 from rig.workers import cores
 
 #: Steps between checks of the distribution of the grains over the ranks.

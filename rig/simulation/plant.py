@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,13 +16,11 @@ from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
 from rig.settings.quantities import FREQUENCY, positive_value
+from rig.simulation.grains import grains_simulation
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import validate_drive
-
-if TYPE_CHECKING:
-    from rig.grain_beds.coupling import CoupledPropagator
 
 
 class Plant:
@@ -171,11 +169,9 @@ class Plant:
         return all_dampers
 
 
-def _propagator(scene: Scene, system: HybridSystem, interval: float) -> tuple[Propagator | CoupledPropagator, float]:
+def _propagator(scene: Scene, system: HybridSystem, interval: float) -> tuple[Propagator | Any, float]:
     """Return the propagator of the system and its number of steps in a sample interval."""
     if not system.grains.any():
         return sampled_propagator(system, interval)
-    from rig.grain_beds.coupling import CoupledPropagator
-
-    coupled = CoupledPropagator(scene, interval)
-    return coupled, coupled.substeps
+    coupled, steps = grains_simulation().propagator(scene, interval)
+    return coupled, steps

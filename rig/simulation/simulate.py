@@ -18,12 +18,12 @@ from rig.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_conta
 from rig.errors import RunError, SceneError
 from rig.numerics.memory import require_memory
 from rig.progress import CountProgress
-from rig.ranks import rank_count
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.settings.quantities import FREQUENCY, TIME, number
-from rig.simulation.energy import Energy, energy_balance, total_energy
+from rig.simulation.energy import Energy, energy_balance
+from rig.simulation.grains import grains_simulation
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, validate_drive
@@ -175,10 +175,10 @@ def simulate(
             f"expected at least {1.0 / rate:g} s"
         )
     if has_grains and tone is not None:
-        return _simulate_grains(scene, tone, samples, rate, keep, progress)
+        return grains_simulation().simulate(scene, tone, samples, rate, keep, progress)
     sampled = sampled_drive(scene, system, samples, rate) if drive is None else _validated_drive(drive, system)
     if has_grains:
-        return _simulate_grains(scene, sampled, sampled.shape[1], rate, keep, progress)
+        return grains_simulation().simulate(scene, sampled, sampled.shape[1], rate, keep, progress)
     return _simulate_sampled(scene, system, sampled, rate)
 
 
@@ -258,53 +258,6 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
         scene, propagator, rate, start, initial, trajectory, np.arange(intervals), segment_starts, durations,
         segment_states, separated,
     )  # fmt: skip
-
-
-def _simulate_grains(
-    scene: Scene,
-    drive: ToneDrive | Array,
-    samples: int,
-    rate: float,
-    keep: Path | None,
-    progress: CountProgress | None,
-) -> Run:
-    """Simulate beds of grains, starting from the checkpoint if it exists."""
-    from rig.grain_beds.lammps_library import lammps_version
-    from rig.simulation.checkpoint import read_checkpoint, write_checkpoint
-    from rig.simulation.grains_run import GrainsRun
-
-    tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
-    settings = {
-        "scene": scene.to_si_yaml(),
-        "duration": samples,
-        "rate": rate,
-        "drive": tone or drive,
-        "version of LAMMPS": lammps_version(),
-        "number of ranks": rank_count(),
-    }
-    checkpoint = None if keep is None else read_checkpoint(keep, settings)
-    run = GrainsRun(scene, samples, rate, drive)
-    state = run.start() if checkpoint is None else run.resume(checkpoint)
-    while state.samples < samples:
-        state = run.advance(state)
-        if keep is not None:
-            write_checkpoint(keep, settings, state)
-        if progress is not None:
-            progress(state.samples, samples)
-    displacement, velocity, acceleration, gap = run.motion(state)
-    return Run(
-        scene=scene,
-        points=run.coupled.system.points,
-        time=np.arange(samples) / rate,
-        displacement=displacement,
-        velocity=velocity,
-        acceleration=acceleration,
-        gap=gap,
-        contact=state.contact,
-        events=state.events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": state.ambiguous})),
-        ambiguous=state.ambiguous,
-        _energy_balance=partial(total_energy, state.energy),
-    )
 
 
 def _assemble_run(

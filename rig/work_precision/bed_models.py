@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from rig.bed_response.steady_bed import as_one_mass, steady_grains
 from rig.errors import ShotrigError
 from rig.grain_beds.packing import settled_positions
-from rig.grain_beds.spheres import rayleigh_time, spheres_of
 from rig.results import format_percent
 from rig.scene.damper import Grains, TimedContact
 from rig.scene.scene import Scene
 from rig.steady_response.frequency_response import frequency_response
 from rig.system.open_loop_drive import with_ideal_force
+from rig.system.spheres import rayleigh_time, spheres_of
 from rig.work_precision.motion_study import Point, failure_reason, timed
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy
 

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from rig.escaping import escape_figure
 from rig.figure_style import new_figure, save_with_table
-from rig.grain_beds.spheres import spheres_of
 from rig.output_files import file_stem
 from rig.results import Result
 from rig.results.text import format_number, table_lines
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
+from rig.system.spheres import spheres_of
 from rig.work_precision.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, default_frequency, motion_study
 from rig.work_precision.steady_study import OTHER_PACKING, SteadyStudy, steady_study
 

@@ -16,9 +16,9 @@ import numpy as np
 
 from analysis.reproduction.bed_study import MODULUS_PA, Setting, scene_of_bed
 from rig.bed_response.steady_bed import steady_grains
-from rig.grain_beds.spheres import rayleigh_time
 from rig.scene.damper import Grains
 from rig.scene.scene import STANDARD_GRAVITY, Scene
+from rig.system.spheres import rayleigh_time
 
 # Seeds of the random packings.
 PACKINGS = (1, 2, 3)

@@ -21,9 +21,9 @@ from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_b
 from rig.arrays import Array
 from rig.bed_response.steady_bed import steady_grains
 from rig.grain_beds.packing import bed_top, settled_positions
-from rig.grain_beds.spheres import Spheres, rayleigh_time, spheres_of
 from rig.scene.excitation import Sine
 from rig.scene.scene import STANDARD_GRAVITY
+from rig.system.spheres import Spheres, rayleigh_time, spheres_of
 
 #: Amplitude of the acceleration, g; clearance, m; number of layers; periods of a block. A simulation has three blocks,
 #: and its results are averaged over the last two. Deep beds below a high ceiling need many periods to become steady.

@@ -20,8 +20,8 @@ import numpy as np
 
 from rig import ranks
 from rig.grain_beds import coupling, packing
-from rig.grain_beds.spheres import spheres_of
 from rig.scene.scene import Scene
+from rig.system.spheres import spheres_of
 
 #: Mass of the bed, kg; diameter of the cavity, m; number of steps.
 BEDS = ((0.071, 0.04, 1000), (0.285, 0.06, 400), (1.14, 0.08, 100))

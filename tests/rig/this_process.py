@@ -13,7 +13,7 @@ import pytest
 def pieces_in_this_process() -> Iterator[pytest.MonkeyPatch]:
     """Let `Workers` compute pieces in this process, as if it shared each piece with another MPI rank."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rig.workers.rank_count", lambda: 2)
+        patch.setattr("rig.workers.SERIAL", True)
         yield patch
 
 

@@ -66,4 +66,9 @@ def test_explain_and_server_describe_effect_of_volt(name: str, effect: str) -> N
 
 def test_explain_reports_prediction_of_the_test() -> None:
     result = CliRunner().invoke(rig_app, ["explain", "fig10b-no-damper"])
-    assert "the test stays within all limits" in result.stdout
+    assert "the test stays within all limits" in result.stdout.partition("recording: 0 states")[2]
+
+
+def test_explain_without_prediction_lists_effects() -> None:
+    result = CliRunner().invoke(rig_app, ["explain", "fig10b-no-damper", "--no-prediction"])
+    assert result.stdout == f"{rig.explain('fig10b-no-damper')}\n"

@@ -13,9 +13,10 @@ import pytest
 import daq
 import rig
 from rig.damper_design.check import Expected
-from rig.damper_design.overloads import impact_acceleration, overload_lines, predict_overloads
+from rig.damper_design.overloads import overload_lines, predict_overloads
 from rig.damper_design.worst_peak import Peak
 from rig.system.assembly import assemble
+from rig.system.impact_acceleration import impact_acceleration
 
 FREQUENCY_HZ, FORCE_N = 49.0, 3.3
 # A peak of the steady-state motion that overloads no sensor: compliance 1e-6 m/N at body 2, acceleration 1 m/s^2, no

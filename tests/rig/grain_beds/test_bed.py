@@ -17,8 +17,8 @@ from rig.errors import RunError
 from rig.grain_beds import packing
 from rig.grain_beds.bed import FLOOR, Bed
 from rig.grain_beds.packing import settled_positions
-from rig.grain_beds.spheres import Spheres, spheres_of
 from rig.scene.damper import Grains
+from rig.system.spheres import Spheres, spheres_of
 from tests.rig.grain_beds.scenes import with_grains
 
 GRAIN_MASS = 4.75e-5  # of a lead grain with a diameter of 2 mm, kg

@@ -12,8 +12,8 @@ import pytest
 
 import rig
 from rig.errors import RunError
+from rig.grain_beds import grains_run
 from rig.grain_beds.coupling import CoupledPropagator
-from rig.simulation import grains_run
 from rig.simulation.run_output import simulate_to_file
 from rig.simulation.simulate import Run
 from tests.rig.grain_beds.scenes import momentum_errors, with_grains

@@ -13,7 +13,7 @@ from rig.grain_beds import packing
 from rig.grain_beds.bed import FLOOR, Bed
 from rig.grain_beds.coupling import CoupledPropagator
 from rig.grain_beds.shared_bed import new_bed
-from rig.grain_beds.spheres import spheres_of
+from rig.system.spheres import spheres_of
 from tests.rig.grain_beds.scenes import momentum_errors, with_grains
 from tests.rig.mpi import on_two_ranks
 

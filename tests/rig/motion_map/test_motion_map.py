@@ -134,7 +134,7 @@ def test_errors_name_the_invalid_range() -> None:
 
 
 def test_interrupted_map_stops_its_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.workers.rank_count", lambda: 1)
+    monkeypatch.setattr("rig.workers.SERIAL", False)
 
     def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt

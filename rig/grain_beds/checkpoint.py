@@ -11,9 +11,9 @@ import numpy as np
 
 from rig.errors import RunError
 from rig.grain_beds.coupling import CoupledState
+from rig.grain_beds.grains_run import GrainsState
 from rig.output_files import atomic_write
 from rig.simulation.energy import Energy
-from rig.simulation.grains_run import GrainsState
 from rig.study import code_digest, digest
 
 #: Fields of `GrainsState` that are stored unchanged.

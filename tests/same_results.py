@@ -17,6 +17,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "steps-table": {"shaker": TABLE, "test": {**STEPS, "drive": "0.1 mm"}},
     "sine": {"test": {"kind": "sine", "frequency": "33 Hz", "force": "1 N"}},
     "random": {"test": {**NOISE, "force": "0.5 N"}},
+    "linear": {"dampers": None, "test": {**NOISE, "force": "0.5 N"}},
     "burst": {"test": {**NOISE, "drive": "0.5 V", "burst": 0.5}},
     "multisine": {"test": {**MULTISINE, "force": "0.5 N"}},
     "multisine-period": {"shaker": TABLE, "test": {**MULTISINE, "lines": None, "period": "0.8 s", "drive": "0.1 mm"}},
@@ -128,7 +130,7 @@ ANALYSES: dict[str, tuple[str, ...]] = {
 
 
 # Scenes whose recordings are exported and imported again.
-IMPORTED = ("steps", "table-force", "sine", "sweep", "random", "double-hit", "free")
+IMPORTED = ("steps", "table-force", "sine", "sweep", "linear", "double-hit", "free")
 
 
 def bench_scenes() -> Iterator[tuple[str, Any]]:
@@ -137,7 +139,7 @@ def bench_scenes() -> Iterator[tuple[str, Any]]:
     from rig.scene.scene_files import bundled_scenes
 
     for name in bundled_scenes():
-        yield name, rig.load(name, SHORTENED[rig.load(name).test.kind])
+        yield name, rig.load(name, SHORTENED[str(dict(rig.load(name).test or ())["kind"])])
     for name, changes in SMALL.items():
         yield name, rig.load(_merged(BENCH, {"name": name, **changes}))
 
@@ -202,9 +204,15 @@ def _record(name: str, scene: Any) -> Iterator[tuple[str, Any]]:
         yield "import", _printed(f"daq import {name}.npz --scene {name}.yaml -o {name}-imported.mcap")
 
 
+def _foresight(scene: Any) -> str:
+    import daq
+
+    foresight = daq.foresee(scene)
+    return f"{foresight}\n{foresight.columns()}"
+
+
 def _all_results() -> Iterator[tuple[str, Any]]:
     """Yield names and results of the version that Python imports."""
-    import daq
     import rig
 
     keys = ("kind", "force", "drive", "from", "frequency", "duration", "body", "also", "settle", "double_hit")
@@ -212,17 +220,17 @@ def _all_results() -> Iterator[tuple[str, Any]]:
     for command in ("rig schema", "rig schema --explain", "rig scenes", *helps):
         yield command, _printed(command)
     for number, changes in enumerate(BAD):
-        yield f"bad scene {number}", _attempt(lambda changes=changes: _bad_scene(changes))
+        yield f"bad scene {number}", _attempt(partial(_bad_scene, changes))
     for name, scene in bench_scenes():
         yield f"{name}: scene", scene.to_si_yaml()
-        yield f"{name}: explanation", _attempt(lambda scene=scene: str(rig.explain(scene)))
-        yield f"{name}: foresight", _attempt(lambda scene=scene: repr(daq.foresee(scene)))
+        yield f"{name}: explanation", str(rig.explain(scene))
+        yield f"{name}: foresight", _attempt(partial(_foresight, scene))
         for kind, compute in _arrays(scene):
             if name in SMALL or name.startswith("reference"):
                 yield f"{name}: {kind}", _attempt(compute)
         for kind, result in _record(name, scene):
             yield f"{name}: {kind}", result
-    command = "analysis fit table-force.mcap table-force.yaml --free structure.damping -o fitted.yaml"
+    command = "analysis fit linear.mcap linear.yaml --free structure.damping -o fitted.yaml"
     yield command, _printed(command)
     for path in sorted(Path().rglob("*")):
         if path.is_file() and path.suffix != ".png":

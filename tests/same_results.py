@@ -17,6 +17,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
+from difflib import unified_diff
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -139,7 +140,8 @@ def bench_scenes() -> Iterator[tuple[str, Any]]:
     from rig.scene.scene_files import bundled_scenes
 
     for name in bundled_scenes():
-        yield name, rig.load(name, SHORTENED[str(dict(rig.load(name).test or ())["kind"])])
+        test = rig.load(name).test
+        yield name, rig.load(name, {} if test is None else SHORTENED[test.kind])
     for name, changes in SMALL.items():
         yield name, rig.load(_merged(BENCH, {"name": name, **changes}))
 
@@ -284,7 +286,8 @@ def main(arguments: list[str]) -> int:
     first, second = versions
     different = [name for name in (first | second) if first.get(name) != second.get(name)]
     for name in different:
-        print(f"{name}\n  {arguments[0]}: {first.get(name)}\n  {arguments[1]}: {second.get(name)}")
+        texts = (results.get(name, "(absent)").splitlines() for results in versions)
+        print(name, *unified_diff(*texts, *arguments, n=0, lineterm=""), sep="\n  ")
     print(f"{len(different)} of {len(first | second)} results differ")
     return bool(different)
 

@@ -1,0 +1,41 @@
+"""Free vibration from an initial state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from rig.scene.excitation.kind import Duration, Start
+from rig.settings.problems import Problem
+from rig.settings.quantities import LENGTH, VELOCITY
+from rig.settings.quantity_field import Quantity
+from rig.settings.settings import Settings
+
+
+class Free(Settings):
+    """Free vibration from given displacements and velocities, with the drive at rest."""
+
+    kind: Literal["free"] = "free"
+    start: Start = "settled"
+    displacement: tuple[Annotated[float, Quantity(LENGTH)], ...] | None = Field(None, min_length=1)
+    """One initial displacement for each body, relative to the start position [m]."""
+    velocity: tuple[Annotated[float, Quantity(VELOCITY)], ...] | None = Field(None, min_length=1)
+    """One initial velocity for each body [m/s]."""
+    mode: Annotated[int, Field(ge=1)] | None = None
+    """Instead of displacement and velocity: number of the mode whose shape is the initial displacement, from 1."""
+    amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
+    """Largest initial displacement of that mode shape [m]."""
+    duration: Duration = 6.0
+    """Duration of the test [s]."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the initial state is given in exactly one form."""
+        if (self.mode is None) != (self.amplitude is None):
+            given_key, missing_key = ("mode", "amplitude") if self.amplitude is None else ("amplitude", "mode")
+            yield Problem((given_key,), f"given without {missing_key}. Add {missing_key}, or remove {given_key}.")
+        if self.mode is not None and (self.displacement is not None or self.velocity is not None):
+            yield Problem(("mode",), "mode is given together with displacement or velocity. Remove one of the two.")
+        if self.mode is None and self.displacement is None and self.velocity is None:
+            yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")

@@ -1,0 +1,26 @@
+"""A sine of constant frequency and amplitude."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, ShakerNumber, Start
+from rig.settings.settings import Settings
+
+
+class Sine(Settings):
+    """A sine of constant frequency and amplitude: amplitude times sin(2 pi f t) from t = 0."""
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["sine"] = "sine"
+    start: Start = "settled"
+    frequency: Frequency
+    """Frequency [Hz]."""
+    force: Force | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    drive: Drive | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    duration: Duration = 2.0
+    """Duration of the test [s]."""

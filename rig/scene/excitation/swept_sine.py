@@ -1,0 +1,39 @@
+"""A sine whose frequency sweeps from one end to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, ShakerNumber, Spacing, Start
+from rig.settings.problems import Problem
+from rig.settings.settings import Settings
+
+
+class SweptSine(Settings):
+    """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["swept_sine"] = "swept_sine"
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    """First frequency [Hz]."""
+    to: Frequency
+    """Last frequency [Hz], above or below the first."""
+    duration: Duration
+    """Duration of the sweep [s]."""
+    spacing: Spacing = "log"
+    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
+    force: Force | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    drive: Drive | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the two end frequencies differ."""
+        if self.from_ == self.to:
+            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")

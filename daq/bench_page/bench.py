@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import socket
 import sys
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -55,7 +57,7 @@ def bench(
     Raises
     ------
     RunError
-        If NiceGUI is missing.
+        If NiceGUI is missing; at the end, if a recording or the simulation has ended by an error.
     SceneError
         If the scene cannot be used or an address is not available.
     """
@@ -80,9 +82,7 @@ def bench(
         gc.freeze()
         print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends the bench.", flush=True)
         if browser:
-            import webbrowser
-
-            webbrowser.open(address)
+            _open_browser(address, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="shotrig-bench-"))))
         wait_for_signal()
         monitor, end = live_bench.monitor, "the bench has ended"
         if monitor.lost_samples:
@@ -92,6 +92,16 @@ def bench(
         print(end, file=sys.stderr)
     for path in live_bench.recordings.paths:
         print(path)
+    chassis.raise_problems()
+
+
+def _open_browser(address: str, folder: Path) -> None:
+    """Open an address in the browser by a private file: all users can see the arguments of the browser's process."""
+    import webbrowser
+
+    page = folder / "bench.html"
+    page.write_text(f'<meta http-equiv="refresh" content="0; url={address}">', encoding="utf-8")
+    webbrowser.open(page.as_uri())
 
 
 @contextlib.contextmanager
@@ -101,28 +111,48 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
     from fastapi import FastAPI
     from nicegui import ui
 
-    from daq.bench_page.access import TokenGate
+    from daq.bench_page.access import MAX_CONNECTIONS, LimitedConnection, TokenGate
     from daq.bench_page.page import Page
 
     @ui.page("/")
     def page() -> None:
         Page(live_bench)
 
-    application = FastAPI()
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listener = socket.create_server((host, port), family=family)
+    except (OSError, UnicodeError):
+        raise SceneError(
+            f"cannot listen at {host}:{port}. Choose another port with --port, or another --address."
+        ) from None
+    bound_port = listener.getsockname()[1]
+    application = FastAPI(openapi_url=None)
     ui.run_with(application, reconnect_timeout=_RECONNECT_S)
-    token_gate = TokenGate(application, f"shotrig_bench_{port}")
+    token_gate = TokenGate(application, host, f"shotrig_bench_{bound_port}")
     config = uvicorn.Config(
-        token_gate, host=host.strip("[]"), port=port, log_level="critical", timeout_graceful_shutdown=1
+        token_gate,
+        http=LimitedConnection,
+        backlog=MAX_CONNECTIONS,
+        headers=[("x-frame-options", "DENY")],
+        log_level="critical",
+        timeout_graceful_shutdown=1,
     )
     server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, name="page", daemon=True)
+
+    def run() -> None:
+        server.run(sockets=[listener])
+        if not server.should_exit:
+            live_bench.chassis.report_problem(
+                "the page", RunError("the web server has stopped. Start the bench again.")
+            )
+
+    thread = threading.Thread(target=run, name="page", daemon=True)
     thread.start()
     deadline = time.monotonic() + _MAX_START_S
     while not server.started and thread.is_alive() and time.monotonic() < deadline:
         thread.join(0.05)
     if not server.started:
-        raise SceneError(f"cannot listen at {host}:{port}. Choose another port with --port, or another --address.")
-    bound_port = server.servers[0].sockets[0].getsockname()[1]
+        raise RunError(f"the page did not start within {_MAX_START_S:g} s. Start the bench again.")
     url_host = f"[{host}]" if ":" in host else host
     try:
         yield f"http://{url_host}:{bound_port}/?token={token_gate.token}"

@@ -113,6 +113,7 @@ class TestController:
             return
         chassis = self._chassis
         try:
+            self._require_numbers()
             scene, excite, self._controls = self._build_test()
             kind = TestKind.TONES if self._controls is not None else kind_of_settings(scene.test)
             frf, detector = self._build_estimate(scene, kind)
@@ -138,9 +139,16 @@ class TestController:
         """Apply the changed frequency and level to a running sine."""
         if self._controls is not None and self.running:
             try:
+                self._require_numbers()
                 self._controls.set(self.settings.frequency, self.settings.level)
             except SceneError as error:
                 self.message = str(error)
+
+    def _require_numbers(self) -> None:
+        """Raise `SceneError` if a field of the page is empty."""
+        empty = [name for name, value in vars(self.settings).items() if value is None]
+        if empty:
+            raise SceneError(f"{', '.join(empty)}: the field is empty. Enter a number.")
 
     def _build_test(self) -> tuple[Scene, Any, ToneControls | None]:
         """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""

@@ -72,6 +72,7 @@ class Monitor:
 
     def __init__(self, chassis: Chassis) -> None:
         bench: Any = chassis.bench
+        self._chassis = chassis
         self._scene = bench.scene
         self.rate = bench.rate
         self.channels = tuple(bench.channels)
@@ -160,9 +161,16 @@ class Monitor:
         return RigMotion(motions[:bodies], tables, np.column_stack(gaps) if gaps else None)
 
     def _process_queue(self) -> None:
+        has_failed = False
         while (item := self._blocks.get()) is not None:
-            self._process(*item)
-            self._blocks.task_done()
+            try:
+                if not has_failed:
+                    self._process(*item)
+            except Exception as error:
+                has_failed = True
+                self._chassis.report_problem("the display of the page", error)
+            finally:
+                self._blocks.task_done()
 
     def _process(self, block: Any, drive: Array, to_physical: Any) -> None:
         if block.samples.size:

@@ -248,7 +248,7 @@ class Page:
         self._time.show([chart_points(*min_max_envelope(time, row, _HISTORY_COLUMNS)) for row in samples])
         frequency, spectra = monitor.spectra()
         self._spectra.show([chart_points(*band_peaks(frequency[1:], row[1:])) for row in np.maximum(spectra, 1e-15)])
-        self._state_label.text = controller.message
+        self._state_label.text = "\n".join([controller.message, *self._bench.chassis.problems[-1:]])
         self._output_label.text = "\n".join(self._bench.outputs())
         self._file_label.text = recordings.problem or _recording_line(recordings)
         self._clients_label.text = self._bench.clients()

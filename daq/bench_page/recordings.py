@@ -10,18 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 from daq.instrument.engines.log import MarkedRecording
 from daq.recording.recorded_test import TestKind
-from rig.errors import ShotrigError
+from rig.errors import RunError
 
 if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
     from rig.scene.scene import Scene
+
+# Maximum number of blocks of samples that wait to be written: at least 16 s.
+_MAX_WAITING_JOBS = 4096
 
 
 class BenchRecordings:
     """Records all channels while it is `enabled`, and a test of the page or a task of an NI client is running.
 
     The first recording is at `path`, and may replace an existing file if `overwrite` is set; the next are numbered.
-    `problem` is the error that stopped the recording.
+    `problem` is the error that stopped the recording. A recording also stops when too many blocks wait for the disk.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
@@ -29,6 +32,7 @@ class BenchRecordings:
         self.enabled = False
         self.paths: list[Path] = []
         self.problem = ""
+        self._n_failures = 0
         self._test: tuple[Scene, TestKind] | None = None
         self._test_has_ended = False
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -62,7 +66,11 @@ class BenchRecordings:
         if self.enabled and is_active:
             test, channels = self._test, bench.channels
             start_ns = self._chassis.time_ns(round(block.first * bench.tick_rate / bench.rate))
-            self._jobs.put(lambda: self._write_block(bench, channels, block, test, start_ns))
+            n_failures = self._n_failures
+            self._jobs.put(lambda: self._write_block(bench, channels, block, test, start_ns, n_failures))
+            if self._jobs.qsize() > _MAX_WAITING_JOBS:
+                error = RunError("the disk is too slow. Record on another disk, or fewer channels at a lower rate.")
+                self.enabled, self.problem = False, self._chassis.report_problem("the recording", error)
         elif self.running:
             self._jobs.put(self._close_recording)
         if self._test_has_ended:
@@ -79,13 +87,24 @@ class BenchRecordings:
         while (job := self._jobs.get()) is not None:
             try:
                 job()
-            except ShotrigError as error:
-                self.problem, self.enabled = str(error), False
-                self._recording = None
+            except Exception as error:
+                self._n_failures += 1
+                recording, self._recording, self.enabled = self._recording, None, False
+                final_error = error if recording is None else recording.end_with(error)
+                self.problem = self._chassis.report_problem("the recording", final_error)
 
     def _write_block(
-        self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, start_ns: int
+        self,
+        bench: Any,
+        channels: Any,
+        block: Any,
+        test: tuple[Scene, TestKind] | None,
+        start_ns: int,
+        n_failures: int,
     ) -> None:
+        if n_failures != self._n_failures:
+            # The recording of this block has failed.
+            return
         if channels is not self._channels:
             self._close_recording()
             self._channels = channels
@@ -94,7 +113,8 @@ class BenchRecordings:
             path = self._next_path()
             overwrite = self._overwrite and not self.paths
             self._recording = MarkedRecording(path, scene, channels, bench.rate, start_ns, overwrite, kind)
-            self._first_sample, self.problem = block.first, ""
+            self._first_sample = block.first
+            self.problem = "" if self.enabled else self.problem
             self.paths.append(path)
         self._recording.write(block.samples, block.overload)
 

@@ -12,12 +12,13 @@ the first time, see `daq.instrument.background_test`.
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
-import traceback
 import weakref
 from bisect import bisect_right
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -28,6 +29,8 @@ from daq.instrument.engines.acquisition import Acquisition, InputPlan
 from daq.instrument.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.instrument.engines.triggers import AnalogSource, OtherTask
 from daq.instrument.errors import Code, DaqError
+from rig.errors import RunError, ShotrigError
+from rig.unexpected import describe_unexpected
 
 if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
@@ -100,6 +103,8 @@ class Chassis:
         # Number of consecutive events of each task whose callback did not finish in time.
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
         self.tasks: dict[str, Runner] = {}
+        # Reasons for which the simulation, a recording or a display has ended early.
+        self.problems: list[str] = []
         self.position = 0  # ticks since the bench was switched on
         # Ticks at which bench time continued after a stop, and their wall-clock times, ns.
         self._anchors: list[tuple[int, int]] = []
@@ -361,12 +366,23 @@ class Chassis:
             default=_MAX_BLOCK_TICKS,
         )
 
+    def report_problem(self, part: str, error: BaseException) -> str:
+        """Report on stderr that a part of the instrument has ended early, and add this to `problems`; return it."""
+        reason = str(error) if isinstance(error, ShotrigError) else describe_unexpected(error)
+        self.problems.append(f"{part} has ended: {reason}")
+        # The terminal may be closed already.
+        with suppress(OSError):
+            print(self.problems[-1], file=sys.stderr, flush=True)
+        return self.problems[-1]
+
+    def raise_problems(self) -> None:
+        """Raise `RunError` if a part of the instrument has ended early."""
+        if self.problems:
+            raise RunError("\n".join(self.problems))
+
     def fail(self, error: BaseException) -> None:
         """Report an error of the simulation, and end all waiting calls."""
-        traceback.print_exception(error)
-        self._stop_all(
-            DaqError(f"the simulation of the scene has failed: {error!r}. Change the scene or the drive.", Code.UNKNOWN)
-        )
+        self._stop_all(DaqError(self.report_problem("the simulation of the scene", error), Code.UNKNOWN))
 
     def _stop_all(self, error: DaqError) -> None:
         with self.changed:

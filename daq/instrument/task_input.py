@@ -116,9 +116,12 @@ class TaskInput:
         return self.run.ticks_until(self.run.plan.buffer_size, self._chassis.position)
 
     def write_log(self) -> None:
-        """Write new samples to the log if the task only logs."""
+        """Write new samples to the log if the task only logs; if this fails, the acquisition ends with the error."""
         if self.run is not None and self.log is not None and self.log.logs_only:
-            self.log.write_new(self.run)
+            try:
+                self.log.write_new(self.run)
+            except DaqError as error:
+                self.run.stop(error)
             self.run.position = max(self.run.position, self.run.readable_end)
 
     def start_new_file(self, path: Path) -> None:
@@ -251,7 +254,10 @@ class TaskInput:
                     out[row, n_read : n_read + n_available] = values
                 n_read += n_available
                 if self.log is not None:
-                    self.log.write_new(run)
+                    try:
+                        self.log.write_new(run)
+                    except DaqError as error:
+                        return result(error)
             if n_read == n_requested:
                 return result(None)
             if run.done and run.readable_end <= run.position:

@@ -230,7 +230,8 @@ class MeasurementRun(BenchLoop):
 
     def _recorded_duration(self) -> str:
         """Return a sentence with the recorded duration, for messages."""
-        return f"{self._path} contains the first {self.station.now / self.bench.rate:.2f} s."
+        path = self._path if self._recorder is None else self._recorder.current_path
+        return f"{path} contains the first {self.station.now / self.bench.rate:.2f} s."
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -26,6 +27,10 @@ class DiskError(RunError):
     """The disk is full or fails."""
 
 
+class LostPathError(DiskError):
+    """The file was moved or deleted, or cannot be renamed; the message is complete."""
+
+
 class CommittedFile:
     """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
@@ -35,7 +40,7 @@ class CommittedFile:
 
     def __init__(self, path: Path, overwrite: bool) -> None:
         self.path = path
-        self.failed = self._is_complete = False
+        self.failed = self._is_complete = self._keeps_old = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
         self._final = self.current_path = resolve_output(path, overwrite, RecordingError)
@@ -75,38 +80,77 @@ class CommittedFile:
                     unwritten = unwritten[self._file.write(unwritten) :]
         except OSError as error:
             self.failed = True
-            os.ftruncate(self._file.fileno(), self._committed)
+            with suppress(OSError):
+                os.ftruncate(self._file.fileno(), self._committed)
             raise DiskError(f"{self.current_path}: cannot be written ({error.strerror})") from error
         self._committed = self._end
+        if not self._status().st_nlink and not self._is_in_place():
+            self.failed = True
+            raise LostPathError(f"{self.current_path}: the file was deleted while it was written. Write it again.")
 
     def free(self) -> int:
-        """Return the free space of the file's disk, bytes."""
-        return shutil.disk_usage(self.current_path).free
+        """Return the free space of the file's disk in bytes; raise `DiskError` if the disk fails."""
+        if sys.platform == "win32":
+            # Windows cannot move or delete an open file.
+            return shutil.disk_usage(self.current_path).free
+        try:
+            disk = os.fstatvfs(self._file.fileno())
+        except OSError as error:
+            raise DiskError(f"{self.current_path}: its disk fails ({error.strerror})") from error
+        return disk.f_bavail * disk.f_frsize
+
+    def _status(self) -> os.stat_result:
+        return os.fstat(self._file.fileno())
+
+    def _is_in_place(self) -> bool:
+        """Return whether the file is still at its path."""
+        try:
+            return os.path.samestat(self._status(), self.current_path.stat())
+        except OSError:
+            return False
 
     def finish(self) -> None:
         """Commit the last bytes, and rename the file if it replaces another.
 
-        Raises `DiskError` if the disk is full or fails, `RunError` if the file cannot be renamed.
+        Raises `DiskError` if the disk is full or fails, or the file was moved, deleted or cannot be renamed.
         """
         self.commit()
         self._is_complete = True
-        if self.current_path == self._final:
+        if not self._is_in_place():
+            raise LostPathError(
+                f"{self.current_path}: the file was moved while it was written. It is complete under its new name."
+            )
+        if self._keeps_old or not self.replaces:
             return
         # Windows cannot replace an open file: another process that locks the old file now will replace the new one.
         self.close()
         try:
             rename_complete(self.current_path, self._final, overwrite=True)
         except OSError as error:
-            raise RunError(
+            raise LostPathError(
                 f"{self.path}: cannot be replaced ({error.strerror}). Use the new recording {self.current_path}."
             ) from error
         self.current_path = self._final
 
+    @property
+    def replaces(self) -> bool:
+        """Whether the complete file will replace another."""
+        return self.current_path != self._final
+
+    def keep_old(self) -> None:
+        """Keep the file that would have been replaced; the new file stays at `current_path`."""
+        self._keeps_old = True
+
     def discard(self) -> None:
         """Close the file; if it would have replaced another, remove it, and leave the other unchanged."""
+        if self.replaces:
+            self._remove()
         self.close()
-        if self.current_path != self._final:
-            self.current_path.unlink(missing_ok=True)
+
+    def _remove(self) -> None:
+        """Remove the file, unless another file is at its path now."""
+        if self._is_in_place():
+            self.current_path.unlink()
 
     def close(self) -> None:
         """Close the file; bytes that were not committed are dropped."""
@@ -123,9 +167,9 @@ class CommittedFile:
         try:
             yield
         except BaseException:
-            self.close()
             if not self._is_complete:
-                self.current_path.unlink(missing_ok=True)
+                self._remove()
+            self.close()
             raise
 
 

@@ -22,7 +22,7 @@ from daq.mcap_file.compression import lz4, zstd, zstd_for_samples
 from daq.mcap_file.summary import with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message, Messages
 from daq.recording import layout
-from daq.recording.committed_file import RESERVE, CommittedFile, DiskError
+from daq.recording.committed_file import RESERVE, CommittedFile, DiskError, LostPathError
 from daq.recording.layout import Timebase
 from daq.recording.markers import MARKER_SCHEMA, Marker
 from daq.recording.protobuf import Schema
@@ -118,6 +118,11 @@ class Recorder:
     def position(self) -> int:
         """Index of the next sample to be written."""
         return self._raw_groups.position
+
+    @property
+    def current_path(self) -> Path:
+        """Path of the file at present; it differs from `path` until the file replaces another."""
+        return self._disk.current_path
 
     @property
     def size(self) -> int:
@@ -232,6 +237,8 @@ class Recorder:
             self.close()
             return
         status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        if status == "failed":
+            self._disk.keep_old()
         try:
             self.close(status, str(error) or type(error).__name__)
         except RunError as another:
@@ -326,6 +333,7 @@ class Recorder:
                     raise
                 # The reserved space (`RESERVE`) suffices to end the file.
                 disk_error, status, reason = error, "failed", str(error)
+                self._disk.keep_old()
         self._write_markers(math.inf)
         outcome = {"status": status, "reason": reason, "samples": str(self._samples_written)}
         self._file.add_metadata("outcome", with_checksum(outcome | {"markers": str(self._marker_count)}))
@@ -355,8 +363,8 @@ class Recorder:
         if self.free < sum(stream.group_bytes for stream in self._streams):
             self._disk_is_full = True
             raise DiskError(
-                f"{self._disk.current_path}: the disk is full; the file contains {self._content_text}. Free disk space "
-                "or use another disk."
+                f"{self._disk.current_path}: the disk is full; the file contains {self._content_text}."
+                f"{self._unchanged_text} Free disk space or use another disk."
             )
         group_end = (number + 1) * self._group_samples
         self._write_markers(group_end)
@@ -386,6 +394,11 @@ class Recorder:
     def _content_text(self) -> str:
         return f"the first {self._samples_written / self.clock.rate:.2f} s"
 
+    @property
+    def _unchanged_text(self) -> str:
+        """Sentence about the file that this file would have replaced; empty if there is none."""
+        return f" {self.path} is unchanged." if self._disk.replaces else ""
+
     def _commit(self) -> None:
         with self._disk_errors_with_remedy():
             self._disk.commit()
@@ -395,11 +408,13 @@ class Recorder:
         """Add the content of the file, and the remedy, to the message of a `DiskError`."""
         try:
             yield
+        except LostPathError:
+            raise
         except DiskError as error:
             path = self._disk.current_path
             raise DiskError(
-                f"{error}; the file contains {self._content_text}, without an end. Free disk space, then run "
-                f"`daq recover {path} -o FIXED.mcap`."
+                f"{error}; the file contains {self._content_text}, without an end.{self._unchanged_text} Free disk "
+                f"space, then run `daq recover {path} -o FIXED.mcap`."
             ) from error
 
     def _blocks(self, group: Group, topics: Sequence[int]) -> list[Messages]:

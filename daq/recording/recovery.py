@@ -25,7 +25,7 @@ from daq.mcap_file.reader import Container
 from daq.mcap_file.summary import parse_record, with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
-from daq.recording.committed_file import CommittedFile, DiskError
+from daq.recording.committed_file import CommittedFile, DiskError, LostPathError
 from daq.recording.layout import Timebase
 from daq.recording.markers import Marker
 from daq.recording.sample_block import SAMPLE_TYPE, decode
@@ -121,6 +121,8 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
                 )
             try:
                 salvage = _Salvager(source, target, disk, *descriptions).run(damaged)
+            except LostPathError:
+                raise
             except DiskError as error:
                 raise DiskError(f"{error}; {source} is not changed. {_DISK_REMEDY}") from error
         disk.close()

@@ -11,7 +11,7 @@ from typing import Any
 
 from daq.instrument.chassis import Chassis
 from daq.instrument.engines.log import MarkedRecording
-from rig.errors import RecordingError, ShotrigError
+from rig.errors import RecordingError
 from rig.output_files import create_folder
 
 #: Maximum wait for a display that does not respond, s.
@@ -50,8 +50,8 @@ class LiveRecording:
     """Records all channels of a bench while clients use it, and marks overloads in the recording.
 
     A change of a coupling or sensor supply starts another file, with a number appended to its name. If writing fails,
-    the error is reported on stderr and the recording ends; clients continue. Raises `RecordingError` if the folder of
-    `path` cannot be created.
+    the recording ends with a report (`Chassis.report_problem`); clients continue. Raises `RecordingError` if the folder
+    of `path` cannot be created.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
@@ -68,9 +68,13 @@ class LiveRecording:
             return
         try:
             self._record(bench, block)
-        except ShotrigError as error:
-            self._has_failed, self._recording = True, None
-            _report(f"the recording has stopped: {error}")
+        except Exception as error:
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Complete the recording as far as possible after an error, and report the error."""
+        recording, self._recording, self._has_failed = self._recording, None, True
+        self._chassis.report_problem("the recording", error if recording is None else recording.end_with(error))
 
     def _record(self, bench: Any, block: Any) -> None:
         """Write a block; start a file if there is none, or if a coupling or supply has changed."""
@@ -95,7 +99,10 @@ class LiveRecording:
         """Complete the recording; report on stderr if nothing was recorded."""
         with self._chassis.changed:
             self._chassis.listeners.remove(self._on_block)
-            self._complete()
+            try:
+                self._complete()
+            except Exception as error:
+                self._fail(error)
         if not self.paths:
             _report(
                 f"note: {self._path}: nothing was recorded, because no client ran a task. Start a task before the "

@@ -86,6 +86,8 @@ def serve(
     ------
     SceneError
         If the scene cannot be used, or the address requires certificates or is not available.
+    RunError
+        At the end, if the recording or the simulation has ended by an error.
     """
     host, port = parse_address(host, port)
     if certificates is None and not _is_loopback(host):
@@ -115,6 +117,7 @@ def serve(
         print(announcement(chassis, host, server.port, certificates is not None), flush=True)
         wait_for_signal()
         print("closing", file=sys.stderr)
+    chassis.raise_problems()
 
 
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:

@@ -158,7 +158,7 @@ class Sessions:
                 elif now - session.disconnected_at >= disconnect_timeout:
                     ended.append(self._open.pop(name).task)
         for task in ended:
-            task.close()
+            self._end(task)
         return [task.name for task in ended]
 
     def close_all(self) -> None:
@@ -166,7 +166,14 @@ class Sessions:
         with self._lock:
             sessions, self._open = list(self._open.values()), {}
         for session in sessions:
-            session.task.close()
+            self._end(session.task)
+
+    def _end(self, task: Task) -> None:
+        """Close a task without a client, to which an error, for example of its log, could be reported."""
+        try:
+            task.close()
+        except Exception as error:
+            self._chassis.report_problem(f"task {task.name}", error)
 
 
 def _endpoint(peer: str) -> tuple[str, int]:

@@ -7,7 +7,8 @@ samples that were lost.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ from daq.importing.tdms import log_as_warning
 from daq.instrument.errors import Code, DaqError
 from daq.instrument.values import LoggingMode, LoggingOperation
 from daq.measurement.limits import FlaggedIntervals
-from rig.errors import ShotrigError
+from rig.errors import RunError, ShotrigError
 
 if TYPE_CHECKING:
     from daq.instrument.engines.acquisition import Acquisition, InputPlan
@@ -83,6 +84,14 @@ class MarkedRecording:
         self._overloads.close()
         self._recorder.close(*self._outcome)
 
+    def end_with(self, error: Exception) -> Exception:
+        """Complete the file after an error as far as possible; return the error with what the file contains."""
+        try:
+            with self._recorder:
+                raise error
+        except Exception as final:
+            return final
+
 
 class _Tdms:
     """A TDMS file with readings in the group `group`; lost samples are NaN.
@@ -127,7 +136,7 @@ class _Tdms:
             }
             for name, unit in zip(names, units, strict=True)
         ]
-        self._writer = nptdms.TdmsWriter(str(path), mode="a" if append else "w")
+        self._path, self._writer = path, nptdms.TdmsWriter(str(path), mode="a" if append else "w")
         self._writer.open()
 
     def write(self, samples: NDArray[Any], overload: NDArray[np.bool_]) -> None:
@@ -148,6 +157,11 @@ class _Tdms:
         self._write_segment(np.zeros((len(self._properties), 0)))
         self._writer.close()
 
+    def end_with(self, error: Exception) -> Exception:
+        with suppress(OSError):
+            self._writer.close()
+        return RunError(f"{self._path}: {getattr(error, 'strerror', error)}; it contains the samples up to this error")
+
     def _write_segment(self, values: NDArray[np.float64]) -> None:
         """Append readings, shape (channels, n), with the present properties of the channels."""
         self._writer.write_segment(
@@ -166,7 +180,7 @@ class TaskLog:
 
     With `LOG_AND_READ`, samples are logged when the script reads, and at the end; samples that are overwritten before
     the read are a gap in the log. With `LOG`, samples are logged as they are acquired. While the log is paused, samples
-    are omitted.
+    are omitted. If writing fails, the file is completed and the log ends.
 
     `open_file` opens a file by its path and the index of its first sample. `settings` contain the logging mode, the
     path, the samples per file, and whether the log is paused.
@@ -179,15 +193,34 @@ class TaskLog:
         self._file = open_file(self._first_path, 0)
         self._next: int | None = None  # index of the sample that is logged next
         self._samples_in_file = 0  # of the present file
+        self._has_ended = False
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
         """Complete the present file and continue in another file."""
-        self.write_new(acquisition)
-        self._file.close()
-        self._file, self._samples_in_file = self._open(path, self._next or 0), 0
+        with self._ended_on_failure():
+            self._write_new(acquisition)
+            self._file.close()
+            self._file, self._samples_in_file = self._open(path, self._next or 0), 0
 
     def write_new(self, acquisition: Acquisition) -> None:
-        """Log the samples acquired since the last call."""
+        """Log the samples acquired since the last call; raise `DaqError` if the log ends because writing fails."""
+        if not self._has_ended:
+            with self._ended_on_failure():
+                self._write_new(acquisition)
+
+    @contextmanager
+    def _ended_on_failure(self) -> Iterator[None]:
+        """Complete the file if the body fails, and end the log."""
+        try:
+            yield
+        except DaqError:
+            self._has_ended = True
+            raise
+        except (ShotrigError, OSError) as error:
+            self._has_ended = True
+            raise DaqError(f"the log has ended: {self._file.end_with(error)}", Code.UNKNOWN) from error
+
+    def _write_new(self, acquisition: Acquisition) -> None:
         stop = acquisition.readable_end
         if stop == 0:
             return
@@ -215,11 +248,12 @@ class TaskLog:
 
     def close(self, acquisition: Acquisition) -> None:
         """Log the remaining samples and the reason of an early end, and complete the file."""
-        try:
-            self.write_new(acquisition)
+        if self._has_ended:
+            return
+        with self._ended_on_failure():
+            self._write_new(acquisition)
             if acquisition.error is not None:
                 self._file.abort(str(acquisition.error))
-        finally:
             self._file.close()
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
+import webbrowser
+from pathlib import Path
 from types import SimpleNamespace
 
 import nidaqmx
@@ -14,9 +17,13 @@ from nidaqmx.constants import TaskMode
 import analysis
 import daq
 import rig
+from daq.bench_page.bench import _open_browser, _serve_page
 from daq.bench_page.live_bench import LiveBench
 from daq.instrument.connecting import connect_scene
+from daq.instrument.engines.log import MarkedRecording
+from daq.recording.committed_file import RESERVE, CommittedFile
 from daq.server.connection import connect
+from rig.errors import RunError, SceneError
 from rig.scene.yaml_reader import read_yaml
 
 BRACKET = """\
@@ -220,6 +227,19 @@ def test_wrong_settings_are_reported(bench):
     assert "which equals from" in bench.controller.message
 
 
+@pytest.mark.parametrize("bench", ["sine"], indirect=True)
+@pytest.mark.parametrize("name", ["level", "frequency"])
+def test_empty_field_is_reported(bench, name):
+    set_controls(bench, **{name: None})
+    bench.controller.start()
+    assert not bench.controller.running and bench.controller.message == f"{name}: the field is empty. Enter a number."
+    set_controls(bench, level=1.0, frequency=40.0)
+    bench.controller.start()
+    set_controls(bench, **{name: None})
+    bench.controller.apply_settings()
+    assert bench.controller.running and bench.controller.message == f"{name}: the field is empty. Enter a number."
+
+
 def test_client_and_page_share_the_output(tmp_path):
     with connect(make_scene("sine"), clock="real") as client:
         live_bench = LiveBench(client.chassis, "", tmp_path / "client.mcap", False)
@@ -234,3 +254,94 @@ def test_client_and_page_share_the_output(tmp_path):
         assert live_bench.controller.running
         assert live_bench.clients() == "no task of an NI client"
         live_bench.close()
+
+
+def start_recording(bench):
+    """Start a test that is recorded, and wait until a group of samples is on the disk."""
+    bench.recordings.enabled = True
+    bench.controller.start()
+    pass_time(bench, 0.7)
+    complete_jobs(bench)
+
+
+def complete_jobs(bench):
+    """Wait until the recorder has written all waiting blocks."""
+    done = threading.Event()
+    bench.recordings._jobs.put(done.set)
+    assert done.wait(60.0)
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_full_disk_completes_the_recording(bench, monkeypatch):
+    start_recording(bench)
+    monkeypatch.setattr(CommittedFile, "free", lambda _: RESERVE)
+    pass_time(bench, 1.5)
+    complete_jobs(bench)
+    assert not bench.recordings.running and "disk is full" in bench.recordings.problem
+    (path,) = bench.recordings.paths
+    with daq.open(path) as recording:
+        assert (recording.status, recording.samples / recording.rate) == ("failed", 0.5)
+    with pytest.raises(RunError, match="disk is full"):
+        bench.chassis.raise_problems()
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_moved_recording_continues(bench, tmp_path):
+    start_recording(bench)
+    bench.recordings.paths[0].rename(tmp_path / "moved.mcap")
+    pass_time(bench, 1.0)
+    bench.close()
+    with daq.open(tmp_path / "moved.mcap") as recording:
+        assert recording.samples > recording.rate
+    assert "was moved" in bench.recordings.problem
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_unexpected_error_ends_the_recording(bench, monkeypatch):
+    start_recording(bench)
+    monkeypatch.setattr(MarkedRecording, "write", lambda *_: 1 // 0)
+    pass_time(bench, 0.5)
+    complete_jobs(bench)
+    assert "ZeroDivisionError" in bench.recordings.problem
+    assert not bench.recordings.running and not bench.recordings.enabled
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_stalled_disk_ends_the_recording(bench, monkeypatch):
+    released = threading.Event()
+    bench.recordings._jobs.put(released.wait)
+    monkeypatch.setattr("daq.bench_page.recordings._MAX_WAITING_JOBS", 3)
+    bench.recordings.enabled = True
+    bench.controller.start()
+    pass_time(bench, 1.0)
+    released.set()
+    bench.close()
+    assert "the disk is too slow" in bench.recordings.problem and not bench.recordings.enabled
+    with daq.open(bench.recordings.paths[0]) as recording:
+        recording.check()
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_failed_display_is_reported(bench, monkeypatch):
+    monkeypatch.setattr(bench.monitor, "_process", lambda *_: 1 // 0)
+    pass_time(bench, 0.5)
+    assert [problem for problem in bench.chassis.problems if "the display of the page has ended" in problem]
+
+
+def test_port_in_use_is_reported_before_the_start():
+    pytest.importorskip("nicegui", reason="the extra 'bench' is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with (
+            pytest.raises(SceneError, match=f"cannot listen at 127.0.0.1:{port}"),
+            _serve_page(None, "127.0.0.1", port),
+        ):
+            pass
+
+
+def test_browser_process_does_not_show_the_token(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    _open_browser("http://127.0.0.1:8031/?token=secret", tmp_path)
+    (uri,) = opened
+    assert "secret" not in uri and "token=secret" in Path(uri.removeprefix("file://")).read_text()

@@ -10,6 +10,7 @@ import daq
 import rig
 from daq.instrument.clock import ManualClock
 from tests.daq.client import RATE, Task, connect, pass_samples, raises_code
+from tests.daq.recording.recordings import file_size_limit
 
 
 @pytest.fixture
@@ -210,3 +211,32 @@ def test_tdms_log_contains_readings(chassis, tmp_path):
     channel = file["logged #1"]["Dev1/ai1"]
     assert np.array_equal(channel[:], readings[1])
     assert channel.properties["wf_increment"] == 1 / RATE
+
+
+def test_full_disk_ends_only_the_logging_task(chassis, tmp_path):
+    path = tmp_path / "full.mcap"
+    with Task() as task:
+        configure_logging_task(task, path, LoggingMode.LOG)
+        task.in_stream.input_buf_size = 500
+        task.start()
+        pass_samples(chassis, 500)
+        with file_size_limit(path.stat().st_size):
+            pass_samples(chassis, round(RATE))
+        position = chassis.position
+        pass_samples(chassis, 100)
+        assert chassis.position > position
+        with pytest.raises(DaqError, match=r"the log has ended.*full\.mcap.*daq recover"):
+            task.stop()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".tdms"])
+def test_full_disk_is_reported_by_the_read(chassis, tmp_path, suffix):
+    path = tmp_path / f"full{suffix}"
+    with Task() as task:
+        configure_logging_task(task, path)
+        task.start()
+        pass_samples(chassis, round(RATE))
+        with file_size_limit(path.stat().st_size), pytest.raises(DaqError, match=r"the log has ended.*full"):
+            task.read(round(RATE))
+        pass_samples(chassis, 100)
+        assert len(task.read(100)) == 2

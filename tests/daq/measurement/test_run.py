@@ -17,6 +17,7 @@ import rig
 from daq.cli import main
 from daq.measurement.limits import FlaggedIntervals
 from daq.measurement.run_report import summary
+from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
@@ -276,9 +277,7 @@ def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:
 
 
 def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage = shutil.disk_usage(tmp_path)
-    first_free_bytes = iter([usage.free])
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=next(first_free_bytes, 1 << 20)))
+    monkeypatch.setattr(CommittedFile, "free", lambda _: 1 << 20)
     with pytest.raises(RunError, match="disk is full") as error:
         daq.record(hit_scene().replace(test={**HIT, "interval": "2 s"}), tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as rec:
@@ -289,9 +288,9 @@ def test_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_progress_warns_of_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    usage, messages = shutil.disk_usage(tmp_path), []
+    messages: list[str] = []
     # The recorder keeps 1 MB free; 60 kB remain for the recording.
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=(1 << 20) + 60_000))
+    monkeypatch.setattr(CommittedFile, "free", lambda _: (1 << 20) + 60_000)
     scene = hit_scene().replace(test={**HIT, "repeats": 20})
     with pytest.raises(RunError, match="disk is full"):
         daq.record(scene, tmp_path / "a.mcap", progress=lambda _, message: messages.append(message))

@@ -13,6 +13,7 @@ import pytest
 
 import daq
 from daq.recording import committed_file
+from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
 from daq.recording.recovery import recover
 from rig.errors import RecordingError, RunError
@@ -119,3 +120,38 @@ def test_recovered_file_is_kept_if_renaming_fails(path: Path, monkeypatch: pytes
     with pytest.raises(RunError, match=r"Use the new recording .*fixed\.mcap\.part"):
         recover(path, target, overwrite=True)
     assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)
+
+
+def test_moved_file_is_complete_and_reported(tmp_path: Path) -> None:
+    path, moved = tmp_path / "run.mcap", tmp_path / "moved.mcap"
+    with pytest.raises(RunError, match=r"run\.mcap: the file was moved"), recorder(path, overwrite=False) as first:
+        first.write(NEW[:, :FLUSH_LENGTH])
+        path.rename(moved)
+        first.write(NEW[:, FLUSH_LENGTH:])
+    assert np.allclose(volts(moved), NEW, rtol=1e-15) and names_in_folder_of(path) == ["moved.mcap"]
+
+
+def test_deleted_file_ends_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with pytest.raises(RunError, match=r"run\.mcap: the file was deleted"), recorder(path, overwrite=False) as first:
+        path.unlink()
+        first.write(NEW)
+    assert not names_in_folder_of(path)
+
+
+def test_full_disk_keeps_the_old_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(RunError, match=r"run\.mcap is unchanged"), recorder(path) as replacement:
+        replacement.write(NEW[:, :FLUSH_LENGTH])
+        monkeypatch.setattr(CommittedFile, "free", lambda _: committed_file.RESERVE)
+        replacement.write(NEW[:, FLUSH_LENGTH:])
+    assert np.allclose(volts(path), OLD, rtol=1e-15)
+    assert np.allclose(volts(path.with_name("run.mcap.part")), NEW[:, :FLUSH_LENGTH], rtol=1e-15)
+
+
+def test_another_file_at_the_path_is_kept(path: Path) -> None:
+    part = path.with_name("run.mcap.part")
+    with pytest.raises(ZeroDivisionError), recorder(path):
+        part.rename(path.with_name("moved"))
+        part.write_bytes(b"precious")
+        raise ZeroDivisionError
+    assert part.read_bytes() == b"precious"

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 from contextlib import ExitStack
 
@@ -165,12 +164,11 @@ def test_failing_disk_leaves_flushed_samples(tmp_path):
 
 def test_almost_full_disk_closes_the_recording(tmp_path, monkeypatch):
     samples, path = random_volts(5 * FLUSH_LENGTH), tmp_path / "a.mcap"
-    usage = shutil.disk_usage(tmp_path)
     # Three groups of half a second are on the disk.
     expected_error = pytest.raises(RunError, match=r"disk is full.*first 1\.50 s")
     with expected_error, Recorder(path, make_scene(recording={"display": True}), two_channels(), RATE) as recorder:
         recorder.write(samples[:, : 3 * FLUSH_LENGTH])
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=RESERVE))
+        monkeypatch.setattr(CommittedFile, "free", lambda _: RESERVE)
         recorder.write(samples[:, 3 * FLUSH_LENGTH :])
     with daq.open(path) as recording:
         assert recording.samples == 3 * FLUSH_LENGTH
@@ -180,7 +178,7 @@ def test_almost_full_disk_closes_the_recording(tmp_path, monkeypatch):
 
 
 def test_full_disk_is_reported_once(tmp_path, monkeypatch):
-    path, usage = tmp_path / "a.mcap", shutil.disk_usage(tmp_path)
+    path = tmp_path / "a.mcap"
     expected_error = pytest.raises(RunError, match=r"first 0\.50 s, without an end.*daq recover")
     with (
         ExitStack() as file_limit,
@@ -188,7 +186,7 @@ def test_full_disk_is_reported_once(tmp_path, monkeypatch):
         Recorder(path, make_scene(), two_channels(), RATE) as recorder,
     ):
         recorder.write(random_volts(FLUSH_LENGTH))
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=RESERVE))
+        monkeypatch.setattr(CommittedFile, "free", lambda _: RESERVE)
         # The records that close the file do not fit either.
         file_limit.enter_context(file_size_limit(path.stat().st_size))
         recorder.write(random_volts(FLUSH_LENGTH))

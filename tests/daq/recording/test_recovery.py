@@ -5,7 +5,6 @@ A chunk is the part of an MCAP file that is packed and has a checksum. Samples o
 
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from typer.testing import CliRunner
 
 import daq
 from daq.cli import app
+from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
 from rig.errors import RecordingError, RunError, ShotrigError
 from tests.daq.recording.recordings import (
@@ -310,8 +310,7 @@ def test_wrong_recovery_targets_change_nothing(intact_file, tmp_path):
 
 
 def test_recovery_without_disk_space_is_rejected(intact_file, tmp_path, monkeypatch):
-    usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=intact_file.stat().st_size - 1))
+    monkeypatch.setattr(CommittedFile, "free", lambda _: intact_file.stat().st_size - 1)
     with pytest.raises(RunError, match=r"its disk has 0\.\d MB left.*another disk with -o"):
         daq.recover(intact_file, tmp_path / "fixed.mcap")
     assert not list(tmp_path.iterdir())

@@ -12,11 +12,14 @@ from nidaqmx.system import System
 import daq
 import rig
 from daq.instrument.connecting import connect_scene
+from daq.instrument.engines.log import MarkedRecording
+from daq.recording.committed_file import RESERVE, CommittedFile
 from daq.server.client_defaults import open_channel
 from daq.server.live import LiveRecording
 from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
 from daq.server.service import Server
-from rig.errors import SceneError
+from rig.errors import RunError, SceneError
+from tests.daq.recording.recordings import file_size_limit
 
 
 @pytest.fixture
@@ -110,6 +113,54 @@ def test_failed_recording_does_not_stop_clients(tmp_path, capsys):
             assert [len(task.read(100)) for _ in range(2)] == [100, 100]
     assert capsys.readouterr().err.count("run.mcap") == 1
     assert path.read_bytes() == b"existing file"
+
+
+@pytest.fixture
+def recorded_bench(tmp_path):
+    """A bench on the manual clock that records, and its recording."""
+    chassis = connect_scene("bare-structure", "manual")
+    chassis.clock.start(chassis)
+    return chassis, LiveRecording(chassis, tmp_path / "run.mcap")
+
+
+def test_full_disk_completes_the_live_recording(recorded_bench, monkeypatch):
+    chassis, recording = recorded_bench
+    chassis.clock.advance(1.2)
+    monkeypatch.setattr(CommittedFile, "free", lambda _: RESERVE)
+    chassis.clock.advance(1.0)
+    recording.close()
+    with daq.open(recording.paths[0]) as opened:
+        assert (opened.status, opened.samples / opened.rate) == ("failed", 1.0)
+    with pytest.raises(RunError, match=r"the recording has ended.*disk is full.*first 1\.00 s"):
+        chassis.raise_problems()
+
+
+def test_failing_disk_names_the_recovery(recorded_bench):
+    chassis, recording = recorded_bench
+    chassis.clock.advance(0.6)
+    with file_size_limit(recording.paths[0].stat().st_size):
+        chassis.clock.advance(1.0)
+    recording.close()
+    assert "daq recover" in chassis.problems[0] and len(chassis.problems) == 1
+
+
+def test_moved_live_recording_is_complete(recorded_bench, tmp_path):
+    chassis, recording = recorded_bench
+    chassis.clock.advance(0.2)
+    recording.paths[0].rename(tmp_path / "moved.mcap")
+    chassis.clock.advance(2.0)
+    recording.close()
+    with daq.open(tmp_path / "moved.mcap") as opened:
+        assert opened.samples / opened.rate == pytest.approx(2.2)
+    assert "was moved" in chassis.problems[0]
+
+
+def test_unexpected_error_of_recording_is_reported(recorded_bench, monkeypatch):
+    chassis, recording = recorded_bench
+    monkeypatch.setattr(MarkedRecording, "write", lambda *_: 1 // 0)
+    chassis.clock.advance(1.0)
+    recording.close()
+    assert "ZeroDivisionError" in chassis.problems[0] and chassis.position
 
 
 def test_recording_without_samples_is_reported(tmp_path, capsys):

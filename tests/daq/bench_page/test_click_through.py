@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import http.server
 import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -149,3 +152,40 @@ def test_page_without_token_is_rejected(bench):
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(page.partition("?")[0])
     assert urllib.request.urlopen(page).status == 200
+
+
+# JavaScript of another page: it tries to read the page of the bench, and to open its web socket, and reports results.
+ATTACKS = """
+const [page, done] = arguments;
+const results = {};
+const frame = document.createElement('iframe');
+frame.src = page;
+document.body.append(frame);
+const answers = ['include', 'omit'].map(credentials =>
+    fetch(page, {credentials}).then(() => 'read', () => 'rejected'));
+const sockets = ['_nicegui_ws/socket.io/?EIO=4&transport=websocket', ''].map(path => new Promise(resolve => {
+    const socket = new WebSocket(page.replace('http', 'ws') + path);
+    socket.onopen = () => resolve('open');
+    socket.onerror = () => resolve('rejected');
+}));
+Promise.all([...answers, ...sockets]).then(done);
+"""
+
+
+@pytest.mark.thorough
+def test_page_of_another_port_cannot_reach_the_bench(bench, browser, tmp_path):
+    page = bench[0]
+    (tmp_path / "other.html").write_text("<title>other</title><body>other</body>")
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=tmp_path)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as other:
+        threading.Thread(target=other.serve_forever, daemon=True).start()
+        browser.get(page)
+        wait_for(browser, lambda: element(browser, "state").text == "ready")
+        # The browser has the cookie of the bench, and sends it to all ports of the host.
+        browser.get(f"http://127.0.0.1:{other.server_port}/other.html")
+        for address in (page.partition("?")[0], page.partition("?")[0].replace("127.0.0.1", "localhost")):
+            assert browser.execute_async_script(ATTACKS, address) == ["rejected"] * 4
+        browser.switch_to.frame(browser.find_element(By.TAG_NAME, "iframe"))
+        assert not browser.find_elements(By.CSS_SELECTOR, "[data-testid=start]")
+        browser.switch_to.default_content()
+        other.shutdown()

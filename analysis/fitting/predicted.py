@@ -113,5 +113,4 @@ def _structure_equations(test_scene: Scene, states: int) -> tuple[Array, Array, 
 
 def _excitation_point(test_scene: Scene) -> str:
     """Return the excitation point: the hammer, or the driven shaker of the test."""
-    has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
-    return "hammer" if has_hammer else test_scene.at_driven("shaker")
+    return "hammer" if test_scene.hammer is not None else test_scene.at_driven("shaker")

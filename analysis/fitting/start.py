@@ -123,8 +123,7 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
         model = model.with_ground_springs(driven_bodies(test_scene), spring)
     modes = model.modes
     shapes = modes.shapes / np.sqrt(modes.mass)
-    has_hammer = test_scene.test is not None and test_scene.test.kind == "impulse"
-    driven = [test_scene.test.body - 1] if has_hammer else driven_bodies(test_scene)  # type: ignore[union-attr]
+    driven = driven_bodies(test_scene) if test_scene.hammer is None else [test_scene.hammer - 1]
     force_per_reference = spring if group.curves.reference == "table" and spring is not None else 1.0  # N/m or 1
     constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force_per_reference
     return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, constants

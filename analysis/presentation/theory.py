@@ -90,7 +90,7 @@ def _scene_under_force(rec: Recording) -> Scene:
 def _force_input(rec: Recording, frf: Response) -> str:
     """Return the name of the input that is the force of a response."""
     scene = rec.scene
-    if scene.test is not None and scene.test.kind == "impulse":
+    if scene.hammer is not None:
         return "hammer"
     if not scene.shakers or rec.test.kind is TestKind.HITS:
         raise SceneError(

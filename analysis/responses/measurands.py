@@ -133,7 +133,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
     if forces:
         return Measurand((forces[0].name,), (1.0,), "force")
-    if rec.scene.test is not None and rec.scene.test.kind == "impulse":
+    if rec.scene.hammer is not None:
         raise RecordingError(
             f"{rec.path}: no channel measures the force of the hammer ({_places(rec)}). "
             "Add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`."

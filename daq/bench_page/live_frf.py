@@ -123,16 +123,15 @@ class LiveFrf:
 
 def _force_weights(station: Station, frequency: Array) -> ComplexArray:
     """Return the weights (channels, lines) of the channels' spectra in the force, N per unit of the channel."""
-    test = station.scene.test
-    is_impulse_test = test is not None and test.kind == "impulse"
+    has_hammer = station.scene.hammer is not None
     for row, info in enumerate(station.channels):
-        if info.quantity == "force" and (info.at == "hammer") == is_impulse_test:
+        if info.quantity == "force" and (info.at == "hammer") == has_hammer:
             weights = np.zeros((len(station.channels), frequency.size), complex)
             weights[row] = 1.0 / info.response(frequency)
             return weights
     shaker = station.scene.driven_shaker
-    if is_impulse_test or shaker is None or shaker.spring is None:
-        position = "hammer" if is_impulse_test else "shaker"
+    if has_hammer or shaker is None or shaker.spring is None:
+        position = "hammer" if has_hammer else "shaker"
         raise SceneError(
             f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}} to the "
             "channels of the scene."

@@ -148,9 +148,8 @@ class RigView:
         forced_bodies = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
         for body in dict.fromkeys(forced_bodies):
             yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
-        test = self.scene.test
-        if test is not None and test.kind == "impulse":
-            yield from self._force_arrow(f"rig/body_{test.body}/hammer", -0.045, "hammer", HAMMER)
+        if self.scene.hammer is not None:
+            yield from self._force_arrow(f"rig/body_{self.scene.hammer}/hammer", -0.045, "hammer", HAMMER)
         yield from self._scale_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:

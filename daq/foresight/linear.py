@@ -10,7 +10,7 @@ import numpy as np
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.scene.excitation import Impulse, Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced_frequencies
+from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced_frequencies
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -68,7 +68,7 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
         if info.at in system.points:
             derivative_order = info.derivative or 0
             amplitude = abs(states[system.points.index(info.at)]) * (2.0 * np.pi * frequencies) ** derivative_order
-        elif isinstance(scene.test, Impulse) or info.at not in (driven_input, scene.at_driven("drive")):
+        elif scene.hammer is not None or info.at not in (driven_input, scene.at_driven("drive")):
             continue
         else:
             # The channel measures the driving force, or the voltage of the output that drives the shaker.

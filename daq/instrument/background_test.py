@@ -92,8 +92,8 @@ class BackgroundTest:
 
     def release_outputs(self) -> None:
         """End the test because a client uses an output; an impulse (hammer) test, which uses no output, continues."""
-        test = self._station.scene.test
-        if not self.is_idle and test is not None and test.kind != "impulse":
+        scene = self._station.scene
+        if not self.is_idle and scene.test is not None and scene.hammer is None:
             if self._on_end is None:
                 self.is_idle = True
             else:

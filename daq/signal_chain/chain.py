@@ -18,7 +18,6 @@ from daq.signal_chain.signal_path import SignalPath
 from daq.signal_chain.stage import channel_effects, channel_info
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.scene.excitation import Impulse
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
@@ -130,7 +129,7 @@ class Chain:
 def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]:
     """Return ideal channels for a scene without `channels`: accelerations of all points, and forces of its inputs."""
     channels = [Channel(name=point.replace(" ", ""), at=point) for point in points]
-    if isinstance(scene.test, Impulse):
+    if scene.hammer is not None:
         channels.append(Channel(name="force", at="hammer"))
         return tuple(channels)
     for number, shaker in enumerate(scene.shakers, 1):

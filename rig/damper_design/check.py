@@ -10,7 +10,7 @@ import numpy as np
 from rig.arrays import Array
 from rig.damper_design.choice import Objective, Trial
 from rig.damper_design.worst_peak import Peak
-from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
+from rig.scene.excitation import FORCE_TOLERANCE
 from rig.scene.measurement_chain import Channel, Hammer
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -52,7 +52,7 @@ def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
         "kind": "stepped_sine",
         "frequencies": _frequencies_around(peaks, objective.band).tolist(),
         "force": list(objective.levels),
-        "shaker": getattr(scene.test, "shaker", None),
+        "shaker": None if scene.test is None else scene.test.driven,
     }
     check_scene = scene.replace(dampers=trial.choice.dampers(objective.impact_law), test=test)
     missing = missing_channels(check_scene, trial.peak.body)
@@ -88,7 +88,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
             converter = None if scene.converter is None else complete_from_preset(scene.converter)
             sensor = None
             if converter is not None and converter.range is not None:
-                assert isinstance(scene.test, SteppedSine)
+                assert scene.test is not None
                 sensor = Hammer(sensitivity=float(f"{0.5 * converter.range / max(scene.test.levels):.2g}"))
             new_channels.append(Channel(name=name, at=location, hammer=sensor))
         else:
@@ -120,18 +120,18 @@ def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expe
 def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
     scene, peak = scene_and_peak
     test = scene.test
-    assert isinstance(test, SteppedSine)
-    frequencies = [frequency for frequency in test.order if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
+    assert test is not None
+    frequencies = [frequency for frequency in test.dwells if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
     compliances, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
     for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
-        controlled = scene.replace(channels=None, test=test.replace(force=force_ratio * peak.level))
+        controlled = scene.replace(channels=None, test=test.at_level(force_ratio * peak.level))
         response = frequency_response(controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS)
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
         is_steady = bool(response.converged[-1])
         if not is_steady:
             break
         compliances.append(float(abs(response.compliance[peak.body - 1, -1])))
-    tolerance = test.settle.tolerance
+    tolerance = test.steady_tolerance
     limits = None
     if is_steady:
         limits = min(compliances) * (1.0 - tolerance), compliances[0], max(compliances) * (1.0 + tolerance)

@@ -19,7 +19,7 @@ from rig.figure_style import COLORS, cell_edges, new_figure, save_figure, set_lo
 from rig.output_files import atomic_write, file_stem
 from rig.results import format_decimals, format_number, format_percent
 from rig.scene.damper import Damper
-from rig.scene.excitation import FORCE_TOLERANCE, SteppedSine
+from rig.scene.excitation import FORCE_TOLERANCE
 from rig.scene.scene import STANDARD_GRAVITY, Scene
 from rig.scene.shaker import ForceShaker
 
@@ -132,7 +132,7 @@ def write(design: Design, folder: Path) -> list[Path]:
 def describe_check(design: Design, scene: Path) -> str:
     """Describe the test in the scene of a design, its expected results, and the commands to run it."""
     test = design.scene.test
-    assert isinstance(test, SteppedSine) and test.frequencies is not None
+    assert test is not None and test.band is not None
     levels = ", ".join(format_number(level) for level in test.levels)
     overloads = predict_overloads(design.scene, design.expected, design.bare)
     remedies = "".join(f" --set {quote(change)}" for overload in overloads for change in overload.changes)
@@ -146,7 +146,7 @@ def describe_check(design: Design, scene: Path) -> str:
         [
             (
                 f"{scene}: the scene with these dampers and a test of the design, a stepped sine from "
-                f"{test.frequencies[0]:.4g} to {test.frequencies[-1]:.4g} Hz at {levels} N around the largest peaks "
+                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} N around the largest peaks "
                 "with and without dampers"
             ),
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
@@ -154,7 +154,7 @@ def describe_check(design: Design, scene: Path) -> str:
             "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
             f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to "
             f"{format_percent(FORCE_TOLERANCE)} and the motion is measured when it is steady within "
-            f"{format_percent(test.settle.tolerance)}.",
+            f"{format_percent(test.steady_tolerance)}.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *map(_expected_line, design.expected),

@@ -74,7 +74,7 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
 
 def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
     """Replace a drive level of the test (V or m) with a controlled force, because the levels of a design are forces."""
-    if getattr(scene.test, "drive", None) is None or isinstance(scene.driven_shaker, ForceShaker):
+    if scene.level_key != "drive" or isinstance(scene.driven_shaker, ForceShaker):
         return scene
     if levels is None:
         raise SceneError(

@@ -6,7 +6,6 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.errors import SceneError
-from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.scene import Scene
 from rig.scene.shaker import TableShaker
 from rig.settings.quantities import FORCE, LENGTH, VOLTAGE, count
@@ -43,7 +42,7 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
         raise SceneError(
             f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig response."
         )
-    level_quantity = "force" if getattr(scene.test, "force", None) is not None else "drive"
+    level_quantity = scene.level_key
     over = over if over is not None else level_quantity
     if over not in (level_quantity, "clearance"):
         raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
@@ -91,15 +90,11 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
 
 
 def _test_range(scene: Scene) -> tuple[float, float]:
-    match scene.test:
-        case Sine(frequency=center):
-            return 0.8 * center, 1.2 * center
-        case SteppedSine() as test:
-            low, high = min(test.order), max(test.order)
-            return (low, high) if low < high else (0.8 * low, 1.2 * low)
-        case SweptSine(from_=begin, to=end) | Random(from_=begin, to=end) | Multisine(from_=begin, to=end):
-            return min(begin, end), max(begin, end)
-    raise SceneError("test: has no frequency. Give a range with --from and --to.")
+    band = None if scene.test is None else scene.test.band
+    if band is None:
+        raise SceneError("test: has no frequency. Give a range with --from and --to.")
+    low, high = band
+    return band if low < high else (0.8 * low, 1.2 * low)
 
 
 def take_off_levels(scene: Scene, frequency: Array) -> Array:

@@ -114,6 +114,14 @@ def missing_body_message(number: int, n_bodies: int) -> str:
     return f"body {number} does not exist; expected a body of the structure, 1 to {n_bodies}"
 
 
+def body_problems(valid: Mapping[str, Any], body: int, key_path: KeyPath) -> Iterator[Problem]:
+    """Check the number of a body against the section `structure` in `valid`, if this section is valid."""
+    # `replace_names` reports most invalid numbers, but does not know the number of bodies in matrix files.
+    n_bodies = valid["structure"].bodies if "structure" in valid else body
+    if body > n_bodies:
+        yield Problem(key_path, missing_body_message(body, n_bodies))
+
+
 def _names_and_count(structure: Any) -> tuple[list[str] | None, int]:
     """Return the names (None if unnamed) and the count (0 if unknown) of the bodies of an unchecked structure."""
     masses = value_at(structure, ("masses",))

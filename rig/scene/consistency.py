@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import AfterValidator, ValidationInfo
 
-from rig.scene.body_names import missing_body_message
-from rig.scene.excitation import Free, Impulse, Sine, SteppedSine
+from rig.scene.body_names import body_problems
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.shaker import ForceShaker, Shaker, at_shaker
+from rig.scene.shaker import ForceShaker, Shaker, as_tuple, at_shaker
 from rig.settings.problems import KeyPath, Problem, combined_error
 
 if TYPE_CHECKING:
@@ -25,64 +24,29 @@ ValidSections = Mapping[str, Any]
 
 
 def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
-    yield from _check_body(valid, damper.body, ("body",))
+    yield from body_problems(valid, damper.body, ("body",))
 
 
 def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
-    for number, shaker in enumerate(_as_tuple(value)):
+    for number, shaker in enumerate(as_tuple(value)):
         key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
-            yield from _check_body(valid, body, (*key_path, k) if isinstance(shaker.body, tuple) else key_path)
+            yield from body_problems(valid, body, (*key_path, k) if isinstance(shaker.body, tuple) else key_path)
 
 
 def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:
-    if isinstance(test, Impulse):
-        yield from _check_body(valid, test.body, ("body",))
-    elif isinstance(test, Free):
-        yield from _check_initial_state(test, valid)
-    elif test is not None and "shaker" in valid:
-        yield from _check_driven_shaker(test, _as_tuple(valid["shaker"]))
-
-
-def _check_initial_state(test: Free, valid: ValidSections) -> Iterable[Problem]:
-    if "structure" not in valid:
-        return
-    n_bodies = valid["structure"].bodies
-    for key, values in (("displacement", test.displacement), ("velocity", test.velocity)):
-        if values is not None and len(values) != n_bodies:
-            yield Problem((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
-    if test.mode is not None and test.mode > n_bodies:
-        yield Problem(("mode",), f"mode {test.mode} does not exist; expected 1 to {n_bodies}")
-
-
-def _check_driven_shaker(test: Any, shakers: tuple[Shaker, ...]) -> Iterable[Problem]:
-    n_shakers, number, other_numbers = len(shakers), test.shaker or 1, getattr(test, "also", None) or ()
-    if not shakers:
-        message = f"{test.kind} requires a shaker. Add a shaker to the scene."
-        yield Problem(("kind",), message, absent="shaker")
-    elif n_shakers > 1 and test.shaker is None:
-        message = f"the scene has {n_shakers} shakers, but the test does not name the driven one."
-        yield Problem((), f"{message} Add shaker: N to the test, with N from 1 to {n_shakers}.")
-    elif number > n_shakers:
-        yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
-    elif max(other_numbers, default=0) > n_shakers:
-        yield Problem(("also",), f"shaker {max(other_numbers)} does not exist; expected numbers from 1 to {n_shakers}")
-    elif len({test.shaker, *other_numbers}) <= len(other_numbers):
-        message = "a shaker is given twice; expected each number once in the keys shaker and also together"
-        yield Problem(("also",), message)
-    elif isinstance(shakers[number - 1], ForceShaker) and test.drive is not None:
-        yield Problem(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
+    return () if test is None else test.references(valid)
 
 
 def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Problem]:
     if channel.body is not None:
-        yield from _check_body(valid, channel.body, ("at",))
+        yield from body_problems(valid, channel.body, ("at",))
     elif channel.at == "hammer":
-        if "test" in valid and not isinstance(valid["test"], Impulse):
+        if "test" in valid and (valid["test"] is None or valid["test"].hammer is None):
             message = "this test has no hammer; expected a body or the table, or a test of kind impulse"
             yield Problem(("at",), message, absent="" if valid["test"] else "test")
     elif "shaker" in valid:
-        yield from _check_location_at_shaker(channel, _as_tuple(valid["shaker"]), valid.get("test"), ("at",))
+        yield from _check_location_at_shaker(channel, as_tuple(valid["shaker"]), valid.get("test"), ("at",))
 
 
 def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Problem]:
@@ -130,7 +94,7 @@ def _check_location_at_shaker(
             f"a shaker of kind {shaker.kind} acts through its coil spring, whose force follows from the displacements "
             f"of its two ends. Measure there instead, with two channels (at: {table}, at: body {shaker.bodies[0]}).",
         )
-    elif kind == "shaker" and isinstance(test, Impulse):
+    elif kind == "shaker" and test is not None and test.hammer is not None:
         message = "in a hammer test the shaker is idle, so its force is not measured."
         yield Problem(key_path, f"{message} Mount this channel at the hammer (at: hammer).")
 
@@ -173,36 +137,13 @@ RECORDING = _validator(_check_recording)
 
 def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem]:
     """Check that the test's highest frequency is below half the sample rate of readings and drive."""
-    highest = _highest_frequency(test)
+    highest = None if test is None else test.highest
     if highest is None:
         return
     (key_path, frequency), rate = highest, converter.sample_rate
     if frequency >= rate / 2:
         yield Problem(
-            key_path,
+            ("test", *key_path),
             f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
             "Lower the frequency, or raise converter.rate.",
         )
-
-
-def _highest_frequency(test: Test | None) -> tuple[KeyPath, float] | None:
-    """Return the highest frequency of a test and its key path; None if the test has no frequency."""
-    if test is None or isinstance(test, Impulse | Free):
-        return None
-    if isinstance(test, Sine):
-        return None if test.frequency is None else (("test", "frequency"), test.frequency)
-    if isinstance(test, SteppedSine) and test.frequencies is not None:
-        return ("test", "frequencies", len(test.frequencies) - 1), test.frequencies[-1]
-    first, last = test.from_ or 0.0, test.to or 0.0
-    return (("test", "to"), last) if last > first else (("test", "from"), first)
-
-
-def _as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
-    return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)
-
-
-def _check_body(valid: ValidSections, body: int, key_path: KeyPath) -> Iterable[Problem]:
-    # `replace_names` reports most invalid numbers, but does not know the number of bodies in matrix files.
-    n_bodies = valid["structure"].bodies if "structure" in valid else body
-    if body > n_bodies:
-        yield Problem(key_path, missing_body_message(body, n_bodies))

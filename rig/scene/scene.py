@@ -12,7 +12,7 @@ from rig.scene.body_names import replace_names
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, at_shaker
+from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, as_tuple, at_shaker
 from rig.scene.structure import Structure
 from rig.settings.problems import KeyPath, Problem
 from rig.settings.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
@@ -69,9 +69,7 @@ class Scene(Settings):
     @property
     def shakers(self) -> tuple[Shaker, ...]:
         """All shakers."""
-        if self.shaker is None:
-            return ()
-        return self.shaker if isinstance(self.shaker, tuple) else (self.shaker,)
+        return as_tuple(self.shaker)
 
     @property
     def tables(self) -> tuple[tuple[str, TableShaker | ElectrodynamicShaker], ...]:
@@ -87,7 +85,7 @@ class Scene(Settings):
         """Number of the driven shaker, from 1; None without a shaker, or if the test does not select one of several."""
         if len(self.shakers) == 1:
             return 1
-        return getattr(self.test, "shaker", None)
+        return None if self.test is None else self.test.driven
 
     @property
     def driven_shaker(self) -> Shaker | None:
@@ -95,10 +93,20 @@ class Scene(Settings):
         return None if self.driven is None else self.shakers[self.driven - 1]
 
     @property
+    def level_key(self) -> str:
+        """Key of the test's level; empty without a level."""
+        return "" if self.test is None else self.test.level_key
+
+    @property
+    def hammer(self) -> int | None:
+        """Number of the body that the test hits with a hammer, from 1; None without a hammer."""
+        return None if self.test is None else self.test.hammer
+
+    @property
     def force_on(self) -> tuple[int, ...]:
         """Bodies on which the test's force acts, from 1: the body hit by the hammer, or the driven shaker's bodies."""
-        if self.test is not None and self.test.kind == "impulse":
-            return (self.test.body,)
+        if self.hammer is not None:
+            return (self.hammer,)
         return () if self.driven_shaker is None else self.driven_shaker.bodies
 
     def at_driven(self, name: str) -> str:

@@ -209,3 +209,8 @@ class ElectrodynamicShaker(Settings):
 Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
 #: Type of `shaker:` in a scene: one shaker or a list.
 Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]
+
+
+def as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
+    """Return the shakers of the section `shaker`."""
+    return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)

@@ -12,7 +12,6 @@ from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
 from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import CountProgress
-from rig.scene.excitation import Impulse
 from rig.scene.scene import Scene
 from rig.simulation.simulate import Run, simulate
 
@@ -22,10 +21,7 @@ SUFFIXES = (".npz", ".csv")
 
 def default_duration(scene: Scene) -> float:
     """Return the open-loop duration of a scene's test [s]; two seconds if the test has none."""
-    test = scene.test
-    if isinstance(test, Impulse):
-        return test.repeats * test.interval
-    return float(getattr(test, "duration", 2.0))
+    return 2.0 if scene.test is None else scene.test.simulated
 
 
 def check_suffix(path: Path) -> None:

@@ -170,10 +170,10 @@ def single_mode(
             "Give all dampers the same clearance."
         )
     if force is None:
-        level = getattr(scene.test, "force", None)
-        if not isinstance(level, int | float):
+        levels = () if scene.test is None or scene.test.level_key != "force" else scene.test.levels
+        if len(levels) != 1:
             raise SceneError("force: the test of the scene does not specify one force amplitude. Pass force=... in N.")
-        force = float(level)
+        force = float(levels[0])
     return reduce_to_mode(
         (mass, model.damping, model.stiffness),
         mode=mode,

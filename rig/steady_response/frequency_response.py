@@ -315,9 +315,7 @@ class SteadyContinuation:
         self.tolerance, self.longest = tolerance, longest
         #: Set when no more points are required.
         self.stopped = Event()
-        self.controls_spring_force = not isinstance(scene.driven_shaker, ForceShaker) and (
-            getattr(scene.test, "force", None) is not None
-        )
+        self.controls_spring_force = scene.level_key == "force" and not isinstance(scene.driven_shaker, ForceShaker)
 
     def points(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
         """Yield points at the given frequencies, each from the previous point; the first from rest."""

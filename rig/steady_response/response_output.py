@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rig.errors import SceneError
 from rig.output_files import atomic_write, csv_text
 from rig.results.text import format_decimals, format_frequencies
-from rig.scene.excitation import Sine, SteppedSine, spaced_frequencies
+from rig.scene.excitation import spaced_frequencies
 from rig.scene.scene import Scene
 from rig.settings.quantities import count
 from rig.steady_response.frequency_response import SteadyResponse
@@ -26,19 +26,16 @@ def sweep_frequencies(
     """
     test = scene.test
     if any(value is not None for value in (first, last, points)):
-        stepped = test if isinstance(test, SteppedSine) else None
-        first = first if first is not None else getattr(stepped, "from_", None)
-        last = last if last is not None else getattr(stepped, "to", None)
-        points = count(points if points is not None else getattr(stepped, "points", None) or 101, 2, "points")
+        test_first, test_last, test_points = (None, None, None) if test is None else test.range_of_dwells
+        first, last = test_first if first is None else first, test_last if last is None else last
+        points = count(points if points is not None else test_points or 101, 2, "points")
         if first is None or last is None:
             raise SceneError(f"frequencies: {'--from' if first is None else '--to'} is missing. Give --from and --to.")
         if not 0.0 < first < last:
             raise SceneError(f"frequencies: --from {first:g} Hz is not between 0 and --to {last:g} Hz. Change --from.")
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
-    if isinstance(test, SteppedSine):
-        return tuple(sorted(set(test.order))), direction or test.direction
-    if isinstance(test, Sine):
-        return (test.frequency,), direction or "up"
+    if test is not None and test.dwells:
+        return tuple(sorted(set(test.dwells))), direction or test.direction_of_dwells
     raise SceneError(f"scene {scene.name!r}: the test has no frequencies. Give --from and --to.")
 
 

@@ -88,8 +88,8 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _
     for number, shaker in enumerate(scene.shakers, 1):
         drive, table_name = (at_shaker(noun, number, len(scene.shakers)) for noun in ("shaker", "table"))
         _add_shaker(equations, shaker, drive, table_name)
-    if scene.test is not None and scene.test.kind == "impulse":
-        equations.add_input("hammer", "N", {scene.test.body - 1: 1.0})
+    if scene.hammer is not None:
+        equations.add_input("hammer", "N", {scene.hammer - 1: 1.0})
     return equations
 
 
@@ -266,15 +266,11 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
     test = scene.test
     if test is None or test.start == "settled":
         state[:n] = static_equilibrium(scene, system)
-    if test is not None and test.kind == "free":
-        bodies = scene.structure.bodies
-        if test.displacement is not None:
-            state[:bodies] += test.displacement
-        if test.velocity is not None:
-            state[n : n + bodies] += test.velocity
-        if test.mode is not None:
-            shapes = structural_model(scene).modes.shapes
-            state[:bodies] += (test.amplitude or 0.0) * shapes[:, test.mode - 1]
+    bodies = scene.structure.bodies
+    motion = None if test is None else test.initial_motion(bodies, lambda: structural_model(scene).modes.shapes)
+    if motion is not None:
+        state[:bodies] += motion[0]
+        state[n : n + bodies] += motion[1]
     return state
 
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError
-from rig.scene.excitation import Impulse, Sine, SteppedSine, SweptSine
+from rig.scene.excitation.kind import Chirp, Pulses
 from rig.scene.scene import Scene
 from rig.scene.shaker import ForceShaker, TableShaker
 from rig.system.assembly import spring_force_row
@@ -42,16 +42,13 @@ class ToneDrive:
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
     """Return the tone of a test at a frequency, Hz.
 
-    The default is the frequency of a sine test, or the first of a stepped sine. For other tests the result is None.
+    The default is the test's `tone`; without one, the result is None.
     Raises `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
     """
     test = scene.test
     if frequency is None:
-        if isinstance(test, Sine):
-            frequency = test.frequency
-        elif isinstance(test, SteppedSine):
-            frequency = test.order[0]
-        else:
+        frequency = None if test is None else test.tone
+        if frequency is None:
             return None
     elif not (np.isfinite(frequency) and frequency > 0.0):
         raise SceneError(f"frequency: got {frequency!r}; expected a positive number of hertz")
@@ -83,17 +80,15 @@ def level_of(scene: Scene) -> float:
     if scene.driven_shaker is None:
         raise SceneError(f"scene {scene.name!r} has no shaker. Add shaker: {{kind: ...}}.")
     test = scene.test
-    force, drive = getattr(test, "force", None), getattr(test, "drive", None)
-    level = force if force is not None else drive
-    if level is None:
+    if test is None or not test.uses_shaker or not test.levels:
         raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
-    return float(level[0] if isinstance(level, tuple) else level)
+    return float(test.levels[0])
 
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
     """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega."""
     shaker = scene.driven_shaker
-    level_is_drive = getattr(scene.test, "drive", None) is not None
+    level_is_drive = scene.level_key == "drive"
     if isinstance(shaker, ForceShaker):
         return 1.0
     if level_is_drive:
@@ -128,7 +123,7 @@ def with_ideal_force(scene: Scene) -> Scene:
     ideal force.
     """
     shaker = scene.driven_shaker
-    if shaker is None or isinstance(shaker, ForceShaker) or getattr(scene.test, "force", None) is None:
+    if shaker is None or isinstance(shaker, ForceShaker) or scene.level_key != "force":
         return scene
     force = ForceShaker(body=shaker.bodies[0])
     shakers = [force if number == scene.driven else other for number, other in enumerate(scene.shakers, 1)]
@@ -187,11 +182,16 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test
     time = np.arange(samples) / rate
-    if isinstance(test, Impulse):
-        drive[system.inputs.index("hammer")] = _hammer_force(test, time)
-    elif isinstance(test, SweptSine):
-        drive[system.inputs.index(scene.at_driven("shaker"))] = _sweep_drive(scene, system, test, time)
-    elif test is not None and test.kind != "free":
+    if test is None:
+        return drive
+    wave = test.wave(time)
+    if isinstance(wave, Pulses):
+        name = "hammer" if wave.input == "hammer" else scene.at_driven("shaker")
+        drive[system.inputs.index(name)] = wave.values
+    elif isinstance(wave, Chirp):
+        values = _chirp_drive(scene, system, wave)
+        drive[system.inputs.index(scene.at_driven("shaker"))] = np.where(time <= test.shortest, values, 0.0)
+    elif wave is None:
         raise SceneError(
             f"test: the signal of a {test.kind} test is generated during a recording. Use daq.record, or give "
             "frequency (of a tone at the test's level) or drive (an array of shape (inputs, samples))."
@@ -199,30 +199,11 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     return drive
 
 
-def _hammer_force(test: Impulse, time: Array) -> Array:
-    """Return the half-sine pulses of the hammer, N; `time`: s."""
-    force = np.zeros_like(time)
-    for hit in range(test.repeats):
-        since_hit = time - hit * test.interval
-        pulse = test.peak * np.sin(np.pi * since_hit / test.width)
-        force += np.where((since_hit >= 0.0) & (since_hit <= test.width), pulse, 0.0)
-    return force
-
-
-def _sweep_drive(scene: Scene, system: HybridSystem, test: SweptSine, time: Array) -> Array:
-    """Return the drive of a sweep, with the amplitude that gives the test's level at each frequency; `time`: s."""
-    first, last = test.from_, test.to
-    progress = np.minimum(time / test.duration, 1.0)
-    if test.spacing == "log":
-        log_ratio = np.log(last / first)
-        phase = 2.0 * np.pi * first * test.duration * np.expm1(progress * log_ratio) / log_ratio
-        frequency = first * np.exp(progress * log_ratio)
-    else:
-        phase = 2.0 * np.pi * test.duration * (first * progress + 0.5 * (last - first) * progress**2)
-        frequency = first + (last - first) * progress
-    gain = np.interp(frequency, *_tabulate_gain(scene, system, min(first, last), max(first, last)))
-    sweep = level_of(scene) * np.imag(gain * np.exp(1j * phase))
-    return np.where(time <= test.duration, sweep, 0.0)
+def _chirp_drive(scene: Scene, system: HybridSystem, chirp: Chirp) -> Array:
+    """Return the drive of a sweep, with the amplitude that gives the test's level at each frequency."""
+    assert scene.test is not None and scene.test.band is not None
+    gain = np.interp(chirp.frequency, *_tabulate_gain(scene, system, *scene.test.band))
+    return np.asarray(level_of(scene) * np.imag(gain * np.exp(1j * chirp.phase)))
 
 
 def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) -> tuple[Array, ComplexArray]:

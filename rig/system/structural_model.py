@@ -209,8 +209,8 @@ def driven_bodies(scene: Scene) -> list[int]:
         )
     if scene.driven_shaker is not None:
         return [body - 1 for body in scene.driven_shaker.bodies]
-    if scene.test is not None and scene.test.kind == "impulse":
-        return [scene.test.body - 1]
+    if scene.hammer is not None:
+        return [scene.hammer - 1]
     raise SceneError(
         f"scene {scene.name!r} has neither shaker nor hammer, so the location of the force is unknown. Add a shaker."
     )

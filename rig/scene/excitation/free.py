@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Literal
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from rig.scene.excitation.kind import Duration, Start
+from rig.arrays import Array
+from rig.scene.excitation.kind import Duration, KindOfTest, Rest, Start
 from rig.settings.problems import Problem
 from rig.settings.quantities import LENGTH, VELOCITY
 from rig.settings.quantity_field import Quantity
-from rig.settings.settings import Settings
 
 
-class Free(Settings):
+class Free(KindOfTest):
     """Free vibration from given displacements and velocities, with the drive at rest."""
 
     kind: Literal["free"] = "free"
+    recorded_as: ClassVar = "free"
+    level_keys: ClassVar = ()
+    uses_shaker: ClassVar = False
     start: Start = "settled"
     displacement: tuple[Annotated[float, Quantity(LENGTH)], ...] | None = Field(None, min_length=1)
     """One initial displacement for each body, relative to the start position [m]."""
@@ -39,3 +43,25 @@ class Free(Settings):
             yield Problem(("mode",), "mode is given together with displacement or velocity. Remove one of the two.")
         if self.mode is None and self.displacement is None and self.velocity is None:
             yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")
+
+    def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array]:
+        """Return initial displacement (m) and velocity (m/s), shape (bodies,)."""
+        displacement = np.zeros(bodies) if self.displacement is None else np.array(self.displacement)
+        if self.mode is not None:
+            displacement = (self.amplitude or 0.0) * shapes()[:, self.mode - 1]
+        return displacement, np.zeros(bodies) if self.velocity is None else np.array(self.velocity)
+
+    def wave(self, time: Array) -> Rest:
+        """Return no drive."""
+        return Rest()
+
+    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
+        """Check the number of values, and the mode."""
+        if "structure" not in valid:
+            return
+        n_bodies = valid["structure"].bodies
+        for key, values in (("displacement", self.displacement), ("velocity", self.velocity)):
+            if values is not None and len(values) != n_bodies:
+                yield Problem((key,), f"got {len(values)} values; expected {n_bodies}, one for each body")
+        if self.mode is not None and self.mode > n_bodies:
+            yield Problem(("mode",), f"mode {self.mode} does not exist; expected 1 to {n_bodies}")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Literal
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from rig.scene.excitation.kind import Count, Duration, Start
+from rig.arrays import Array
+from rig.scene.body_names import body_problems
+from rig.scene.excitation.kind import Count, Duration, KindOfTest, Pulses, Start
 from rig.scene.shaker import Body
 from rig.settings.problems import Problem
 from rig.settings.quantities import FORCE, RATIO
@@ -26,10 +29,13 @@ class DoubleHit(Settings):
     """Ratio of the second pulse's peak to the first's."""
 
 
-class Impulse(Settings):
+class Impulse(KindOfTest):
     """Hammer hits: half-sine pulses of force on a body."""
 
     kind: Literal["impulse"] = "impulse"
+    recorded_as: ClassVar = "hits"
+    level_keys: ClassVar = ("peak",)
+    uses_shaker: ClassVar = False
     start: Start = "settled"
     body: Body
     """The body hit, by its number from 1 or its name."""
@@ -67,3 +73,31 @@ class Impulse(Settings):
                     ("double_hit", "hits", k),
                     f"hit {hit} does not exist; expected at most {self.repeats}, the number of repeats",
                 )
+
+    @property
+    def hammer(self) -> int:
+        """Number of the body hit, from 1."""
+        return self.body
+
+    @property
+    def shortest(self) -> float:
+        """Time of all hits, s."""
+        return self.repeats * self.interval
+
+    @property
+    def simulated(self) -> float:
+        """Time of all hits, s."""
+        return self.shortest
+
+    def wave(self, time: Array) -> Pulses:
+        """Return the half-sine pulses, N."""
+        force = np.zeros_like(time)
+        for hit in range(self.repeats):
+            since_hit = time - hit * self.interval
+            pulse = self.peak * np.sin(np.pi * since_hit / self.width)
+            force += np.where((since_hit >= 0.0) & (since_hit <= self.width), pulse, 0.0)
+        return Pulses("hammer", force)
+
+    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
+        """Check the body."""
+        return body_problems(valid, self.body, ("body",))

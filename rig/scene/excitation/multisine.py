@@ -15,19 +15,20 @@ from rig.scene.excitation.kind import (
     Duration,
     Force,
     Frequency,
+    KindOfTest,
     ShakerNumber,
     Start,
     check_band,
 )
 from rig.settings.problems import Problem
-from rig.settings.settings import Settings
 
 
-class Multisine(Settings):
+class Multisine(KindOfTest):
     """A periodic sum of tones with random phases."""
 
     one_of: ClassVar = (("force", "drive"), ("lines", "period"))
     kind: Literal["multisine"] = "multisine"
+    recorded_as: ClassVar = "multisine"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """Lower end of the band [Hz]."""
@@ -62,3 +63,8 @@ class Multisine(Settings):
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
             message = f"no line of the multisine (multiple of {1.0 / self.period:g} Hz) lies between from and to"
             yield Problem(("period",), f"{message}. Give a longer period.")
+
+    @property
+    def shortest(self) -> float:
+        """Time of all measured periods, s."""
+        return self.realisations * self.periods * self.period_s

@@ -7,18 +7,18 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, ShakerNumber, Start, check_band
+from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start, check_band
 from rig.settings.problems import Problem
 from rig.settings.quantities import RATIO
 from rig.settings.quantity_field import Quantity
-from rig.settings.settings import Settings
 
 
-class Random(Settings):
+class Random(KindOfTest):
     """Gaussian noise between two frequencies."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["random"] = "random"
+    recorded_as: ClassVar = "random"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """Lower end of the band [Hz]."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
-from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, ShakerNumber, Start
-from rig.settings.settings import Settings
+from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start
+from rig.settings.problems import KeyPath
 
 
-class Sine(Settings):
+class Sine(KindOfTest):
     """A sine of constant frequency and amplitude: amplitude times sin(2 pi f t) from t = 0."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["sine"] = "sine"
+    recorded_as: ClassVar = "tones"
     start: Start = "settled"
     frequency: Frequency
     """Frequency [Hz]."""
@@ -24,3 +25,18 @@ class Sine(Settings):
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     duration: Duration = 2.0
     """Duration of the test [s]."""
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The frequency as a band, Hz."""
+        return self.frequency, self.frequency
+
+    @property
+    def highest(self) -> tuple[KeyPath, float]:
+        """Key path and value of the frequency."""
+        return ("frequency",), self.frequency
+
+    @property
+    def dwells(self) -> tuple[float, ...]:
+        """The frequency, Hz."""
+        return (self.frequency,)

@@ -9,17 +9,19 @@ from pydantic import Field
 
 from rig.scene.excitation.kind import (
     MAX_STEPS,
+    STEADY_TOLERANCE,
     Count,
     Drives,
     Duration,
     Forces,
     Frequency,
+    KindOfTest,
     ShakerNumber,
     Spacing,
     Start,
     spaced_frequencies,
 )
-from rig.settings.problems import Problem
+from rig.settings.problems import KeyPath, Problem
 from rig.settings.quantities import RATIO
 from rig.settings.quantity_field import Quantity
 from rig.settings.settings import Settings
@@ -28,7 +30,7 @@ from rig.settings.settings import Settings
 class Settle(Settings):
     """Criterion for the steady state of a step."""
 
-    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
+    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = STEADY_TOLERANCE
     """Largest relative change of any channel's first harmonic between successive time windows."""
     longest: Duration = 60.0
     """Longest time to wait for the steady state [s]."""
@@ -41,11 +43,12 @@ class Measure(Settings):
     """Number of periods."""
 
 
-class SteppedSine(Settings):
+class SteppedSine(KindOfTest):
     """A series of tones; each is brought to the level, settles to steady state and is measured."""
 
     one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
     kind: Literal["stepped_sine"] = "stepped_sine"
+    recorded_as: ClassVar = "tones"
     start: Start = "settled"
     from_: Frequency | None = Field(None, alias="from")
     """First frequency [Hz]."""
@@ -89,12 +92,6 @@ class SteppedSine(Settings):
             yield Problem(("from",), f"{message}; direction: down sweeps downward.")
 
     @property
-    def levels(self) -> tuple[float, ...]:
-        """The levels (amplitudes of force or drive) in the order of the test [N, or the drive's unit]."""
-        level = self.force if self.force is not None else self.drive
-        return level if isinstance(level, tuple) else () if level is None else (level,)
-
-    @property
     def order(self) -> tuple[float, ...]:
         """The frequencies of one level in the order of the test [Hz]."""
         ascending = self.frequencies
@@ -102,3 +99,40 @@ class SteppedSine(Settings):
             ascending = spaced_frequencies(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
         descending = ascending[::-1]
         return {"up": ascending, "down": descending, "both": ascending + descending}[self.direction]
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency, Hz."""
+        return min(self.order), max(self.order)
+
+    @property
+    def highest(self) -> tuple[KeyPath, float] | None:
+        """Key path and value of the highest frequency, Hz."""
+        if self.frequencies is None:
+            return super().highest
+        return ("frequencies", len(self.frequencies) - 1), self.frequencies[-1]
+
+    @property
+    def dwells(self) -> tuple[float, ...]:
+        """The frequencies of one level in the order of the test, Hz."""
+        return self.order
+
+    @property
+    def direction_of_dwells(self) -> Literal["up", "down", "both"]:
+        """Order of the frequencies of one level."""
+        return self.direction
+
+    @property
+    def range_of_dwells(self) -> tuple[float | None, float | None, int | None]:
+        """First and last frequency (Hz) and number of frequencies."""
+        return self.from_, self.to, self.points
+
+    @property
+    def steady_tolerance(self) -> float:
+        """Largest relative change of a channel from one time window to the next in steady state."""
+        return self.settle.tolerance
+
+    @property
+    def shortest(self) -> float:
+        """Time of all measurements, s."""
+        return len(self.levels) * self.measure.periods * sum(1.0 / frequency for frequency in self.order)

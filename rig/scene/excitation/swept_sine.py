@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
-from rig.scene.excitation.kind import Drive, Duration, Force, Frequency, ShakerNumber, Spacing, Start
+from rig.arrays import Array
+from rig.scene.excitation.kind import Chirp, Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Spacing, Start
 from rig.settings.problems import Problem
-from rig.settings.settings import Settings
 
 
-class SweptSine(Settings):
+class SweptSine(KindOfTest):
     """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["swept_sine"] = "swept_sine"
+    recorded_as: ClassVar = "sweep"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """First frequency [Hz]."""
@@ -37,3 +39,14 @@ class SweptSine(Settings):
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
             yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
+
+    def wave(self, time: Array) -> Chirp:
+        """Return the tone at its momentary frequency; after the sweep, the last phase."""
+        first, last = self.from_, self.to
+        progress = np.minimum(time / self.duration, 1.0)
+        if self.spacing == "log":
+            log_ratio = np.log(last / first)
+            phase = 2.0 * np.pi * first * self.duration * np.expm1(progress * log_ratio) / log_ratio
+            return Chirp(phase, first * np.exp(progress * log_ratio))
+        phase = 2.0 * np.pi * self.duration * (first * progress + 0.5 * (last - first) * progress**2)
+        return Chirp(phase, first + (last - first) * progress)

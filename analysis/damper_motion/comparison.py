@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from math import floor, hypot, inf, isfinite, isinf, log10, prod, sqrt
 
 import numpy as np
-import scipy
 
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
 from rig.results.response import Response
-from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, known_degrees
+from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, expand
 
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
@@ -216,8 +215,7 @@ def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) 
 def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
     """Return the 95 % bounds of height and frequency of a peak due to the errors of its points, shape (2,)."""
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
-    factor = scipy.special.stdtrit(known_degrees(points.degrees).min(), 0.975)
-    random_bound = factor * np.sqrt(np.maximum(np.nan_to_num(variance), 0.0))
+    random_bound = expand(np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), degrees=points.degrees.min())
     # Equal relative errors of all points add up in the height, and cancel in the frequency.
     in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound())
     return np.hypot(random_bound, [in_height.sum(), np.linalg.norm(in_frequency)])
@@ -329,12 +327,9 @@ class PeakChange:
 
 
 def _decibel_tolerance(bare: Peak, damped: Peak) -> float:
-    """Return the 95 % bound of the ratio of two peaks due to the tolerances of their different sensors, dB.
-
-    The errors of the sensors are independent, with uniform distributions (GUM, section 4.3.7).
-    """
+    """Return the expanded uncertainty of the ratio of two peaks due to the tolerances of different sensors, dB."""
     limits = [20.0 * log10(1.0 + tolerance) for compared in (bare, damped) for tolerance in compared.tolerances]
-    return min(sum(limits), float(scipy.special.ndtri(0.975)) * hypot(*limits) / sqrt(3.0))
+    return float(expand(0.0, limits))
 
 
 def peak_changes(

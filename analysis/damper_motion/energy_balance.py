@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy
 
 from analysis.responses.aliasing import aliased_ratios
 from analysis.responses.measurands import motion_of, reference_of, response_channels
 from analysis.responses.systematic import ChannelContributions, tolerance
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
@@ -29,7 +29,7 @@ class CycleEnergy:
     structure: Array
     """Energy dissipated by the structural damping of the scene, J; shape (n,)."""
     bound: Array
-    """95 % bound of `dampers`, J; shape (n,)."""
+    """Expanded uncertainty of `dampers`, J; shape (n,)."""
 
     @property
     def dampers(self) -> Array:
@@ -90,18 +90,18 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         sweep.lines.frequency,
         np.array(supplied),
         np.array(structure),
-        _bound(rec, sweep, gradients, compliance, np.transpose(force_shares)),
+        _expanded(rec, sweep, gradients, compliance, np.transpose(force_shares)),
     )
 
 
-def _bound(
+def _expanded(
     rec: Recording,
     sweep: Sweep,
     gradients: list[ComplexArray],
     compliance: ComplexArray,
     force_shares: ComplexArray,
 ) -> Array:
-    """Return the 95 % bound of the energy: root sum of squares of scatter and of all systematic errors.
+    """Return the expanded uncertainty of the energy from the scatter and all limits of error.
 
     `gradients`: gradient g for each tone, shape (channels, harmonics); `compliance`, shape (n,): compliance of the
     driven body; `force_shares`, shape (channels, n): contribution of each channel to the force, relative to the force.
@@ -115,12 +115,8 @@ def _bound(
         gain_sensitivity.append(product.real.sum(axis=1))
         phase_sensitivity.append(abs(product).sum(axis=1))
         fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
-    bounds = [
-        np.sqrt(np.nan_to_num(scatter))
-        * scipy.special.stdtrit(np.maximum(lines.scatter.degrees_of_freedom, 1.0), 0.975)
-    ]
     tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
-    bounds.append(abs(np.array(gain_sensitivity)) @ (tolerances / np.maximum(1.0 - tolerances, 1e-300)))
+    limits = list(abs(np.transpose(gain_sensitivity)) * (tolerances / np.maximum(1.0 - tolerances, 1e-300))[:, None])
     _, aliased = aliased_ratios(
         rec,
         ChannelContributions(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
@@ -131,8 +127,8 @@ def _bound(
         (fundamental_sensitivity, lines.resolution),
     ):
         if error_ratio is not None:
-            bounds.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
-    return np.asarray(np.sqrt(np.sum(np.square(bounds), axis=0)))
+            limits.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
+    return expand(np.sqrt(np.nan_to_num(scatter)), limits, np.maximum(lines.scatter.degrees_of_freedom, 1.0))
 
 
 def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:

@@ -26,6 +26,7 @@ from analysis.damper_motion.landing_pulse import transmissibility
 from rig.arrays import Array
 from rig.progress import CountProgress
 from rig.results.response import MOTIONS
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.responses.stepped_sine import Sweep
@@ -221,7 +222,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
         return np.inf
     restitution_bound = max((damper.restitution for damper in dampers), default=0.0)
     if estimate is not None and (restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
-        restitution_bound = min(estimate.value + 2.0 * estimate.error, 1.0)
+        restitution_bound = min(estimate.value + float(expand(estimate.error)), 1.0)
     if restitution_bound <= 0.0:
         return 0.0
     at_ceiling = replace(detected, jump=detected.jump[detected.wall == "ceiling"])

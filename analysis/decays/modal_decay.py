@@ -11,6 +11,7 @@ from scipy import fft
 
 from rig.arrays import Array, ComplexArray
 from rig.results import Result, complete_style, format_quantity
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,16 +81,21 @@ class ModalDecay(Result):
             "frequency_std_Hz": self.natural_error,
         }
 
+    @property
+    def percent(self) -> tuple[Array, Array]:
+        """Damping ratio at each amplitude and its expanded uncertainty, %."""
+        return 100.0 * self.damping, 100.0 * expand(self.damping_error)
+
     def frequency_text(self) -> str:
-        """Format the natural frequency with its 95 % bound."""
-        return format_quantity(self.frequency, 2.0 * self.frequency_error, "Hz")
+        """Format the natural frequency with its expanded uncertainty."""
+        return format_quantity(self.frequency, float(expand(self.frequency_error)), "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the damping ratio against amplitude with its 95 % bound."""
-        percent, bound = 100.0 * self.damping, 200.0 * self.damping_error
+        """Draw the damping ratio against amplitude with its expanded uncertainty."""
+        percent, expanded = self.percent
         style = complete_style(style, ms=3, label=self.frequency_text())
         (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
-        bounds = percent - bound, percent + bound
+        bounds = percent - expanded, percent + expanded
         ax.fill_between(self.amplitude, *bounds, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="amplitude / (m/s²)", ylabel="damping ratio / %")
 

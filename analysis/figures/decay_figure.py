@@ -84,9 +84,8 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in decays_of_mode:
-            color, percent = color_of(index), 100.0 * mode.damping
-            bound = 100.0 * 2.0 * mode.damping_error
-            axes.fill_between(mode.amplitude, percent - bound, percent + bound, color=color, alpha=0.25, lw=0)
+            color, (percent, expanded) = color_of(index), mode.percent
+            axes.fill_between(mode.amplitude, percent - expanded, percent + expanded, color=color, alpha=0.25, lw=0)
             axes.plot(mode.amplitude, percent, "o-", color=color)
         amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         axes.set_xlim(0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max()))
@@ -105,7 +104,7 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
         if positive.size:
             low, high = float(positive.min()), float(positive.max())
             # The axis includes the edges of uncertainty bands unless the curves would then become too small.
-            bounds = [200.0 * m.damping_error for decays_of_mode in modes for _, m in decays_of_mode]
+            bounds = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
                 [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]
             )

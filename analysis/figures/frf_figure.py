@@ -87,7 +87,7 @@ def frf_figure(
         if not any(exceeds_noise(frf).any() for frf in frfs):
             notes.append((phase_axes, "phase not determined at any line"))
         if not any(_has_scatter(frf) for frf in frfs):
-            text = "no coherence and no confidence band: a single average, or not in the file"
+            text = "no coherence and no random error: a single average, or not in the file"
             notes.append((coherence_axes, text))
         for axes, text in notes:
             axes.annotate(
@@ -102,11 +102,11 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     if any(_has_scatter(frf) for frf in frfs):
-        sentences.append("Dark band: 95 % confidence interval of the random error.")
+        sentences.append("Dark band: expanded uncertainty (95 %) of type A.")
     causes = visible_systematic_errors(frfs)
     if causes:
-        sentences.append(f"Light band: systematic errors included, each at its limit: {', '.join(causes)}.")
-    if any(np.any(exceeds_noise(frf) & (_total_uncertainty(frf) >= abs(frf.value))) for frf in frfs):
+        sentences.append(f"Light band: with the limits of error (type B): {', '.join(causes)}.")
+    if any(np.any(exceeds_noise(frf) & (frf.expanded() >= abs(frf.value))) for frf in frfs):
         sentences.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):
         sentences.append("Gray: within the noise; phase not shown.")
@@ -130,7 +130,7 @@ def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axe
         line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
-    total = factor * _total_uncertainty(frf)
+    total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
     for half_width, opacity in ((total, 0.13), (random, 0.25)):
         magnitude_axes.fill_between(
             frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
@@ -187,14 +187,9 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
     return sorted(ratios, key=ratios.__getitem__, reverse=True)
 
 
-def _total_uncertainty(frf: Response) -> Array:
-    """Return the combined 95 % bound of random and systematic errors; infinite if the error is unbounded."""
-    return np.hypot(np.nan_to_num(frf.magnitude_bound()), frf.systematic_bound())
-
-
 def _visible_edges(frf: Response) -> Array:
     """Return the edges of the light band that the axis must include: at most a decade beyond the curve."""
-    magnitude, total = abs(frf.value), _total_uncertainty(frf)
+    magnitude, total = abs(frf.value), np.nan_to_num(frf.expanded(), posinf=np.inf)
     visible = exceeds_noise(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
         return np.empty(0)

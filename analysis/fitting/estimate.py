@@ -20,12 +20,11 @@ import scipy
 from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import initial_unknowns
 from rig.arrays import Array, ComplexArray
+from rig.results.uncertainty import standard_of_limit
 
 # Function that is called with the name of each stage of a fit.
 Report = Callable[[str], None]
 
-# Coverage factor of 95 % intervals.
-COVERAGE_FACTOR = 1.96
 # The structure is fitted several times, with these model errors in turn.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # If the modes lead to no solution, the structure is fitted from random initial values, with these model errors in turn.
@@ -283,10 +282,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Yield the residuals, in standard deviations, of errors that are correlated over all lines: gain and phase.
-
-    Each error is uniformly distributed within its bound, so that its standard deviation is bound / sqrt(3).
-    """
+    """Yield the residuals, in standard deviations, of errors that are correlated over all lines: gain and phase."""
     curves, is_fitted = group.curves, group.is_fitted
 
     def whiten(errors: ComplexArray) -> ComplexArray:
@@ -295,12 +291,12 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
         magnitude = np.maximum(abs(curves.value[k]), 1e-300)
-        errors[k] = curves.correlated_bound[k] / np.sqrt(3.0) * curves.value[k] / magnitude
+        errors[k] = standard_of_limit(curves.correlated_bound[k]) * curves.value[k] / magnitude
         whitened = whiten(errors)
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
     # Noise adds to the power of the reference: all responses are too small, without a phase error.
-    whitened = whiten(curves.reference_noise_bound / np.sqrt(3.0) * curves.value)
+    whitened = whiten(standard_of_limit(curves.reference_noise_bound) * curves.value)
     yield np.concatenate([whitened.real, whitened.imag])
 
 
@@ -312,7 +308,7 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     real, imaginary = jacobian.reshape(2, int(is_fitted.sum()), len(curves.sensors), -1)
     weights = np.einsum("nij,nip->njp", curves.whitening[is_fitted].conj(), real + 1j * imaginary)
-    deviation = curves.line_bound[:, is_fitted].T[..., None] / np.sqrt(3.0)
+    deviation = standard_of_limit(curves.line_bound[:, is_fitted].T[..., None])
     line_errors = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(is_fitted)
     n_shared = max(frf.uncertainty.shared for frf in curves.frfs)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.fitting.diagnosis import find_cause, list_omitted_points, mass_scale_error
-from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, Report, estimate
+from analysis.fitting.estimate import Estimate, Report, estimate
 from analysis.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
 from analysis.fitting.measured import Curves, measured_curves
 from analysis.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
@@ -22,6 +22,7 @@ from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
 from rig.numerics.blas_threads import with_one_blas_thread
 from rig.results import Result, complete_style, format_number, format_percent
+from rig.results.uncertainty import COVERAGE_FACTOR
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model

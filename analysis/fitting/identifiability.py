@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analysis.fitting.estimate import COVERAGE_FACTOR, Estimate, solve
+from analysis.fitting.estimate import Estimate, solve
 from analysis.fitting.problem import Problem
 from rig.arrays import Array
 from rig.results import format_percent
+from rig.results.uncertainty import COVERAGE_FACTOR
 
 # A combination of parameters is reported if the relative half-width of its 95 % interval is at least this.
 _MIN_HALF_WIDTH = 0.02

@@ -19,7 +19,7 @@ from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results.response import Response, stack
-from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance
+from rig.results.uncertainty import CLOCK, SENSITIVITY, Covariance, standard_of_limit
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -227,8 +227,9 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
         inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
     quadrature_covariance *= inflation[:, :1, None]
-    # The variance of a uniform distribution within a bound is a third of the squared bound.
-    quadrature_covariance[:, index, index] = inflation * variance + systematic.T**2 / 3.0 + variance_floor
+    quadrature_covariance[:, index, index] = (
+        inflation * variance + standard_of_limit(systematic.T) ** 2 + variance_floor
+    )
     return inverse_root(quadrature_covariance)
 
 

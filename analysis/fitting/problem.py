@@ -19,6 +19,7 @@ from analysis.fitting.measured import Curves, Sensor
 from analysis.fitting.parameters import Parameter, with_values
 from analysis.fitting.predicted import linear_derivatives, linear_response, scene_of_test
 from rig.arrays import Array, ComplexArray
+from rig.results.uncertainty import standard_of_limit
 from rig.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -146,10 +147,9 @@ class Problem:
         self.sensors = [sensor for sensor in dict.fromkeys(sensors) if sensor.tolerance > 0.0]
         self.clock_tolerance = max(measured.clock_tolerance for measured in curves)
         values = [parameter.unknown(parameter.start) for parameter in self.parameters]
-        # A uniform distribution within the tolerance has a standard deviation of tolerance / sqrt(3).
         limits = [sensor.tolerance for sensor in self.sensors] + [self.clock_tolerance] * (self.clock_tolerance > 0.0)
         self.start = np.array(values + [0.0] * len(limits))
-        self.prior_sd = np.array([PRIOR_SD] * len(values) + [limit / np.sqrt(3.0) for limit in limits])
+        self.prior_sd = np.array([PRIOR_SD] * len(values) + [float(standard_of_limit(limit)) for limit in limits])
 
     @property
     def size(self) -> int:

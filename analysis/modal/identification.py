@@ -31,6 +31,7 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.numerics.blas_threads import with_one_blas_thread
 from rig.results.response import Response, stack
+from rig.results.uncertainty import expand, standard_of_limit
 
 # A point has at least this relative error, so that a few points with a very small error do not determine the result.
 MIN_RELATIVE_ERROR = 1e-4
@@ -49,8 +50,6 @@ _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 # The error of a line with fewer degrees of freedom than this is combined with the errors of neighboring lines.
 _MIN_DEGREES = 10.0
-# The bound of the clock error is this multiple of its standard uncertainty (1.73 for a rectangular distribution).
-_LIMIT_FACTOR = 1.8
 
 
 @with_one_blas_thread
@@ -124,13 +123,12 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     else:
         included, random_errors = refinement.included, refined_pole_errors(model.poles, refinement.covariance)
     systematic = systematic_pole_errors(curves, model.poles, included)
-    # A bound counts as an expanded uncertainty (95 %): twice the standard uncertainty.
     frequency_error, damping_error = (
-        np.hypot(*errors) for errors in zip(random_errors, (0.5 * bound for bound in systematic), strict=True)
+        np.hypot(*errors) for errors in zip(random_errors, map(standard_of_limit, systematic), strict=True)
     )
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
-    is_unbounded = accepted & (2.0 * frequency_error >= frequency)
+    is_unbounded = accepted & (expand(frequency_error) >= frequency)
     is_in_gap = accepted & ~is_unbounded & are_in_gaps(weighted.frequency, model.poles)
     accepted &= ~(is_unbounded | is_in_gap)
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
@@ -149,7 +147,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     frequency_error, damping_error = frequency_error[accepted], damping_error[accepted]
     # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
     clock = max(curve.uncertainty.clock for curve in frfs)
-    frequency_error = np.hypot(frequency_error, clock * abs(poles) / (2 * np.pi * _LIMIT_FACTOR))
+    frequency_error = np.hypot(frequency_error, standard_of_limit(clock * abs(poles) / (2 * np.pi)))
     lower, upper = _residual_terms(model, accepted, measured.frequency)
     result = Modes(
         frequency=frequency,
@@ -174,20 +172,23 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
 
 
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Estimate standard deviations of shapes with largest element 1, from the uncertainty of the curves at resonance.
+    """Return standard uncertainties of shapes with largest element 1, from the curves at resonance.
 
-    The error of the reference sensor is excluded, because it is common to all curves. The result has the shape
-    (responses, modes).
+    Errors of the reference, of the clock and of readings that curves have in common change all elements alike. They
+    cancel in the ratio of two curves. The result has the shape (responses, modes).
     """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
-    lines = [_nearest(curve, frequency, np.isfinite(curve.value)) for curve in curves]
-    height = np.array([abs(curve.value[nearest]) for curve, nearest in zip(curves, lines, strict=True)])
-    expanded = np.array([curve.bound()[nearest] for curve, nearest in zip(curves, lines, strict=True)])
-    expanded -= np.array([[curve.uncertainty.scale] for curve in curves]) * height
-    largest, modes = np.argmax(abs(residue), axis=0), np.arange(poles.size)
-    element = abs(residue) / abs(residue[largest, modes])
-    error: Array = 0.5 * np.hypot(expanded, element * expanded[largest, modes]) / height[largest, modes]
-    error[largest, modes] = 0.0
+    largest = np.argmax(abs(residue), axis=0)
+    error: Array = np.zeros(residue.shape)
+    for row in np.unique(largest).tolist():
+        modes = np.flatnonzero(largest == row)
+        for k in np.delete(np.arange(len(curves)), row).tolist():
+            is_common = np.isfinite(curves[k].value) & np.isfinite(curves[row].value)
+            element, scale = (
+                curve.at(_nearest(curve, frequency[modes], is_common)) for curve in (curves[k], curves[row])
+            )
+            ratio = element.uncertainty.of_ratio(scale.uncertainty, element.value, scale.value)
+            error[k, modes] = ratio.combined()
     return error
 
 
@@ -313,7 +314,7 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
     curves = [frf.at(lines) for frf in frfs]
     errors = stack(curves).covariance()
     magnitude = np.stack([abs(frf.value) for frf in curves])
-    line_deviation = np.hypot(0.5 * _systematic_bound(curves, IRREGULAR), MIN_RELATIVE_ERROR * magnitude)
+    line_deviation = np.hypot(standard_of_limit(_systematic_bound(curves, IRREGULAR)), MIN_RELATIVE_ERROR * magnitude)
     if not (np.isfinite(errors.lines).all() and np.isfinite(line_deviation).all()):
         return None
     return refine(weighted, model, errors, line_deviation)
@@ -356,7 +357,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
     # Systematic errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
-    error = np.hypot(error, 0.5 * _systematic_bound(curves, IRREGULAR))
+    error = np.hypot(error, standard_of_limit(_systematic_bound(curves, IRREGULAR)))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))
 

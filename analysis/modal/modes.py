@@ -13,6 +13,7 @@ from analysis.modal.pole_residue import residual_terms
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 from rig.results import Result, complete_style, format_percent, format_quantity
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,8 +93,8 @@ class Modes(Result):
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
-        ratio, expanded = 100.0 * self.damping[mode], 200.0 * self.damping_error[mode]
-        if expanded < 2.0 * MAX_RELATIVE_UNCERTAINTY * ratio:
+        ratio, expanded = 100.0 * self.damping[mode], 100.0 * float(expand(self.damping_error[mode]))
+        if self.damping_error[mode] < MAX_RELATIVE_UNCERTAINTY * self.damping[mode]:
             return format_quantity(ratio, expanded, "%")
         # A mode of any damping ratio below 100 % would fit.
         return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"

@@ -19,7 +19,7 @@ import numpy as np
 from analysis.modal.pole_residue import UPPER_TERMS, Curves, ModalModel, residual_terms
 from analysis.responses.systematic import MODEL, REFERENCE_NOISE
 from rig.arrays import Array, ComplexArray
-from rig.results.uncertainty import Covariance
+from rig.results.uncertainty import Covariance, standard_of_limit
 
 # Maximum number of Gauss-Newton steps.
 _MAX_STEPS = 12
@@ -78,7 +78,7 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation
         # Noise of the reference causes a bias of all responses, which may vary over a peak. The bias counts as a
         # rectangular distribution.
         bias = curves.value.T * errors.reference[:, None]
-        shift = np.einsum("kap,ka->p", weights.conj(), bias).real / np.sqrt(3.0)
+        shift = standard_of_limit(np.einsum("kap,ka->p", weights.conj(), bias).real)
         covariance, included = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
     return Refinement(model, covariance, included) if np.isfinite(covariance).all() else None
 

@@ -90,10 +90,10 @@ class Comparison(Result):
         """Count the peaks that changed by more than their bounds."""
         limits = [change.decibel[1:] for _, _, change in self.changes]
         changed = sum(not low <= 0.0 <= high for low, high in limits)
-        return f"{changed} of {len(self.changes)} resonance peaks changed by more than their 95 % bounds"
+        return f"{changed} of {len(self.changes)} resonance peaks changed significantly (95 %)"
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the change of each peak with its 95 % bounds against natural frequency."""
+        """Draw the change of each peak with its 95 % interval against natural frequency."""
         groups: dict[str, list[PeakChange]] = {}
         for _, after, change in self.changes:
             groups.setdefault(f"{after.label}: {change.response}", []).append(change)

@@ -18,6 +18,7 @@ from analysis.recordings.names import open_existing, scene_labels
 from rig.progress import CountProgress
 from rig.results import format_frequencies, format_interval, format_number
 from rig.results.text import table_lines
+from rig.results.uncertainty import expand
 
 # Number of frequencies in the printed energy table; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
@@ -152,8 +153,8 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
     # reduce them. The uncertainty is also at least the observed scatter.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
-    bound = 2.0 * max(float(weight.mean() ** -0.5), scatter)
-    text = format_interval(mean, bound).replace("-0.000", "0.000")
+    expanded = float(expand(max(float(weight.mean() ** -0.5), scatter)))
+    text = format_interval(mean, expanded).replace("-0.000", "0.000")
     return [f"{text} ({motions[0].channel}, {len(estimates)} frequencies)"]
 
 

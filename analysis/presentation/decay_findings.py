@@ -14,6 +14,7 @@ from analysis.presentation.outputs import CommandOutput, check_outputs, output_s
 from analysis.recordings.names import open_existing, relabel, scene_labels
 from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.decays.modal_decay import ModalDecay
@@ -64,7 +65,7 @@ def present_decay(
 
 
 def describe_decay(decay: Decay) -> list[str]:
-    """Describe a decay: the time from which it stays below 1 g, and the damping ratio of each mode with 95 % bounds."""
+    """Describe a decay: the time from which it stays below 1 g, and damping ratios with 95 % intervals."""
     time_below_gravity = decay.quiet_from
     below_text = (
         "does not stay below 1 g within the recording"
@@ -80,7 +81,7 @@ def describe_decay(decay: Decay) -> list[str]:
     rows = [_COLUMNS]
     for mode in decay.modes:
         initial, final = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
-        frequency = format_interval(mode.frequency, 2.0 * mode.frequency_error)
+        frequency = format_interval(mode.frequency, float(expand(mode.frequency_error)))
         rows.append((frequency, *initial, *final, f"{mode.noise:.1g}"))
     table = table_lines(rows, ">>>>>>") if decay.modes else []
     return [
@@ -90,6 +91,6 @@ def describe_decay(decay: Decay) -> list[str]:
 
 
 def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
-    """Format the damping ratio, %, with its 95 % bound, and the amplitude at which it was estimated, m/s²."""
-    ratio = format_interval(100.0 * mode.damping[index], 200.0 * mode.damping_error[index])
-    return ratio, f"{mode.amplitude[index]:.3g}"
+    """Format the damping ratio, %, with its expanded uncertainty, and the amplitude at which it was estimated, m/s²."""
+    percent, expanded = mode.percent
+    return format_interval(percent[index], expanded[index]), f"{mode.amplitude[index]:.3g}"

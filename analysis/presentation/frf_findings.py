@@ -111,7 +111,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
                 rows.append((frf.response, "no value", "", "", ""))
                 continue
             peak_index = frf.peak_line()
-            height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.bound()[peak_index])
+            height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.expanded()[peak_index])
             force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
             cause = frf.parts()[peak_index] if bound > 0.0 else ""
             rows.append(

@@ -29,6 +29,7 @@ from rig.progress import CountProgress
 from rig.results import format_interval
 from rig.results.response import Response
 from rig.results.text import table_lines
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.presentation.theory import TheoreticalModes
@@ -98,9 +99,9 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list
     rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
     mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     for i, frequency in enumerate(modes.frequency):
-        elements = zip(bodies.shapes[:, i].real, 2.0 * bodies.errors[:, i], strict=True)
+        elements = zip(bodies.shapes[:, i].real, expand(bodies.errors[:, i]), strict=True)
         ratio = modes.damping_text(i).strip("(%) ")
-        cells = (format_interval(frequency, 2.0 * modes.frequency_error[i]), ratio, mac_texts[i])
+        cells = (format_interval(frequency, float(expand(modes.frequency_error[i]))), ratio, mac_texts[i])
         rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}"
@@ -121,7 +122,7 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
         return []
     nearest = nearest_mac(modes, theory)
     # Upper bound of the decrease of the MAC due to the uncertainty of the shape.
-    mac_uncertainty = np.sum((2.0 * modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    mac_uncertainty = np.sum(expand(modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
     is_mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
     mismatched = zip(modes.frequency[is_mismatched], nearest[is_mismatched], strict=True)
     matched = modes.frequency[~is_mismatched].tolist() if modes.model_error else []

@@ -37,37 +37,38 @@ def response_charts(measurements: Sequence[Measurement]) -> list[Chart]:
 
 
 def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
-    """Return a chart of magnitude with 95 % bounds, phase, coherence and relative bound, for one input."""
+    """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input."""
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
-    magnitude, phase, coherence, relative_bound = [], [], [], []
+    magnitude, phase, coherence, relative = [], [], [], []
     for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
-        f, modulus, bound = frf.frequency, factor * abs(frf.value), factor * frf.bound()
+        f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         # A logarithmic axis cannot show a lower limit of zero or below.
-        low = np.maximum(modulus - bound, 1e-3 * modulus)
-        magnitude.append(Curve(name, f, modulus, low, modulus + bound, color=k))
+        low = np.maximum(modulus - expanded, 1e-3 * modulus)
+        magnitude.append(Curve(name, f, modulus, low, modulus + expanded, color=k))
         phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf)), color=k))
         coherence.append(Curve(name, f, frf.coherence, color=k))
-        relative_bound.append(Curve(name, f, 100.0 * bound / modulus, color=k))
+        relative.append(Curve(name, f, 100.0 * expanded / modulus, color=k))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
     return Chart(
-        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % bounds, phase, coherence, and "
-        "bound relative to the value. Drag to zoom, double-click to reset, click a name to hide a curve.",
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % intervals, phase, coherence, "
+        "and expanded uncertainty relative to the value. Drag to zoom, double-click to reset, click a name to hide a "
+        "curve.",
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
             Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
-            Panel("bound", "% of value", relative_bound, height=130, logarithmic=True),
+            Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True),
         ],
         logarithmic=needs_logarithmic_axis(band),
     )
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis that show all values, but not all uncertainty bounds."""
+    """Return the limits of a logarithmic axis that show all values, but not all intervals."""
     values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
     values = values[np.isfinite(values) & (values > 0)]
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
@@ -107,7 +108,7 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
         level = f"force {result.sweep.level:.4g} N"
     return Chart(
         f"{measurement.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
-        "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % bounds.",
+        "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % intervals.",
         f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
         panels,
         logarithmic=needs_logarithmic_axis(frequency),
@@ -133,10 +134,10 @@ def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         energies.append(Curve(label, result.time[::step], result.energy[::step], color=k))
         for mode in result.modes:
             if mode.damping.size:
-                percent, bound = 100.0 * mode.damping, 200.0 * mode.damping_error
+                percent, expanded = mode.percent
                 name = f"{label}, {mode.center:.4g} Hz"
                 order = np.argsort(mode.amplitude)
-                low, high = (percent - bound)[order], (percent + bound)[order]
+                low, high = (percent - expanded)[order], (percent + expanded)[order]
                 amplitude = mode.amplitude[order]
                 damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
@@ -155,7 +156,7 @@ def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
     if damping:
         charts.append(
             Chart(
-                "Damping ratio against amplitude of the acceleration, with 95 % bounds.",
+                "Damping ratio against amplitude of the acceleration, with 95 % intervals.",
                 "Damping ratio of each mode against the amplitude of the acceleration.",
                 [Panel("damping ratio", "%", damping, height=240)],
                 x_name="amplitude",

@@ -15,6 +15,7 @@ from analysis.responses.systematic import tolerance
 from rig.escaping import escape_html
 from rig.results import format_decimals, format_number, format_percent, round_to_bound
 from rig.results.response import Response
+from rig.results.uncertainty import expand
 from rig.scene.yaml_writer import write
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def resonances(measurements: Sequence[Measurement]) -> str:
             continue
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
-            frequency = with_bound(float(modes.frequency[k]), 2.0 * float(modes.frequency_error[k]))
+            frequency = with_bound(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
             location, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
             rows.append((frequency, modes.damping_text(k), location, height))
     heading = ["natural frequency / Hz", "damping ratio", "highest at", "peak / (µm/N)"]
@@ -83,7 +84,7 @@ def with_bound(value: float, bound: float) -> str:
 
 
 def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> str:
-    """Return a table of the changes of peaks, and whether each exceeds its uncertainty, as HTML."""
+    """Return a table of the changes of peaks, and whether each is significant, as HTML."""
     rows: list[tuple[str, ...]] = []
     for first, other, change in changes:
         pair = f"{first.label} → {other.label}"
@@ -99,7 +100,7 @@ def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = f"{change.response}, {format_decimals(change.mode, 2)} Hz"
         rows.append((location, decibel, interval, shift_text, exceeds))
-    heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "exceeds the bounds"]
+    heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "significant"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 
@@ -123,44 +124,34 @@ def decays(measurements: Sequence[Measurement]) -> str:
         for mode in result.modes:
             damping_texts = ("too short or too noisy", "")
             if mode.damping.size:
+                percent, expanded = mode.percent
                 first, last = (
-                    f"{with_bound(100 * mode.damping[k], 200 * mode.damping_error[k])} at {mode.amplitude[k]:.3g} m/s²"
-                    for k in (0, -1)
+                    f"{with_bound(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
                 )
                 damping_texts = (first, last)
             frequency = f"{mode.center:.4g}"
             if np.isfinite(mode.frequency):
-                frequency = with_bound(mode.frequency, 2.0 * mode.frequency_error)
+                frequency = with_bound(mode.frequency, float(expand(mode.frequency_error)))
             rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
 def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
-    """Return the uncertainty budget of a response at its peak, as HTML: contribution, type, bound and share."""
+    """Return the uncertainty budget of a response at its peak, as HTML."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
-    if curve.bound()[point] > abs(curve.value[point]):
+    if curve.expanded()[point] > abs(curve.value[point]):
         point = curve.peak_line()
-    unit, factor = curve.shown_in
-    contributions = {"noise (scatter)": ("A", float(curve.random_bound()[point]))}
-    contributions |= {name: ("B", float(bound[point])) for name, bound in curve.limits.items()}
-    total = sum(bound**2 for _, bound in contributions.values() if isfinite(bound))
+    result = curve.budget(curve.response, float(curve.frequency[point]))
     rows = [
-        (
-            name,
-            evaluation,
-            format_number(float(f"{factor * bound:.2g}")),
-            f"{100 * bound**2 / total:.0f} %" if isfinite(bound) and total else "–",
-        )
-        for name, (evaluation, bound) in sorted(contributions.items(), key=lambda item: -item[1][1])
-        if bound > 0.0
+        (name, evaluation, format_number(float(f"{standard:.2g}")), f"{100 * share:.0f} %" if isfinite(share) else "–")
+        for name, evaluation, standard, share in result.rows
     ]
-    title = f"{measurement.label}, {curve.ratio} at {curve.frequency[point]:.4g} Hz"
-    height = with_bound(factor * float(abs(curve.value[point])), factor * float(curve.bound()[point]))
     return table(
-        f"Uncertainty budget of {title}: {height} {unit} (95 %)",
-        ["contribution", "type (GUM)", f"95 % bound / ({unit})", "share of the variance"],
-        rows,
+        f"Uncertainty budget of {measurement.label}, {result.title}: {with_bound(result.value, result.expanded)} "
+        f"{result.unit} (95 %)",
+        ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
+        [*rows, ("combined", "", format_number(float(f"{result.combined:.2g}")), "")],
         numbers=2,
     )
 

@@ -12,11 +12,13 @@ from analysis.responses.systematic import (
     ChannelContributions,
     clock_bound,
     clock_deviation,
+    clock_sources,
     sensitivity_bound,
+    sensor_sources,
     uncertain_reference_bound,
 )
 from rig.arrays import Array
-from rig.results.uncertainty import RandomErrors, UncertaintyBudget, coverage_factor
+from rig.results.uncertainty import RandomErrors, UncertaintyBudget, circle_factor
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -44,10 +46,17 @@ def assemble_budget(
     bounds = {**aliasing_bound(rec, contributions), **estimator_bounds}
     if len(reference_bounds):
         first_order_error = np.sqrt(
-            np.sum(np.square([error * coverage_factor(0.95, degrees_of_freedom), *bounds.values()]), axis=0)
+            np.sum(np.square([error * circle_factor(0.95, degrees_of_freedom), *bounds.values()]), axis=0)
         )
         bounds |= uncertain_reference_bound(first_order_error, np.sqrt(np.sum(np.square(reference_bounds), axis=0)))
     bounds |= sensitivity_bound(rec, contributions) | clock_bound(rec, contributions)
     return UncertaintyBudget.of(
-        error, degrees_of_freedom, bounds, errors=errors, shared=shared, clock=clock_deviation(rec), scale=scale
+        error,
+        degrees_of_freedom,
+        bounds,
+        sensor_sources(rec, contributions) | clock_sources(rec, contributions),
+        errors=errors,
+        shared=shared,
+        clock=clock_deviation(rec),
+        scale=scale,
     )

@@ -65,8 +65,12 @@ class MeanErrors:
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
-        shape = self.channel_covariance.shape
-        same = [other for other in others if isinstance(other, MeanErrors) and other.channel_covariance.shape == shape]
+        channels = self.channel_covariance
+        same = [
+            other
+            for other in others
+            if isinstance(other, MeanErrors) and np.array_equal(other.channel_covariance, channels, equal_nan=True)
+        ]
         if len(same) < len(others):
             return None
         return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
@@ -144,6 +148,7 @@ class LocalErrors:
             if isinstance(errors, LocalErrors)
             and np.array_equal(errors.first_bin, self.first_bin)
             and errors.residual.shape == self.residual.shape
+            and np.array_equal(errors.reference_power, self.reference_power, equal_nan=True)
         ]
         if len(same) <= len(others):
             return None

@@ -22,7 +22,7 @@ from analysis.responses.scatter import Scatter, moderate
 from analysis.responses.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
 from rig.arrays import Array, ComplexArray
 from rig.results.response import Response
-from rig.results.uncertainty import coverage_factor
+from rig.results.uncertainty import circle_factor
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -134,7 +134,7 @@ class Lines:
         variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
         degrees_of_freedom = noise.degrees_of_freedom * (2 * self.n_neighbors + 1)
         return np.asarray(
-            np.sqrt(self.n_rotated * variance / 2.0) * coverage_factor(_REFERENCE_CONFIDENCE, degrees_of_freedom)
+            np.sqrt(self.n_rotated * variance / 2.0) * circle_factor(_REFERENCE_CONFIDENCE, degrees_of_freedom)
         )
 
 

@@ -2,11 +2,13 @@
 
 Each error has a name for display and a *bound*, an upper bound of its magnitude, like a tolerance in a data sheet. The
 functions that end in `_bound` return it in the unit of the response, at each spectral line (shape (lines,)), alone or
-in a dictionary with its name.
+in a dictionary with its name. The functions that end in `_sources` return the complex change of the response at the
+limit of each sensor or clock, by its identity: responses of other channels may have the same source.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,7 +17,7 @@ import numpy as np
 
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
-from rig.results.uncertainty import CLOCK, SENSITIVITY
+from rig.results.uncertainty import CLOCK, SENSITIVITY, Sources
 from rig.settings.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 if TYPE_CHECKING:
@@ -90,6 +92,22 @@ def sensitivity_bound(rec: Recording, contributions: ChannelContributions) -> di
     """Compute the maximum error of a response due to the tolerances of its channels; empty without tolerances."""
     gain = np.array([[tolerance(rec.channels[name])] for name in contributions.names])
     return {SENSITIVITY: gain_error_bound(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
+
+
+def sensor_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
+    """Return the change of a response by each sensor at its tolerance, to first order; empty without tolerances."""
+    limits = {name: tolerance(rec.channels[name]) for name in contributions.names}
+    sources = {
+        _identity(rec, rec.channels[name].to_metadata()): limit * change
+        for (name, limit), change in zip(limits.items(), contributions.gain_sensitivity, strict=True)
+        if limit and np.any(change)
+    }
+    return {SENSITIVITY: sources} if sources else {}
+
+
+def _identity(rec: Recording, device: object) -> str:
+    """Identify a sensor or clock; it is the same in recordings of the same scene seed and data sheet."""
+    return json.dumps([rec.scene.seed, device], sort_keys=True)
 
 
 def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
@@ -251,11 +269,31 @@ def clock_bound(rec: Recording, contributions: ChannelContributions) -> dict[str
     slope_error[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
     if frequency.size < _MIN_SLOPE_LINES:
         slope_error = np.maximum(slope_error, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
+    return {CLOCK: slope_error + deviation * abs(_conversion_error(rec, contributions))}
+
+
+def clock_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
+    """Return the change of a response at the limit of the sample clock, to first order; empty without a tolerance.
+
+    It is empty as well for a response of few lines, whose slope is unknown.
+    """
+    frequency, value = contributions.frequency, contributions.value
+    deviation = clock_deviation(rec)
+    if not deviation or frequency.size < _MIN_SLOPE_LINES or np.unique(frequency).size < frequency.size:
+        return {}
+    order = np.argsort(frequency, kind="stable")
+    slope = np.empty(frequency.size, dtype=complex)
+    slope[order] = np.gradient(value[order], frequency[order])
+    change = deviation * (frequency * slope + _conversion_error(rec, contributions))
+    return {CLOCK: {_identity(rec, CLOCK): change}}
+
+
+def _conversion_error(rec: Recording, contributions: ChannelContributions) -> ComplexArray:
+    """Return the error of a response per relative error of the frequencies by which readings are converted."""
     measured = [rec.channels[name].quantity for name in contributions.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
-    conversion_error = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)
-    conversion_error = conversion_error - value * np.sum(powers * contributions.reference, axis=0)
-    return {CLOCK: slope_error + deviation * abs(conversion_error)}
+    error = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)
+    return np.asarray(error - contributions.value * np.sum(powers * contributions.reference, axis=0))
 
 
 def clock_deviation(rec: Recording) -> float:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array, ComplexArray
@@ -21,12 +20,10 @@ from rig.results.result import Result, complete_style, missing_package
 from rig.results.text import format_percent, format_quantity
 from rig.results.uncertainty import (
     SCATTER,
-    TOLERANCES,
     BudgetTable,
-    Contribution,
     Covariance,
     UncertaintyBudget,
-    known_degrees,
+    coverage_factor,
     stack_budgets,
 )
 from rig.results.universal_file import universal_file, write_curve
@@ -256,11 +253,15 @@ class Response(Result, Sequence["Response"]):
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:
-        """Return the expanded uncertainty: radius of the circle in the complex plane that contains the true value."""
+        """Return the radius of the circle in the complex plane that contains the true value."""
         return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
 
+    def expanded(self) -> Array:
+        """Return the expanded uncertainty U of the magnitude, with about 95 % coverage, of the shape of `value`."""
+        return np.broadcast_to(self.uncertainty.expanded(), self.value.shape).copy()
+
     def random_bound(self, confidence: float = 0.95) -> Array:
-        """Return the expanded uncertainty from the scatter alone."""
+        """Return the radius of the circle from the scatter alone."""
         return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
 
     def systematic_bound(self) -> Array:
@@ -268,8 +269,8 @@ class Response(Result, Sequence["Response"]):
         return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
 
     def magnitude_bound(self, confidence: float = 0.95) -> Array:
-        """Return the half-width of the confidence interval of ``abs(value)`` from the scatter, by Student's t."""
-        return self.error * scipy.special.stdtrit(known_degrees(self.degrees), 0.5 + confidence / 2.0)
+        """Return the expanded uncertainty of the magnitude from the scatter alone."""
+        return self.error * coverage_factor(self.degrees, confidence)
 
     def parts(self) -> list[str]:
         """Return the name of the largest contribution to the uncertainty at each line of a curve."""
@@ -316,7 +317,7 @@ class Response(Result, Sequence["Response"]):
         return BudgetTable(
             f"{curve.ratio} at {curve.frequency[line]:.6g} Hz",
             factor * float(abs(curve.value[line])),
-            factor * float(curve.bound()[line]),
+            factor * float(curve.expanded()[line]),
             unit,
             tuple(rows),
         )
@@ -385,20 +386,17 @@ class Response(Result, Sequence["Response"]):
             (slice(None), outputs[0], inputs[0]) if is_single else np.ix_(range(self.frequency.size), outputs, inputs)
         )
         elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
-        errors = self.uncertainty.errors
         return replace(
             self,
             value=self.value[selection],
             outputs=tuple(self.outputs[k] for k in outputs),
             inputs=tuple(self.inputs[k] for k in inputs),
-            uncertainty=self.uncertainty.with_arrays(
-                lambda array: array[selection], None if errors is None else errors.select(elements)
-            ),
+            uncertainty=self.uncertainty.select(selection, elements),
             coherence=self.coherence[:, outputs[0] if is_single else list(outputs)],
         )
 
     def summary(self) -> str:
-        """Return the ratios in words; for a curve also its peak and the largest contribution to the peak's bound."""
+        """Return the ratios in words; for a curve also its peak and the largest contribution there."""
         if not self.is_curve:
             return (
                 f"{self.label}: {self.name} of {self.response}{self._inputs_if_several()}, "
@@ -408,7 +406,7 @@ class Response(Result, Sequence["Response"]):
         if not np.isfinite(self.value).any():
             return heading
         peak, (unit, factor) = self.peak_line(), self.shown_in
-        magnitude, bound = factor * float(abs(self.value[peak])), factor * float(self.bound()[peak])
+        magnitude, bound = factor * float(abs(self.value[peak])), factor * float(self.expanded()[peak])
         height, contribution = f"{magnitude:.4g} {unit}", ""
         if bound > 0.0:
             height = format_quantity(magnitude, bound, unit)
@@ -441,8 +439,8 @@ class Response(Result, Sequence["Response"]):
         line, (unit, factor) = int(np.nanargmax(abs(self.value))), self.shown_in
         if line == self.peak_line():
             return []
-        magnitude, bound = float(abs(self.value[line])), float(self.bound()[line])
-        uncertainty = format_percent(bound / magnitude) if np.isfinite(bound) else "unbounded"
+        magnitude, expanded = float(abs(self.value[line])), float(self.expanded()[line])
+        uncertainty = format_percent(expanded / magnitude) if np.isfinite(expanded) else "unbounded"
         return [
             f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
             f"(uncertainty {uncertainty}, {self.parts()[line]})"
@@ -529,7 +527,7 @@ class Response(Result, Sequence["Response"]):
         return axes
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the magnitude with its 95 % bound, both axes logarithmic, for each element."""
+        """Draw the magnitude with its expanded uncertainty, both axes logarithmic, for each element."""
         if not self.is_curve:
             for curve in self.curves():
                 curve.draw(
@@ -543,7 +541,7 @@ class Response(Result, Sequence["Response"]):
                 )
             return
         curve, (unit, factor) = self.with_gaps(), self.shown_in
-        magnitude, bound = factor * abs(curve.value), factor * np.nan_to_num(curve.bound())
+        magnitude, expanded = factor * abs(curve.value), factor * np.nan_to_num(curve.expanded())
         (line,) = ax.loglog(
             curve.frequency,
             magnitude,
@@ -555,8 +553,8 @@ class Response(Result, Sequence["Response"]):
             ),
         )
         # A logarithmic axis needs positive values.
-        lower_edge = np.maximum(magnitude - bound, 1e-3 * magnitude)
-        ax.fill_between(curve.frequency, lower_edge, magnitude + bound, color=line.get_color(), alpha=0.2, lw=0)
+        lower_edge = np.maximum(magnitude - expanded, 1e-3 * magnitude)
+        ax.fill_between(curve.frequency, lower_edge, magnitude + expanded, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
 
     def to(self, motion: str) -> Response:
@@ -586,8 +584,8 @@ class Response(Result, Sequence["Response"]):
     def __truediv__(self, other: Response) -> Response:
         """Return the ratio to another response of the same elements, at the lines of this response.
 
-        The other response is interpolated; outside its frequency range the ratio is NaN. The errors of both are assumed
-        to be independent, except for tolerances of data sheets, which add up.
+        The other response is interpolated; outside its frequency range the ratio is NaN. Errors that both responses
+        have in common cancel or add up: those of the same sensor, the same clock or the same readings.
         """
         if not isinstance(other, Response):
             return NotImplemented
@@ -600,19 +598,11 @@ class Response(Result, Sequence["Response"]):
         other = other.interpolated(self.frequency)
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.asarray(self.value / other.value)
-            magnitude, contributions = abs(value), []
-            relative_contributions = [
-                {cause.name: (cause, cause.deviation / abs(frf.value)) for cause in frf.uncertainty.contributions}
-                for frf in (self, other)
-            ]
-        for name in dict.fromkeys([*relative_contributions[0], *relative_contributions[1]]):
-            same_cause = [by_name[name] for by_name in relative_contributions if name in by_name]
-            relative = [relative_deviation for _, relative_deviation in same_cause]
-            total = np.sum(relative, axis=0) if name in TOLERANCES else np.linalg.norm(relative, axis=0)
-            degrees = [cause.degrees for cause, _ in same_cause if cause.degrees is not None]
-            min_degrees = np.min(degrees, axis=0) if degrees else None
-            contributions.append(Contribution(name, same_cause[0][0].evaluation, magnitude * total, min_degrees))
-        budget = replace(self.uncertainty, contributions=tuple(contributions), errors=None, clock=0.0, scale=0.0)
+        budgets = [
+            first.uncertainty.of_ratio(second.uncertainty, first.value, second.value)
+            for first, second in zip(self.curves(), other.curves(), strict=True)
+        ]
+        budget = budgets[0] if self.is_curve else stack_budgets(budgets, value.shape)
         return replace(
             self,
             value=value,

@@ -7,7 +7,6 @@ at the ceiling.
 from __future__ import annotations
 
 import csv
-import itertools
 import re
 import warnings
 from dataclasses import replace
@@ -82,13 +81,12 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
     path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0, 34.8, 49.7], infos=infos)
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
-        worst_error = np.zeros(sweep.lines.frequency.size)
-        for signs in itertools.product((-1.0, 1.0), repeat=4):
-            gains = 1.0 + 0.01 * np.array(signs)[:, None]
-            tones = tuple(replace(tone, amplitude=gains * tone.amplitude) for tone in sweep.tones)
-            worst_error = np.maximum(worst_error, abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers))
-        bound = energy_per_cycle(rec, sweep).bound
-    assert np.all(worst_error <= 1.05 * bound) and np.all(worst_error >= 0.8 * bound)
+        errors = []
+        for deviations in np.random.default_rng(1).uniform(-0.01, 0.01, (300, 4)):
+            tones = tuple(replace(tone, amplitude=(1.0 + deviations[:, None]) * tone.amplitude) for tone in sweep.tones)
+            errors.append(abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers))
+        inside = np.mean(errors <= energy_per_cycle(rec, sweep).bound, axis=0)
+    assert np.all((inside > 0.93) & (inside < 0.99))
 
 
 def test_missing_channel_is_named(tmp_path):

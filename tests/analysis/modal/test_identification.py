@@ -86,7 +86,7 @@ def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
         normalized.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
         normalized.append((modes.damping - DAMPING) / modes.damping_error)
         np.testing.assert_allclose(modes.frequency, omega / (2 * np.pi), rtol=2e-4)
-        np.testing.assert_allclose(modes.damping, DAMPING, rtol=0.02)
+        np.testing.assert_allclose(modes.damping, DAMPING, rtol=0.05)
     assert 0.3 < np.std(normalized) < 2.0
 
 
@@ -337,11 +337,25 @@ def test_sensor_tolerance_is_in_shape_uncertainty(sweep):
 
 def test_force_tolerance_does_not_affect_shapes(sweep) -> None:
     [curves] = analysis.frequency_responses(sweep)
-    limited = [curve.with_limits({SENSITIVITY: 0.15 * abs(curve.value)}) for curve in curves]
-    uncertain = [replace(curve, uncertainty=replace(curve.uncertainty, scale=0.15)) for curve in limited]
-    exact, modes = analysis.identify(curves), analysis.identify(uncertain)
-    assert modes.shape_error.max() < 0.01
+    exact = analysis.identify(curves)
+    modes = analysis.identify([with_sensors(curve, force=0.15) for curve in curves])
     np.testing.assert_allclose(modes.shape_error, exact.shape_error, atol=1e-3)
+
+
+def test_shapes_contain_tolerances_of_two_sensors(sweep) -> None:
+    [curves] = analysis.frequency_responses(sweep)
+    modes = analysis.identify([with_sensors(curve, force=0.11, **{curve.response: 0.11}) for curve in curves])
+    # An element is the ratio of two readings: two independent limits of error of 11 %, without that of the force.
+    np.testing.assert_allclose(
+        modes.shape_error, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_error > 0.0), rtol=0.02
+    )
+
+
+def with_sensors(curve: Response, **tolerances: float) -> Response:
+    """Return a curve with the tolerances of sensors, by name."""
+    limits = {SENSITIVITY: sum(tolerances.values()) * abs(curve.value)}
+    sources = {SENSITIVITY: {name: tolerance * curve.value for name, tolerance in tolerances.items()}}
+    return replace(curve, uncertainty=UncertaintyBudget.of(curve.error, curve.degrees, limits, sources))
 
 
 @pytest.mark.parametrize(("relative_limit", "identified"), [(1.5, False), (0.5, True)])
@@ -368,7 +382,7 @@ def test_list_of_several_tests_is_rejected(sweep):
 
 
 @pytest.mark.parametrize(
-    ("noise", "remedies"), [(1e-5, []), (1.0, ["Record longer after each hit (test.interval: 29 s or more)."])]
+    ("noise", "remedies"), [(1e-5, []), (1.0, ["Record longer after each hit (test.interval: 30 s or more)."])]
 )
 def test_remedy_of_few_lines_suits_hits(tmp_path, noise, remedies):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=4.0, hits=2, noise=noise)) as rec:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -39,7 +41,8 @@ def matrix() -> Response:
 
 def test_bound_adds_tolerances_linearly_to_random_errors() -> None:
     frf = curve()
-    independent = np.hypot(frf.random_bound(), frf.limits["aliasing"])
+    # A limit of error has u = a / sqrt(3) and k = 2; added whole, it would give a larger radius here.
+    independent = np.hypot(frf.random_bound(), 2.0 / np.sqrt(3.0) * frf.limits["aliasing"])
     tolerances = (SENSITIVITY_LIMIT + CLOCK_LIMIT) * abs(frf.value)
     np.testing.assert_allclose(frf.bound(), independent + tolerances)
     np.testing.assert_allclose(frf.without(SENSITIVITY, CLOCK).bound(), independent)
@@ -48,9 +51,9 @@ def test_bound_adds_tolerances_linearly_to_random_errors() -> None:
 
 def test_unknown_degrees_of_freedom_give_normal_coverage() -> None:
     frf = Response.curve(LINES, np.ones(LINES.size) + 0j, "a", error=np.full(LINES.size, 0.01))
-    # 95 % quantiles of the magnitude of a complex normal deviation (Rayleigh), and of one component.
+    # 95 % quantile of the magnitude of a complex normal deviation (Rayleigh), and k = 2 of one component.
     np.testing.assert_allclose(frf.bound(), 0.01 * np.sqrt(-2.0 * np.log(0.05)), rtol=1e-5)
-    np.testing.assert_allclose(frf.magnitude_bound(), 0.01 * 1.96, rtol=1e-4)
+    np.testing.assert_allclose(frf.expanded(), 0.02, rtol=1e-12)
 
 
 def test_budget_lists_contributions_by_variance() -> None:
@@ -70,6 +73,22 @@ def test_ratio_combines_the_uncertainties() -> None:
     # Tolerances of both curves add linearly, other limits as root sum of squares.
     np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 2.0 * SENSITIVITY_LIMIT)
     np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * np.sqrt(2.0) * ALIASING_LIMIT)
+
+
+def test_common_sources_cancel_in_ratio() -> None:
+    first, second = curve(scale=3.0), curve("body2")
+    budgets = []
+    for frf in (first, second):
+        # The error of the reference changes both responses alike; each has a sensor of its own.
+        own = {"reference": -0.02 * frf.value, frf.response: 0.01j * frf.value}
+        total = 0.03 * abs(frf.value)
+        budgets.append(UncertaintyBudget.of(frf.error, frf.degrees, {SENSITIVITY: total}, {SENSITIVITY: own}))
+    ratio = replace(first, uncertainty=budgets[0]) / replace(second, uncertainty=budgets[1])
+    np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 0.02)
+    # Two independent limits of error of 1 %, and 0.1 % of scatter in both curves.
+    combined = 3.0 * np.sqrt(2.0 * 0.01**2 / 3.0 + 2.0 * 0.001**2)
+    np.testing.assert_allclose(ratio.uncertainty.combined(), combined)
+    np.testing.assert_allclose(ratio.expanded(), 2.0 * combined)
 
 
 def test_ratio_is_nan_outside_the_other_band() -> None:

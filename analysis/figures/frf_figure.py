@@ -102,10 +102,10 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     if any(_has_scatter(frf) for frf in frfs):
-        sentences.append("Dark band: expanded uncertainty (95 %) of type A.")
+        sentences.append("Dark band: random error (95 %).")
     causes = visible_systematic_errors(frfs)
     if causes:
-        sentences.append(f"Light band: with the limits of error (type B): {', '.join(causes)}.")
+        sentences.append(f"Light band: also limits of error: {', '.join(causes)}.")
     if any(np.any(exceeds_noise(frf) & (frf.expanded() >= abs(frf.value))) for frf in frfs):
         sentences.append("A band down to the axis includes zero.")
     if not all(exceeds_noise(frf).all() for frf in frfs):

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError, suggestion
+from rig.results.interpolation import interpolate_curve, nearest_lines
 from rig.results.result import Result, complete_style, missing_package
-from rig.results.text import format_percent, format_quantity
+from rig.results.text import format_frequencies, format_percent, format_quantity
 from rig.results.uncertainty import (
     SCATTER,
     BudgetTable,
@@ -281,7 +282,7 @@ class Response(Result, Sequence["Response"]):
         return self.uncertainty.covariance(self.value.shape)
 
     def budget(self, output: str, frequency: float | str, force: str | None = None) -> BudgetTable:
-        """Return the uncertainty budget of one value, at the line nearest to a frequency.
+        """Return the uncertainty budget of one value, interpolated between lines as by `interpolated`.
 
         Parameters
         ----------
@@ -303,10 +304,16 @@ class Response(Result, Sequence["Response"]):
                 "force: missing, but the response has several inputs. Give one of "
                 f"{', '.join(point.name for point in self.inputs)}."
             )
-        line = int(np.argmin(abs(curve.frequency - number(frequency, FREQUENCY, "frequency"))))
+        at = number(frequency, FREQUENCY, "frequency")
+        curve = curve.interpolated(at)
+        if not np.isfinite(curve.value[0]):
+            raise SceneError(
+                f"budget: no value at {at:.6g} Hz; the response has lines from {self.frequency.min():.6g} to "
+                f"{self.frequency.max():.6g} Hz."
+            )
         unit, factor = curve.shown_in
         uncertainties = {
-            (cause.name, cause.evaluation): factor * float(cause.standard()[line])
+            (cause.name, cause.evaluation): factor * float(cause.standard()[0])
             for cause in curve.uncertainty.contributions
         }
         variance = sum(u**2 for u in uncertainties.values())
@@ -315,9 +322,9 @@ class Response(Result, Sequence["Response"]):
             key=lambda row: -row[2],
         )
         return BudgetTable(
-            f"{curve.ratio} at {curve.frequency[line]:.6g} Hz",
-            factor * float(abs(curve.value[line])),
-            factor * float(curve.expanded()[line]),
+            f"{curve.ratio} at {at:.6g} Hz",
+            factor * float(abs(curve.value[0])),
+            factor * float(curve.expanded()[0]),
             unit,
             tuple(rows),
         )
@@ -595,7 +602,16 @@ class Response(Result, Sequence["Response"]):
                 f"of {len(other.outputs)} outputs to {len(other.inputs)} inputs. Select the same outputs and inputs of "
                 "both responses."
             )
-        other = other.interpolated(self.frequency)
+        other, needed = other._interpolated(self.frequency)
+        is_unresolved, notes = np.isfinite(needed), []
+        if is_unresolved.any():
+            other = replace(
+                other, value=np.where(is_unresolved[(...,) + (None,) * (other.value.ndim - 1)], np.nan, other.value)
+            )
+            notes.append(
+                f"No ratio at {format_frequencies(self.frequency.tolist(), is_unresolved.tolist())}: the lines of "
+                f"{other.label or other.ratio} do not resolve it there. Measure it at the frequencies of this response."
+            )
         with np.errstate(divide="ignore", invalid="ignore"):
             value = np.asarray(self.value / other.value)
         budgets = [
@@ -615,37 +631,70 @@ class Response(Result, Sequence["Response"]):
             coherence=None,  # type: ignore[arg-type]
             unsteady=_any_unsteady((self, other)),
             label=f"{self.label} / {other.label}" if other.label else self.label,
-            warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings])),
+            warnings=tuple(dict.fromkeys([*self.warnings, *other.warnings, *notes])),
         )
 
     def interpolated(self, frequency: ArrayLike) -> Response:
-        """Return the response at one or several other frequencies, by linear interpolation; NaN outside its range.
+        """Return the response at one or several other frequencies, Hz; NaN outside its range.
+
+        Between lines it is a local rational function. The uncertainty contains the errors of the lines and the error
+        of the interpolation, which is the contribution "spacing of the lines".
+
+        Raises
+        ------
+        SceneError
+            If the lines do not resolve the response at one of the frequencies; the message states the spacing that is
+            needed.
 
         Examples
         --------
-        >>> frf = Response.curve(np.array([10.0, 20.0]), np.array([1e-3j, 2e-3j]), "body3")
-        >>> frf.interpolated(15.0).value
-        array([0.+0.0015j])
+        >>> lines = np.linspace(10.0, 20.0, 41)
+        >>> frf = Response.curve(lines, 1.0 / (15.1**2 - lines**2 + 0.3j * lines), "body3")
+        >>> abs(frf.interpolated(15.1).value).round(4).tolist()
+        [0.2208]
         """
-        frequency = np.atleast_1d(np.asarray(frequency, dtype=float))
-        if np.array_equal(frequency, self.frequency):
-            return self
+        result, needed = self._interpolated(np.atleast_1d(np.asarray(frequency, dtype=float)))
+        if np.isfinite(needed).any():
+            raise SceneError(
+                f"{self.label or self.ratio}: the lines do not resolve the response at "
+                f"{format_frequencies(result.frequency.tolist(), np.isfinite(needed).tolist())}. Measure there with "
+                f"lines at most {needed.min():.1g} Hz apart, or choose a frequency of a line."
+            )
+        return result
+
+    def _interpolated(self, frequency: Array) -> tuple[Response, Array]:
+        """Return `interpolated`, and the spacing that is needed at each frequency, Hz; infinite if lines resolve it."""
         ordered = self.sorted()
+        lines, is_line = nearest_lines(ordered.frequency, frequency)
+        if is_line.all():
+            return ordered.at(lines), np.full(frequency.size, np.inf)
+        curves = [
+            interpolate_curve(curve.frequency, curve.value, curve.uncertainty, frequency) for curve in ordered.curves()
+        ]
+        known = [curve for curve in curves if curve is not None]
+        if len(known) < len(curves):
+            raise SceneError(
+                f"{self.label or self.ratio}: fewer than 4 lines have a value, too few to interpolate. Choose a "
+                "frequency of a line, or measure at more frequencies."
+            )
+        shape = (frequency.size, *self.value.shape[1:])
 
         def interpolate(column: NDArray[Any]) -> NDArray[Any]:
             flat = np.reshape(column, (column.shape[0], -1))
             rows = [np.interp(frequency, ordered.frequency, element, np.nan, np.nan) for element in flat.T]
             return np.stack(rows, axis=1).reshape(frequency.size, *column.shape[1:])
 
-        return replace(
+        budgets = [curve.uncertainty for curve in known]
+        result = replace(
             ordered,
             frequency=frequency,
-            value=interpolate(ordered.value),
-            uncertainty=ordered.uncertainty.with_arrays(interpolate, None),
+            value=np.stack([curve.value for curve in known], axis=1).reshape(shape),
+            uncertainty=budgets[0] if self.is_curve else stack_budgets(budgets, shape),
             coherence=interpolate(ordered.coherence),
             unsteady=None if ordered.unsteady is None else interpolate(ordered.unsteady.astype(float)) > 0.0,
             amplitude=None if ordered.amplitude is None else interpolate(ordered.amplitude),
         )
+        return result, np.min([curve.needed_spacing for curve in known], axis=0)
 
     def sorted(self) -> Response:
         """Order the lines by increasing frequency."""

@@ -347,7 +347,7 @@ def test_shapes_contain_tolerances_of_two_sensors(sweep) -> None:
     modes = analysis.identify([with_sensors(curve, force=0.11, **{curve.response: 0.11}) for curve in curves])
     # An element is the ratio of two readings: two independent limits of error of 11 %, without that of the force.
     np.testing.assert_allclose(
-        modes.shape_error, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_error > 0.0), rtol=0.02
+        modes.shape_error, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_error > 0.0), rtol=0.05
     )
 
 

@@ -90,9 +90,10 @@ peers: $(STAMP)
 # The documentation as a site in build/docs: the pages of the guides, and the reference generated from the code.
 docs: $(STAMP)
 	$(PIP) -e ".[dev,docs]"
-	$(BIN)/python -m sphinx -q -W --keep-going -c .docs . build/docs
+	mkdir -p build/docs-source
+	$(BIN)/python -m sphinx -q -W --keep-going -c .docs build/docs-source build/docs
 	@echo "open build/docs/index.html"
 
 clean:
-	rm -rf $(VENV) $(VENV)-peers .docs/reference .docs/examples .docs/gallery build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(VENV)-peers build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -4,37 +4,36 @@ from __future__ import annotations
 
 import shutil
 import sys
-from importlib import import_module
+from importlib import import_module, metadata
 from pathlib import Path
 
 import typer
 from typer.testing import CliRunner
 
+from rig.figure_style import use_style
+
 ROOT = Path(__file__).parents[1]
-REFERENCE = ROOT / ".docs" / "reference"
-EXAMPLES = ROOT / ".docs" / "examples"
+#: Sources of the site: copies of the pages, with the generated pages next to them, so that addresses have no dots.
+SOURCE = ROOT / "build" / "docs-source"
+EXAMPLES = ROOT / "build" / "docs-examples"
+PAGES = (
+    "README.md", "CHANGELOG.md", "[a-z]*/README.md", "*/guide/*.md", "*/recording/LAYOUT.md", "recordings/*.png",
+)  # fmt: skip
 sys.path.insert(0, str(ROOT))
 
 project = "shotrig"
+copyright = "shotrig developers"
+release = metadata.version("shotrig")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc", "sphinx_gallery.gen_gallery"]
-root_doc = ".docs/index"
-include_patterns = [
-    ".docs/index.md",
-    ".docs/reference/*",
-    ".docs/gallery/*.rst",
-    "README.md",
-    "rig/README.md",
-    "daq/README.md",
-    "analysis/README.md",
-    "*/guide/*.md",
-    "recordings/README.md",
-    "daq/recording/LAYOUT.md",
-]
+root_doc = "index"
 html_theme = "furo"
-html_title = "shotrig"
-# The first page, which leads to the root document.
-html_extra_path = ["extra"]
-myst_enable_extensions = ["dollarmath"]
+html_title = f"shotrig {release}"
+html_logo = html_favicon = "static/logo.svg"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+# Two hyphens of an option are not a dash.
+smartquotes = False
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
@@ -43,13 +42,27 @@ autodoc_member_order = "bysource"
 # Each example runs, and its figures and prints are shown.
 sphinx_gallery_conf = {
     "examples_dirs": str(EXAMPLES),
-    "gallery_dirs": str(ROOT / ".docs" / "gallery"),
+    "gallery_dirs": str(SOURCE / "gallery"),
     "filename_pattern": r"\.py$",
     "ignore_pattern": "__init__",
     "abort_on_example_error": True,
     "download_all_examples": False,
     "write_computation_times": False,
+    # Only results have a representation that a reader needs.
+    "capture_repr": ("_repr_html_",),
+    # The style below applies to all examples.
+    "reset_modules": (),
 }
+
+
+def copy_pages() -> None:
+    """Copy pages and pictures to the sources of the site."""
+    for pattern in PAGES:
+        for page in ROOT.glob(pattern):
+            copy = SOURCE / page.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(page, copy)
+    shutil.copy(ROOT / ".docs" / "index.md", SOURCE)
 
 
 def write_examples() -> None:
@@ -67,7 +80,8 @@ def write_reference() -> None:
     """Write a page for each package's public names, for the commands and for the keys of scene files."""
     from rig.scene.reference import reference_page
 
-    REFERENCE.mkdir(exist_ok=True)
+    reference = SOURCE / "reference"
+    reference.mkdir(parents=True, exist_ok=True)
     indexed: set[int] = set()
     for package in ("rig", "daq", "analysis"):
         module = import_module(package)
@@ -80,9 +94,9 @@ def write_reference() -> None:
             lines += ["   :no-index:"] if id(member) in indexed else []
             indexed.add(id(member))
             lines.append("")
-        (REFERENCE / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
-        (REFERENCE / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
-    (REFERENCE / "scenes.md").write_text(reference_page(), encoding="utf-8")
+        (reference / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
+        (reference / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
+    (reference / "scenes.md").write_text(reference_page(), encoding="utf-8")
 
 
 def commands(package: str) -> str:
@@ -95,5 +109,7 @@ def commands(package: str) -> str:
     return text
 
 
+use_style()
+copy_pages()
 write_reference()
 write_examples()

@@ -66,6 +66,14 @@ _STYLE: Any = {
 }
 
 
+def use_style() -> None:
+    """Use the common style for all figures that a script draws with matplotlib."""
+    import matplotlib
+    from matplotlib.rcsetup import cycler
+
+    matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=COLORS)})
+
+
 @contextmanager
 def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
     """Provide an empty figure in the common style; draw inside the `with` block."""

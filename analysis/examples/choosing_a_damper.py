@@ -14,7 +14,7 @@ import numpy as np
 import rig
 
 frequencies = np.linspace(47.0, 51.0, 9)
-clearances = np.array([0.3, 0.6, 0.98, 1.6])  # mm
+clearances = np.array([0.3, 0.6, 0.98, 1.3, 1.6, 2.2, 3.0])  # mm
 
 
 def highest_peak(clearance_mm: float) -> float:

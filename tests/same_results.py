@@ -1,8 +1,9 @@
-"""Whether two versions give the same bytes: `python -m tests.same_results A B`.
+"""Whether two versions give the same bytes: `python -m tests.same_results [--engine] A B`.
 
 A and B are commits, folders of code, or JSON files with results. `python -m tests.same_results A > a.json` stores the
 results of a version. Compared are recordings, arrays of rig, printed texts, messages of bad scenes, and files of
-`analysis`, each by its SHA-256 digest. The exit code is 1 if a result differs.
+`analysis`, each by its SHA-256 digest. `--engine` compares only motions that the engine computes
+(`tests.engine_results`), which takes a minute. The exit code is 1 if a result differs.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import hashlib
 import io
 import json
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -213,10 +215,19 @@ def _foresight(scene: Any) -> str:
     return f"{foresight}\n{foresight.columns()}"
 
 
+def _engine_results() -> Iterator[tuple[str, Any]]:
+    """Yield names and motions of the engine of the version that Python imports."""
+    # The script of this checkout, whichever version is imported.
+    script = runpy.run_path(str(Path(__file__).with_name("engine_results.py")))
+    for name, compute in script["engine_results"]():
+        yield name, _attempt(compute)
+
+
 def _all_results() -> Iterator[tuple[str, Any]]:
     """Yield names and results of the version that Python imports."""
     import rig
 
+    yield from _engine_results()
     keys = ("kind", "force", "drive", "from", "frequency", "duration", "body", "also", "settle", "double_hit")
     helps = (f"rig help {key}" for key in ("test", "shaker", *(f"test.{key}" for key in keys)))
     for command in ("rig schema", "rig schema --explain", "rig scenes", *helps):
@@ -249,25 +260,25 @@ def _digest(result: Any) -> str:
     return hashlib.sha256(result if isinstance(result, bytes) else repr(result).encode()).hexdigest()[:16]
 
 
-def collect(target: Path) -> None:
-    """Compute all results and write them as JSON; texts are stored as they are."""
+def collect(results_of_version: Iterator[tuple[str, Any]], target: Path) -> None:
+    """Compute results and write them as JSON; texts are stored as they are."""
     results = {}
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for name, result in _all_results():
+        for name, result in results_of_version:
             results[name] = result if isinstance(result, str) else _digest(result)
     target.write_text(json.dumps(results, indent=1), encoding="utf-8")
 
 
-def results_of(version: str) -> dict[str, str]:
-    """Return the results of a commit, a folder of code or a JSON file."""
+def results_of(version: str, collect_option: str) -> dict[str, str]:
+    """Return the results of a commit, a folder of code or a JSON file; `collect_option`: for the run that does it."""
     if version.endswith(".json"):
         return dict(json.loads(Path(version).read_text(encoding="utf-8")))
     with tempfile.TemporaryDirectory() as directory, contextlib.ExitStack() as stack:
         code, target = Path(version).absolute(), Path(directory) / "results.json"
         if not code.is_dir():
             code = stack.enter_context(temporary_checkout(version, Path(directory) / "code"))
-        command = [sys.executable, "-P", __file__, "--collect", str(target)]
+        command = [sys.executable, "-P", __file__, collect_option, str(target)]
         # One fixed folder and width, because both appear in printed texts.
         environment = {**os.environ, "PYTHONPATH": str(code), "COLUMNS": "100"}
         subprocess.run(command, check=True, cwd=code, env=environment)
@@ -276,10 +287,14 @@ def results_of(version: str) -> dict[str, str]:
 
 def main(arguments: list[str]) -> int:
     """Compare two versions, or print the results of one; return the exit code."""
-    if arguments[0] == "--collect":
-        collect(Path(arguments[1]))
+    collections = {"--collect": _all_results, "--collect-engine": _engine_results}
+    if arguments[0] in collections:
+        collect(collections[arguments[0]](), Path(arguments[1]))
         return 0
-    versions = [results_of(version) for version in arguments]
+    collect_option = "--collect"
+    if arguments[0] == "--engine":
+        collect_option, arguments = "--collect-engine", arguments[1:]
+    versions = [results_of(version, collect_option) for version in arguments]
     if len(versions) == 1:
         print(json.dumps(versions[0], indent=1))
         return 0

@@ -140,7 +140,7 @@ class Propagator:
         self.tables = tables_for(system, drive, step)
         dampers, size = system.dampers, padded_length(self.tables.size + 2 * system.coordinates)
         self.state = state_at_rest(size, dampers)
-        self.log = empty_log(max(LOG_ROWS, 16 * dampers), size, dampers)
+        self.log = empty_log(max(LOG_ROWS, 16 * dampers), self.tables.size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, size)
         self.state.counters[CONFIGURATION] = system.all_on_floor
         self._buffer = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
@@ -277,9 +277,11 @@ class Propagator:
         """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s^2, (coordinates, samples)."""
         if not len(states):
             return np.zeros((self.system.coordinates, 0))
-        _store_accelerations(self.tables.flow, self.tables.model, states, table_indices, self.workspace.derivative)
         first = self.tables.size
-        return np.ascontiguousarray(states[:, first : first + self.system.coordinates].T)
+        rows = np.zeros((len(states), self.state.z.size))
+        rows[:, :first] = states[:, :first]
+        _store_accelerations(self.tables.flow, self.tables.model, rows, table_indices, self.workspace.derivative)
+        return np.ascontiguousarray(rows[:, first : first + self.system.coordinates].T)
 
     def state_samples(self, samples: int) -> StateSamples:
         """Return new arrays for the states at a number of samples."""
@@ -332,7 +334,7 @@ class Propagator:
     def _double_log(self) -> None:
         """Replace the log with a log that has the same content and twice the number of rows."""
         old = self.log
-        self.log = empty_log(2 * len(old.event_segment), self.state.z.size, self.system.dampers)
+        self.log = empty_log(2 * len(old.event_segment), self.tables.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):
             target[: len(source)] = source
 

@@ -88,7 +88,7 @@ def state_at_rest(size: int, dampers: int) -> State:
 
 
 def empty_log(rows: int, size: int, dampers: int) -> Log:
-    """Return a log with room for a number of events and breaks; `size` is the padded length of a state."""
+    """Return a log with room for a number of events and breaks; `size` is the number of states, with the drive."""
     return Log(
         counts=np.zeros(3, dtype=np.int64),
         present_offset=np.zeros(1),
@@ -145,7 +145,7 @@ def open_break(model: Model, state: State, log: Log) -> None:
     log.break_segment[row] = log.counts[PRESENT_SEGMENT]
     log.break_offset[row] = log.present_offset[0]
     log.configuration[row, 0] = state.counters[CONFIGURATION]
-    for i in range(state.z.shape[0]):
+    for i in range(log.state_before.shape[1]):
         log.state_before[row, i] = state.z[i]
 
 
@@ -155,6 +155,6 @@ def close_break(model: Model, state: State, log: Log) -> None:
     row = log.counts[N_BREAKS]
     _store_damper_velocities(model, state, log.damper_velocity_after[row])
     log.configuration[row, 1] = state.counters[CONFIGURATION]
-    for i in range(state.z.shape[0]):
+    for i in range(log.state_after.shape[1]):
         log.state_after[row, i] = state.z[i]
     log.counts[N_BREAKS] = row + 1

@@ -73,9 +73,8 @@ def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
     return dispatcher
 
 
-def njit(function: Callable[..., object], creates_no_arrays: bool, cache: bool, **options: Any) -> Any:
-    """Compile a function as `numba.njit` does; `creates_no_arrays`: True for a kernel."""
-    options |= {"_nrt": False} if creates_no_arrays else {}
+def njit(function: Callable[..., object], cache: bool, **options: Any) -> Any:
+    """Compile a function as `numba.njit` does; a kernel has the option `_nrt` False, because it creates no arrays."""
     dispatcher: Any = numba.njit(cache=cache, pipeline_class=_EntryCompiler, **options)(function)
     callee = functools.cache(lambda: _callee(function, options))
 
@@ -84,6 +83,6 @@ def njit(function: Callable[..., object], creates_no_arrays: bool, cache: bool, 
 
     dispatcher.get_call_template = get_call_template
     dispatcher.get_overload = lambda args: callee().overloads[args].fndesc
-    if creates_no_arrays and cache:
+    if cache and not options.get("_nrt", True):
         dispatcher._cache.load_overload = dispatcher._cache._load_overload  # noqa: SLF001
     return dispatcher

@@ -15,7 +15,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from rig.numerics.jit import inlined_kernel, kernel
-from rig.numerics.simd import LANES, WIDE, broadcast, load, store
+from rig.numerics.simd import LANES, WIDE, broadcast
 
 #: Number of parallel sums: enough to hide the latency of an addition, and few enough for the registers. Without
 #: AVX-512, eight lanes need two of the sixteen registers, so that eight sums would not fit.
@@ -39,6 +39,24 @@ def _fused(typing_context: Any, factor: Any, other_factor: Any, addend: Any) -> 
 def fused(factor: float, other_factor: float, addend: float) -> float:
     """Return factor * other_factor + addend with a single rounding."""
     return _fused(factor, other_factor, addend)  # type: ignore[call-arg]  # numba supplies the context
+
+
+def _register_pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Return a pointer to eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
+
+
+def _load(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
+    """Generate the code that loads eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    register = builder.load(_register_pointer(context, builder, array_type, array, index))
+    register.align = 8  # bytes, because not all arrays come from `aligned_zeros`
+    return register
+
+
+def _store(context: Any, builder: Any, array_type: Any, array: Any, index: Any, register: Any) -> None:
+    """Generate the code that stores eight lanes in an array; parameters as in `_load`."""
+    builder.store(register, _register_pointer(context, builder, array_type, array, index)).align = 8
 
 
 def _fused_lanes(builder: Any) -> Any:
@@ -77,7 +95,7 @@ def _sums(shared_rows: bool) -> Any:
                 return broadcast(builder, builder.load(builder.gep(data, [index])))
 
             def rows_at(index: Any) -> Any:
-                return load(context, builder, types_of_arguments[0], rows, index)
+                return _load(context, builder, types_of_arguments[0], rows, index)
 
             def entries(entry: Any) -> list[tuple[Any, Any]]:
                 """Return for each of the sums the pair of registers (rows, factors) of an entry e."""
@@ -98,7 +116,7 @@ def _sums(shared_rows: bool) -> Any:
                     builder.store(builder.call(fma, [*pair, builder.load(total)]), total)
             for c, total in enumerate(totals):
                 index = builder.add(out_start, ir.Constant(index_type, c * LANES))
-                store(context, builder, types_of_arguments[8], out, index, builder.load(total))
+                _store(context, builder, types_of_arguments[8], out, index, builder.load(total))
             return context.get_dummy_value()
 
         return signature, generate
@@ -153,18 +171,12 @@ def _update_states(typing_context: Any, states: Any, factors: Any, weights: Any,
         size = context.make_array(types_of_arguments[0])(context, builder, states).nitems
         begin, step = ir.Constant(size.type, 0), ir.Constant(size.type, LANES)
         with cgutils.for_range_slice(builder, begin, size, step, size.type) as (position, _):
-            before = load(context, builder, types_of_arguments[0], states, position)
-            weight = load(context, builder, types_of_arguments[2], weights, position)
-            factor = load(context, builder, types_of_arguments[1], factors, position)
+            before = _load(context, builder, types_of_arguments[0], states, position)
+            weight = _load(context, builder, types_of_arguments[2], weights, position)
+            factor = _load(context, builder, types_of_arguments[1], factors, position)
             builder.store(builder.call(fma, [weight, before, builder.load(total)]), total)
-            store(
-                context,
-                builder,
-                types_of_arguments[0],
-                states,
-                position,
-                builder.call(fma, [factor, before, value_lanes]),
-            )
+            after = builder.call(fma, [factor, before, value_lanes])
+            _store(context, builder, types_of_arguments[0], states, position, after)
         sums = builder.load(total)
         for distance in (4, 2, 1):
             order = [(lane + distance) % LANES for lane in range(LANES)]

@@ -1,4 +1,4 @@
-"""Products of a matrix and a vector, and elementwise operations, in vector registers of the processor (SIMD).
+"""Products of a matrix and a vector in vector registers of the processor (SIMD), and elementwise operations.
 
 The engine multiplies small matrices with a vector millions of times a second. With plain loops numba stores the sums in
 memory; in registers of eight values (lanes) the product takes half the time. The instructions are therefore generated
@@ -44,24 +44,6 @@ def aligned_zeros(*shape: int) -> np.ndarray:
 
 #: LLVM type of a register.
 WIDE = ir.VectorType(ir.DoubleType(), LANES)
-
-
-def _register_pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Return a pointer to eight lanes of an array, from a flat index on; `array_type`: of numba."""
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
-
-
-def load(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Generate the code that loads eight lanes of an array, from a flat index on; `array_type`: of numba."""
-    register = builder.load(_register_pointer(context, builder, array_type, array, index))
-    register.align = 8  # bytes, because not all arrays come from `aligned_zeros`
-    return register
-
-
-def store(context: Any, builder: Any, array_type: Any, array: Any, index: Any, register: Any) -> None:
-    """Generate the code that stores eight lanes in an array; parameters as in `load`."""
-    builder.store(register, _register_pointer(context, builder, array_type, array, index)).align = 8
 
 
 def broadcast(builder: Any, value: Any) -> Any:
@@ -173,142 +155,46 @@ def _product_intrinsic(in_blocks: bool) -> Any:
 _one_register_product, _block_product = _product_intrinsic(in_blocks=False), _product_intrinsic(in_blocks=True)
 
 
-@intrinsic
-def _lanes_exceed(typing_context: Any, vector: Any, bound: Any, row: Any) -> Any:
-    """Return whether |vector[row + i]| > bound[row + i] for any i = 0..7; NaN exceeds every bound."""
-    signature = types.boolean(vector, bound, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        vector, bound = (
-            load(context, builder, array_type, array, arguments[2])
-            for array_type, array in zip(signature.args[:2], arguments[:2], strict=True)
-        )
-        function_type = ir.FunctionType(WIDE, [WIDE])
-        absolute = cgutils.get_or_insert_function(builder.module, function_type, f"llvm.fabs.v{LANES}f64")
-        exceeds = builder.fcmp_unordered(">", builder.call(absolute, [vector]), bound)
-        mask = builder.bitcast(exceeds, ir.IntType(LANES))
-        return builder.icmp_unsigned("!=", mask, ir.Constant(mask.type, 0))
-
-    return signature, generate
-
-
-@intrinsic
-def _lane_minimum(typing_context: Any, vector: Any, row: Any) -> Any:
-    """Return the smallest of vector[row + 0..7], none of which is NaN."""
-    signature = types.float64(vector, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        function_type = ir.FunctionType(ir.DoubleType(), [WIDE])
-        minimum = cgutils.get_or_insert_function(builder.module, function_type, f"llvm.vector.reduce.fmin.v{LANES}f64")
-        register = load(context, builder, signature.args[0], *arguments)
-        return builder.call(minimum, [register], fastmath=("nnan",))
-
-    return signature, generate
-
-
-@intrinsic
-def _negative_lanes(typing_context: Any, vector: Any, row: Any) -> Any:
-    """Return bits that are set for each i with vector[row + i] < 0."""
-    signature = types.int64(vector, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        register = load(context, builder, signature.args[0], *arguments)
-        below = builder.fcmp_ordered("<", register, ir.Constant(WIDE, [0.0] * LANES))
-        return builder.zext(builder.bitcast(below, ir.IntType(LANES)), ir.IntType(64))
-
-    return signature, generate
-
-
 @inlined_kernel
 def minimum(vector: Any) -> float:
-    """Return the smallest element of a vector of shape (multiple of LANES,)."""
+    """Return the smallest element of a vector, none of which is NaN."""
     smallest = np.inf
-    for row in range(0, vector.shape[0], LANES):
-        smallest = min(smallest, _lane_minimum(vector, row))  # type: ignore[call-arg]  # numba supplies the context
+    for i in range(vector.shape[0]):
+        smallest = min(smallest, vector[i])
     return smallest
 
 
 @inlined_kernel
 def negative_bits(vector: Any) -> int:
-    """Return an integer whose bits are set for the negative elements of a vector.
-
-    The vector has a multiple of LANES elements, at most 56, so that the integer is not negative in 64 bits.
-    """
+    """Return an integer whose bits are set for the negative elements of a vector of at most 62 elements."""
     bits = 0
-    for row in range(0, vector.shape[0], LANES):
-        bits |= _negative_lanes(vector, row) << row  # type: ignore[call-arg]
+    for i in range(vector.shape[0]):
+        bits |= int(vector[i] < 0.0) << i
     return bits
-
-
-@intrinsic
-def _copy_lanes(typing_context: Any, source: Any, target: Any, row: Any) -> Any:
-    """Set target[row + 0..7] = source[row + 0..7]."""
-    signature = types.void(source, target, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source, target, row = arguments
-        register = load(context, builder, signature.args[0], source, row)
-        store(context, builder, signature.args[1], target, row, register)
-        return context.get_dummy_value()
-
-    return signature, generate
 
 
 @inlined_kernel
 def copy(source: Any, target: Any) -> None:
-    """Copy a vector of shape (multiple of LANES,) into another."""
-    for row in range(0, source.shape[0], LANES):
-        _copy_lanes(source, target, row)  # type: ignore[call-arg]  # numba supplies the context
-
-
-@intrinsic
-def _transpose_tile(
-    typing_context: Any, source: Any, start: Any, width: Any, target: Any, position: Any, stride: Any
-) -> Any:
-    """Set target[position + i stride + 0..7] = source[start + (0..7) width + i] for i = 0..7; flat indices."""
-    signature = types.void(source, types.intp, types.intp, target, types.intp, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source, start, width, target, position, stride = arguments
-
-        def along(begin: Any, count: int, step: Any) -> Any:
-            """Return the index begin + count step."""
-            return builder.add(begin, builder.mul(ir.Constant(start.type, count), step))
-
-        def choose(first: Any, second: Any, lanes: list[int]) -> Any:
-            return builder.shuffle_vector(first, second, ir.Constant(ir.VectorType(ir.IntType(32), LANES), lanes))
-
-        tile = [load(context, builder, signature.args[0], source, along(start, i, width)) for i in range(LANES)]
-        # Exchange blocks of one, two and four lanes across the diagonal.
-        for size in (1, 2, 4):
-            for i in (i for i in range(LANES) if not i & size):
-                upper, lower = tile[i], tile[i + size]
-                low = [lane if not lane & size else LANES + lane - size for lane in range(LANES)]
-                high = [lane + size if not lane & size else LANES + lane for lane in range(LANES)]
-                tile[i], tile[i + size] = choose(upper, lower, low), choose(upper, lower, high)
-        for i, register in enumerate(tile):
-            store(context, builder, signature.args[3], target, along(position, i, stride), register)
-        return context.get_dummy_value()
-
-    return signature, generate
-
-
-@inlined_kernel
-def transpose(buffer: Any, rows: Any, column: int) -> None:
-    """Write a buffer of shape (LANES, width) into rows (width, columns) from a column on; both are contiguous."""
-    width, columns = rows.shape
-    for row in range(0, width, LANES):
-        position = row * columns + column
-        _transpose_tile(buffer, row, width, rows, position, columns)  # type: ignore[call-arg]
+    """Copy a vector into another of the same length."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]
 
 
 @inlined_kernel
 def exceeds(vector: Any, bound: Any) -> bool:
-    """Return whether the magnitude of any element exceeds its bound, or is NaN; shapes (multiple of LANES,)."""
+    """Return whether the magnitude of any element exceeds its bound, or is NaN."""
     any_exceeds = False
-    for row in range(0, bound.shape[0], LANES):
-        any_exceeds |= _lanes_exceed(vector, bound, row)  # type: ignore[call-arg]
+    for i in range(bound.shape[0]):
+        any_exceeds |= not abs(vector[i]) <= bound[i]
     return any_exceeds
+
+
+@inlined_kernel
+def transpose(buffer: Any, rows: Any, column: int) -> None:
+    """Write a buffer of shape (LANES, width) into rows (width, columns) from a column on."""
+    for i in range(rows.shape[0]):
+        for lane in range(LANES):
+            rows[i, column + lane] = buffer[lane, i]
 
 
 @inlined_kernel

@@ -200,3 +200,9 @@ def test_public_options_give_the_same_bits(kernels: Path, capsys: pytest.Capture
     plain = run(kernels, BITS.format(plain=True), NUMBA_CACHE_DIR=os.environ.get("NUMBA_CACHE_DIR", ""))
     exec(BITS.format(plain=False), {})
     assert plain.stdout == capsys.readouterr().out != ""
+
+
+def test_public_options_count_no_references(kernels: Path) -> None:
+    # Counting the references to arrays would make the engine ten times slower.
+    hidden = 'import sys; sys.modules["rig.numerics.callees"] = None; from rig.numerics.simd import multiply; '
+    assert run(kernels, hidden + 'print(multiply.targetoptions["_nrt"])').stdout == "False\n"

@@ -2,10 +2,15 @@
 
 Only records with a checksum are used: chunks, attachments, and the metadata records of shotrig's recordings. If the
 length of a record is damaged, the file is searched for the next consistent record.
+
+The work is linear in the size of the file. If a record whose checksum is wrong is followed by another record, the
+search continues there. Only a record that no other follows is verified and then searched, and the total size of such
+records is limited.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 from collections.abc import Iterator
@@ -41,6 +46,13 @@ _TEXT_SIZE = struct.Struct("<I")
 _DATA_END_BYTES = 4
 # Number of bytes that are read to check the beginning of a record.
 _CHECKED_BYTES = 64
+# Fields of an attachment: two times and the size of its name; size of its data.
+_ATTACHMENT_HEAD = struct.Struct("<QQI")
+_DATA_SIZE = struct.Struct("<Q")
+_CHECKSUM_BYTES = 4
+# The total size of verified records that no other record follows is at most this, plus this multiple of the file.
+_MAX_UNCONFIRMED_BYTES = 1 << 26
+_MAX_UNCONFIRMED_RATIO = 8
 
 
 @dataclass(frozen=True)
@@ -68,9 +80,10 @@ class DamagedFile:
             raise RecordingError(f"{path}: not a file. Give the path of a recording.")
         try:
             self._file = path.open("rb", buffering=0)
-            self.size = path.stat().st_size
+            self.size = os.fstat(self._file.fileno()).st_size
         except OSError as error:
             raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
+        self._unconfirmed_bytes_left = _MAX_UNCONFIRMED_BYTES + _MAX_UNCONFIRMED_RATIO * self.size
 
     def __enter__(self) -> Self:
         return self
@@ -119,10 +132,13 @@ class DamagedFile:
         # The checksum of a metadata record does not cover its length, which must be checked by its fields.
         has_valid_length = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(position))
         if has_valid_length and length <= LARGEST_RECORD and end <= self.size:
+            is_confirmed = self._is_consistent(end)
             try:
-                return Intact(parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True), length), end
+                if is_confirmed or self._may_verify(length):
+                    record = parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True)
+                    return Intact(record, length), end
             except Damage as damage:
-                return (Unreadable(position, end, str(damage)), end) if self._is_consistent(end) else (None, None)
+                return (Unreadable(position, end, str(damage)), end) if is_confirmed else (None, None)
         if opcode in (Opcode.HEADER, Opcode.MESSAGE_INDEX) and self._is_consistent(position) and end <= self.size:
             return None, end
         if (
@@ -132,6 +148,11 @@ class DamagedFile:
         ):
             return Unreadable(position, self.size, "the file ends within a record"), self.size
         return None, None
+
+    def _may_verify(self, length: int) -> bool:
+        """Return whether a record of this length that no other follows may be verified."""
+        self._unconfirmed_bytes_left -= length
+        return self._unconfirmed_bytes_left >= 0
 
     def _chunk(self, position: int, length: int) -> tuple[Intact | Unreadable, int] | None:
         """Return the chunk at a position and its end, None if there is no chunk.
@@ -148,9 +169,14 @@ class DamagedFile:
             return None
         (packed,) = _PACKED_SIZE.unpack_from(head, fields_size - _PACKED_SIZE.size)
         reason = ""
+        is_confirmed = (
+            length == fields_size + packed and begin + length <= self.size and self._is_consistent(begin + length)
+        )
         for content_length in sorted({length, fields_size + packed}, key=lambda candidate: candidate != length):
             is_possible = fields_size <= content_length <= LARGEST_CHUNK + fields_size
             if not is_possible or begin + content_length > self.size:
+                continue
+            if not (is_confirmed or self._may_verify(content_length)):
                 continue
             content = bytearray(self._read(begin, content_length))
             if len(content) == content_length:
@@ -160,7 +186,7 @@ class DamagedFile:
                 return Intact(records, content_length), begin + content_length
             except Damage as damage:
                 reason = str(damage)
-        if length == fields_size + packed and begin + length <= self.size and self._is_consistent(begin + length):
+        if is_confirmed:
             return Unreadable(position, begin + length, reason or "the chunk is too large"), begin + length
         return None
 
@@ -191,12 +217,20 @@ class DamagedFile:
                 second_position = position + RECORD_HEAD.size + _TEXT_SIZE.size + first_size
                 (second_size,) = _TEXT_SIZE.unpack(self._read(second_position, _TEXT_SIZE.size))
                 return bool(length == 2 * _TEXT_SIZE.size + first_size + second_size)
-            if opcode == Opcode.ATTACHMENT and length <= LARGEST_RECORD:
-                parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True)
-                return True
-        except (struct.error, Damage):
+            if opcode == Opcode.ATTACHMENT:
+                return self._is_attachment(position + RECORD_HEAD.size, length)
+        except struct.error:
             return False
         return False
+
+    def _is_attachment(self, begin: int, length: int) -> bool:
+        """Return whether the sizes of name, media type and data of an attachment agree with its length."""
+        *_, name_size = _ATTACHMENT_HEAD.unpack(self._read(begin, _ATTACHMENT_HEAD.size))
+        type_begin = begin + _ATTACHMENT_HEAD.size + name_size
+        (type_size,) = _TEXT_SIZE.unpack(self._read(type_begin, _TEXT_SIZE.size))
+        data_begin = type_begin + _TEXT_SIZE.size + type_size
+        (data_size,) = _DATA_SIZE.unpack(self._read(data_begin, _DATA_SIZE.size))
+        return bool(begin + length == data_begin + _DATA_SIZE.size + data_size + _CHECKSUM_BYTES)
 
     def _next_record(self, position: int) -> int:
         """Return the position of the next consistent record; the end of the file if there is none."""

@@ -6,6 +6,7 @@ needed are decoded.
 
 from __future__ import annotations
 
+import warnings
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
@@ -16,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
-from daq.recording.layout import CLOCK_CHECKS, WRITER_REMEDY, Timebase
-from daq.recording.sample_block import SCHEMAS, SampleBlock, decode, decode_contiguous, times_agree
+from daq.recording.layout import WRITER_REMEDY, Timebase, stated_clock
+from daq.recording.sample_block import SCHEMAS, SampleBlock, check_block, decode, decode_contiguous
 from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
-from rig.errors import RecordingError
+from rig.errors import RecordingError, RunWarning
+from rig.numerics.runs import runs_of
 
 if TYPE_CHECKING:
     from mcap.records import Channel
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 _LARGE_RANGE = 1 << 22
 # At most this number of samples may be requested for each sample in the file.
 _MAX_REQUESTED_PER_STORED = 16
+# Upper limit of a voltage, and of a true value in SI; its square and its sums are finite.
+MAX_VOLTS = 1e30
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
 _MAX_CACHE_BYTES = 1 << 27
@@ -67,7 +71,12 @@ class Series:
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.chunks_of_channel.get(channel.id, np.empty(0, np.int64))
-        self._block_cache = block_cache
+        self._block_cache, self._has_warned = block_cache, False
+        if self.metadata.get("stored", self.stored) != self.stored:
+            raise self._error(
+                f"the metadata state samples of type {self.metadata['stored']!r:.40}, the schema {self.stored!r}. "
+                f"{WRITER_REMEDY}"
+            )
         try:
             self.scale = float(self.metadata.get("scale", 1.0))
             check({"scale": self.scale}, {"scale": NOT_ZERO})
@@ -85,15 +94,12 @@ class Series:
     @cached_property
     def clock(self) -> Timebase:
         """The sample clock from the metadata of the topic, otherwise from the first block."""
-        if "rate" in self.metadata and "start_ns" in self.metadata:
-            try:
-                rate, start_ns = float(self.metadata["rate"]), int(self.metadata["start_ns"])
-                check({"rate": rate, "start_ns": start_ns}, CLOCK_CHECKS)
-                return Timebase(rate, start_ns)
-            except (ValueError, RecordingError) as error:
-                raise self._error(
-                    f"invalid sample clock ({error!s:.200}). Correct rate and start_ns of the metadata."
-                ) from None
+        try:
+            clock = stated_clock(self.metadata)
+        except RecordingError as error:
+            raise self._error(f"{error} Correct rate and start_ns of the metadata.") from None
+        if clock is not None:
+            return clock
         for chunk in self._chunks:
             for block, _ in self._stored_blocks(int(chunk)):
                 return block.clock
@@ -129,11 +135,34 @@ class Series:
             else:
                 blocks = []
                 for block, log_time in self._stored_blocks(chunk, records):
-                    self._check(block, log_time, clock)
+                    try:
+                        check_block(block, log_time, clock)
+                    except RecordingError as error:
+                        raise self._error(str(error)) from error
                     blocks.append(block)
                 blocks = _join_contiguous(blocks)
+            if self.stored != "counts":
+                blocks = [self._without_invalid(block) for block in blocks]
             self._block_cache.store(self._channel, chunk, blocks)
         return blocks
+
+    def _without_invalid(self, block: SampleBlock) -> SampleBlock:
+        """Replace numbers that no converter outputs by NaN, as lost samples read, and warn at the first."""
+        with np.errstate(invalid="ignore"):
+            if block.samples.size == 0 or max(block.samples.max(), -block.samples.min()) < MAX_VOLTS:
+                return block
+            is_valid = np.abs(block.samples) < MAX_VOLTS
+            samples = np.where(is_valid, block.samples, np.nan)
+        if not self._has_warned:
+            self._has_warned = True
+            first = int(np.argmin(is_valid))
+            warnings.warn(
+                f"{self._container.path}: {self.topic}: sample {block.first_sample + first} is "
+                f"{block.samples[first]:g}, which is no measured value. Such samples are treated as lost.",
+                RunWarning,
+                stacklevel=2,
+            )
+        return block._replace(samples=samples)
 
     def _stored_blocks(self, chunk: int, records: memoryview | None = None) -> Iterator[tuple[SampleBlock, int]]:
         """Yield each block of this topic in a chunk, unchecked, with its log time in ns."""
@@ -145,22 +174,6 @@ class Series:
                     raise self._error(
                         f"{error} Run `daq recover` to keep the other blocks, or record again."
                     ) from error
-
-    def _check(self, block: SampleBlock, log_time: int, clock: Timebase) -> None:
-        """Raise `RecordingError` if the times of a block contradict its sample indices."""
-        if block.stop > MAX_SAMPLES:
-            raise self._error(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}. {WRITER_REMEDY}")
-        if block.rate != clock.rate:
-            raise self._error(
-                f"the block at sample {block.first_sample} states a rate of {block.rate:.17g} Hz; expected "
-                f"{clock.rate:.17g} Hz, as in the metadata or the first block. {WRITER_REMEDY}"
-            )
-        if not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
-            start_ns, end_ns = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
-            raise self._error(
-                f"the block at sample {block.first_sample} is from {block.t0_ns} ns to {log_time} ns (its log time); "
-                f"expected {start_ns} ns to {end_ns} ns from its sample numbers and the rate. {WRITER_REMEDY}"
-            )
 
     def blocks(self, start: int, stop: int) -> Iterator[SampleBlock]:
         """Yield the blocks with samples of [start, stop), in order; contiguous blocks of a chunk are joined."""
@@ -216,7 +229,18 @@ class Series:
         for block in self.blocks(0, self.stop):
             if block.first_sample > next_sample:
                 yield next_sample, block.first_sample
+            yield from self._invalid_in(block)
             next_sample = block.stop
+
+    def invalid_ranges(self) -> Iterator[tuple[int, int]]:
+        """Yield the ranges [first, stop) of samples that no converter outputs; decodes the whole topic."""
+        for block in self.blocks(0, self.stop) if self.stored != "counts" else ():
+            yield from self._invalid_in(block)
+
+    def _invalid_in(self, block: SampleBlock) -> Iterator[tuple[int, int]]:
+        if self.stored != "counts":
+            for first, stop in runs_of(np.isnan(block.samples)):
+                yield block.first_sample + first, block.first_sample + stop
 
 
 def _join_contiguous(blocks: list[SampleBlock]) -> list[SampleBlock]:

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from daq.signal_chain.field_checks import Check, is_number
+from daq.signal_chain.field_checks import Check, check, is_number
 from rig.errors import RecordingError, SceneError
 
 # Version of the layout.
@@ -130,3 +131,18 @@ def require_ordered_times(from_s: float | None, to_s: float | None) -> None:
     """Raise `SceneError` if a segment, in s, ends before it begins."""
     if from_s is not None and to_s is not None and to_s < from_s:
         raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s. Give the earlier time first.")
+
+
+def stated_clock(metadata: Mapping[str, str]) -> Timebase | None:
+    """Return the sample clock that the metadata of a topic state, None if they state none.
+
+    Raises `RecordingError` if it is invalid.
+    """
+    if "rate" not in metadata or "start_ns" not in metadata:
+        return None
+    try:
+        rate, start_ns = float(metadata["rate"]), int(metadata["start_ns"])
+        check({"rate": rate, "start_ns": start_ns}, CLOCK_CHECKS)
+    except (ValueError, RecordingError) as error:
+        raise RecordingError(f"invalid sample clock ({error!s:.200}).") from None
+    return Timebase(rate, start_ns)

@@ -306,6 +306,12 @@ class Recording(Result):
         if layout.MARKERS not in self._topics:
             missing_ranges = [(*gap, name) for name, series in self._series.items() for gap in series.missing_ranges()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(missing_ranges)]
+        invalid_ranges = [(*span, name) for name, series in self._series.items() for span in series.invalid_ranges()]
+        invalid = [Gap(first, stop - 1, (name,), "no measured values") for first, stop, name in invalid_ranges]
+        return sorted([*self._marked_gaps, *invalid], key=lambda gap: gap.first_sample)
+
+    @cached_property
+    def _marked_gaps(self) -> list[Gap]:
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
 
@@ -420,12 +426,13 @@ class Recording(Result):
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:
-            marked = [gap for gap in self.gaps if name in gap.channels]
+            marked = [gap for gap in self._marked_gaps if name in gap.channels]
             for first, stop in unmarked_ranges(self._series[name].missing_ranges(), marked):
                 if self._has_our_layout:
                     raise RecordingError(
-                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker: they "
-                        "were removed, or later samples were moved. Use the other samples only."
+                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are no "
+                        "measured values: they were removed or overwritten, or later samples were moved. Use the other "
+                        "samples only."
                     )
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -26,12 +26,14 @@ from daq.mcap_file.summary import parse_record, with_checksum
 from daq.mcap_file.writer import ChunkedFile, Message
 from daq.recording import layout
 from daq.recording.committed_file import CommittedFile, DiskError, LostPathError
-from daq.recording.layout import Timebase
+from daq.recording.layout import CLOCK_CHECKS, Timebase, stated_clock
 from daq.recording.markers import Marker
-from daq.recording.sample_block import SAMPLE_TYPE, decode
+from daq.recording.sample_block import SAMPLE_TYPE, check_block, decode
+from daq.signal_chain.field_checks import MAX_SAMPLES, check
 from rig.errors import RecordingError, add_path
 from rig.escaping import escape_terminal
 from rig.input_files import as_path
+from rig.numerics.runs import merge_spans
 from rig.output_files import resolve_output
 
 if TYPE_CHECKING:
@@ -40,6 +42,8 @@ if TYPE_CHECKING:
 # Indices of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]
 
+# Latest time that a message can have, ns.
+_MAX_TIME_NS = 2**64 - 1
 _DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
 
 
@@ -176,7 +180,7 @@ class _Salvager:
         self._sample_ranges: dict[int, list[SampleRange]] = {}  # ranges of copied samples
         self._n_messages: dict[int, int] = defaultdict(int)  # number of copied messages
         self._n_expected: dict[int, int] = defaultdict(int)  # number of messages, from their sequence numbers
-        self._gaps: list[SampleRange] = []
+        self._gaps: dict[str, list[SampleRange]] = defaultdict(list)  # marked gaps by channel; "" for all channels
         self._notes: list[str] = []
         self._n_without_topic = 0
         self._metadata: dict[str, dict[str, str]] = {}
@@ -194,6 +198,8 @@ class _Salvager:
             )
             if channel.schema_id and schemas[channel.schema_id].name in SAMPLE_TYPE:
                 self._sample_ranges[number] = []
+                with suppress(RecordingError):
+                    self._clock = self._clock or stated_clock(channel.metadata)
 
     def run(self, damaged: DamagedFile) -> Salvage:
         """Write the complete recording; return its content and the losses."""
@@ -247,20 +253,24 @@ class _Salvager:
         """Register the samples, or the gap, that a message contains."""
         if message.channel in self._sample_ranges:
             block = decode(message.data, self._schemas[channel.schema_id].name)
+            if self._clock is None:
+                check({"rate": block.rate, "start_ns": block.clock.start_ns}, CLOCK_CHECKS)
+                self._clock = block.clock
+            check_block(block, message.log_time, self._clock)
             ranges, first = self._sample_ranges[message.channel], block.first_sample
             if ranges and first < ranges[-1][1]:
                 # A damaged file system may repeat parts of a file.
                 raise RecordingError(
                     f"samples {first} to {block.stop - 1} are left out, because later samples precede them"
                 )
-            self._clock = block.clock if self._clock is None else self._clock
             if ranges and ranges[-1][1] == first:
                 first = ranges.pop()[0]
             ranges.append((first, block.stop))
         elif channel.topic == layout.MARKERS:
             marker = Marker.from_json(message.data)
             if marker.kind in ("gap", "lost"):
-                self._gaps.append((marker.first_sample, marker.end + 1))
+                for name in marker.fields.get("channels", [""]):
+                    self._gaps[name].append((marker.first_sample, marker.end + 1))
 
     def _copy_record(self, record: Metadata | Attachment) -> None:
         """Copy a metadata record or an attachment; the record `outcome` may change and is written by `_finish`."""
@@ -290,7 +300,8 @@ class _Salvager:
         for number, ranges in self._sample_ranges.items():
             topic = channels[number].topic
             recovered[topic] = sum(stop - first for first, stop in ranges)
-            gaps = self._gaps if topic.startswith(layout.RAW) else []
+            names = ("", topic.removeprefix(layout.RAW)) if topic.startswith(layout.RAW) else ()
+            gaps = merge_spans(gap for name in names for gap in self._gaps.get(name, ()))
             missing = list(_subtract(_subtract([(0, end)], ranges), gaps))
             if missing:
                 lost[topic] = missing
@@ -324,8 +335,8 @@ class _Salvager:
         for (first, stop), names in sorted(channels_by_range.items()):
             fields = {"channels": names, "reason": "lost with the damaged file"}
             content = Marker("lost", first, stop - 1, fields).to_json()
-            times = self._clock.time_ns(stop - 1), self._clock.time_ns(first)
-            lost += [Message(number, *times, content, 0) for number in marker_channels]
+            end_ns, start_ns = (min(self._clock.time_ns(sample), _MAX_TIME_NS) for sample in (stop - 1, first))
+            lost += [Message(number, end_ns, start_ns, content, 0) for number in marker_channels]
         self._file.add_chunk(lost, self._compressor)
         outcome = self._metadata.get("outcome")
         if outcome is None or not salvage.whole:
@@ -342,23 +353,25 @@ class _Salvager:
 
 
 def _is_plausible_count(text: str) -> bool:
-    """Return whether a text in the file is a whole number of at most 16 digits."""
-    return text.isascii() and text.isdecimal() and len(text) < 17
+    """Return whether a text in the file is a whole number of at most `MAX_SAMPLES`."""
+    return text.isascii() and text.isdecimal() and len(text) < 17 and int(text) <= MAX_SAMPLES
 
 
-def _subtract(ranges: Iterable[SampleRange], excluded: Iterable[SampleRange]) -> Iterator[SampleRange]:
-    """Yield the parts of `ranges` outside the ranges `excluded`.
+def _subtract(ranges: Iterable[SampleRange], excluded: Sequence[SampleRange]) -> Iterator[SampleRange]:
+    """Yield the parts of `ranges` outside the ranges `excluded`; both are in order and do not overlap.
 
-    >>> list(_subtract([(0, 100)], [(90, 100), (10, 20)]))
-    [(0, 10), (20, 90)]
+    >>> list(_subtract([(0, 30), (40, 100)], [(10, 20), (25, 45), (90, 100)]))
+    [(0, 10), (20, 25), (45, 90)]
     """
-    sorted_exclusions = sorted(excluded)
+    index = 0
     for first, stop in ranges:
-        for begin, end in sorted_exclusions:
-            if begin >= stop or end <= first:
-                continue
+        while index < len(excluded) and excluded[index][0] < stop:
+            begin, end = excluded[index]
             if begin > first:
                 yield first, begin
             first = max(first, end)
+            if end > stop:
+                break
+            index += 1
         if first < stop:
             yield first, stop

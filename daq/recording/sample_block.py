@@ -12,8 +12,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from daq.mcap_file.chunk import MESSAGE_HEAD, RECORD_HEAD
-from daq.recording.layout import Timebase
+from daq.recording.layout import WRITER_REMEDY, Timebase
 from daq.recording.protobuf import Schema, descriptor_set_bytes, message_class, varint
+from daq.signal_chain.field_checks import MAX_SAMPLES
 from rig.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -110,6 +111,23 @@ def times_agree(clock: Timebase, first_sample: int, stop: int, t0_ns: int, log_t
     start_error = (t0_ns - clock.start_ns) * clock.rate * 1e-9 - first_sample
     end_error = (log_time - clock.start_ns) * clock.rate * 1e-9 - stop
     return abs(start_error) < 0.5 and abs(end_error) < 0.5
+
+
+def check_block(block: SampleBlock, log_time: int, clock: Timebase) -> None:
+    """Raise `RecordingError` if the sample numbers of a block contradict the clock, its times or its log time (ns)."""
+    if block.stop > MAX_SAMPLES:
+        raise RecordingError(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}. {WRITER_REMEDY}")
+    if block.rate != clock.rate:
+        raise RecordingError(
+            f"the block at sample {block.first_sample} states a rate of {block.rate:.17g} Hz; expected "
+            f"{clock.rate:.17g} Hz, as in the metadata or the first block. {WRITER_REMEDY}"
+        )
+    if not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
+        start_ns, end_ns = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
+        raise RecordingError(
+            f"the block at sample {block.first_sample} is from {block.t0_ns} ns to {log_time} ns (its log time); "
+            f"expected {start_ns} ns to {end_ns} ns from its sample numbers and the rate. {WRITER_REMEDY}"
+        )
 
 
 def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Timebase) -> SampleBlock | None:

@@ -16,6 +16,8 @@ from rig.settings.settings import value_at
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
 #: Reserved words, which a body must not have as its name.
 RESERVED_NAMES = ("body", "table", "hammer", "shaker", "drive", "ground")
+# Number of unknown names for which a similar name is suggested; each is compared with all names.
+_MAX_SUGGESTIONS = 20
 # Locations that contain no body name: a body by its number, or another location on the bench.
 _LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
@@ -24,13 +26,15 @@ def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | Non
     """Yield the problems of the names: the index of the name (None: all names) and the message."""
     if len(names) != n_bodies:
         yield None, f"got {len(names)} names; expected {n_bodies}, one for each body"
+    first: dict[str, int] = {}  # number of the first body of each name
     for k, name in enumerate(names):
         if not _NAME.fullmatch(name):
             yield (k, f'"{name[:60]}" is not a name for a body; expected a letter, then letters, digits, _, - and .')
         elif name in RESERVED_NAMES:
             yield k, f'"{name}" is reserved for another location on the bench. Choose another name.'
-        elif name in names[:k]:
-            yield k, f'"{name}" is the name of body {names.index(name) + 1}; expected each name once'
+        elif name in first:
+            yield k, f'"{name}" is the name of body {first[name]}; expected each name once'
+        first.setdefault(name, k + 1)
 
 
 def body_number(body: int | str, names: Sequence[str] | None, n_bodies: int) -> int:
@@ -48,7 +52,7 @@ def body_number(body: int | str, names: Sequence[str] | None, n_bodies: int) -> 
         return int(text)
     if names is not None and text in names:
         return names.index(text) + 1
-    raise SceneError(_unknown_name(text, names, n_bodies))
+    raise SceneError(_unknown_name(text, names, n_bodies, names or ()))
 
 
 def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
@@ -57,7 +61,12 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
     Returns the scene with body numbers, and a problem for each name or number that matches no body.
     """
     names, n_bodies = _names_and_count(scene.get("structure"))
+    numbers = {name: k + 1 for k, name in reversed([*enumerate(names or ())])}
     problems: list[Problem] = []
+
+    def report_unknown(name: str, key_path: KeyPath) -> None:
+        similar_candidates = (names or ()) if len(problems) < _MAX_SUGGESTIONS else ()
+        problems.append(Problem(key_path, _unknown_name(name, names, n_bodies, similar_candidates)))
 
     def check_number(number: Any, key_path: KeyPath) -> None:
         if n_bodies and str(number).isdecimal() and int(number) > n_bodies:
@@ -69,12 +78,12 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
         if not isinstance(value, str) or re.fullmatch(r"[-+\d.,\s]*", value):
             check_number(value, key_path)
             return value
-        if names is not None and value in names:
-            return names.index(value) + 1
+        if value in numbers:
+            return numbers[value]
         if not n_bodies:
             # The structure is invalid, which is reported elsewhere; any number avoids a second message.
             return 1
-        problems.append(Problem(key_path, _unknown_name(value, names, n_bodies)))
+        report_unknown(value, key_path)
         return value
 
     def replace_location(value: Any, key_path: KeyPath) -> Any:
@@ -84,9 +93,9 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
         if names is None:
             return "body 1"  # for the reason in `replace_body`
         name = value.removeprefix("body ")
-        if name in names:
-            return f"body {names.index(name) + 1}"
-        problems.append(Problem(key_path, _unknown_name(name, names, n_bodies)))
+        if name in numbers:
+            return f"body {numbers[name]}"
+        report_unknown(name, key_path)
         return value
 
     def replace_value(section: Any, key: str, replace: Any, key_path: KeyPath) -> Any:
@@ -132,10 +141,10 @@ def _names_and_count(structure: Any) -> tuple[list[str] | None, int]:
     return texts, next(lengths, 0)
 
 
-def _unknown_name(name: str, names: Sequence[str] | None, n_bodies: int) -> str:
+def _unknown_name(name: str, names: Sequence[str] | None, n_bodies: int, similar_candidates: Sequence[str]) -> str:
     if names is None:
         alternatives = f"its number, 1 to {n_bodies}" if n_bodies > 1 else "its number, from 1"
         return f"no body has the name {name[:60]!r}: the bodies have no names; expected {alternatives}"
     listed_names = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    hint = suggestion(name, names)
+    hint = suggestion(name, similar_candidates)
     return f"no body has the name {name[:60]!r}" + (f". {hint}" if hint else f"; expected one of {listed_names}")

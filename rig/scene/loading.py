@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def _validate(document: Document, where: str, folder: Path | None, changes: Sequ
     scene, problems = _try_validation(content, folder)
     if scene is None or document.problems:
         problems.sort(key=lambda problem: document.line(problem.key_path))
-        problems_without_changes = _try_validation(document.content, folder)[1] if changes else problems
+        problems_without_changes = {*(_try_validation(document.content, folder)[1] if changes else problems)}
         duplicates = [
             f"{where}:{line}: {dotted(problem.key_path)}: {problem.message}" for line, problem in document.problems
         ]
@@ -161,7 +161,7 @@ def _describe(
     where: str,
     document: Document,
     changes: Sequence[Change],
-    problems_without_changes: Sequence[Problem],
+    problems_without_changes: Container[Problem],
 ) -> str:
     """Describe a problem at its line of the file or, if a change caused it, at the change."""
     causes = [change for change in changes if change.covers(problem.key_path)]

@@ -161,7 +161,9 @@ class Settings(_Model):
             settings = handler(data)
         except ValidationError as error:
             items = [item for item in error.errors(include_url=False) if not _is_consequence(item)]
-            new_problems = [cls._explain(item) for item in items if not cls._is_misspelled(item, items)]
+            unknown_keys = [str(item["loc"][0]) for item in items if item["type"] == "extra_forbidden"]
+            intended = {nearest_key(key, cls.keys()) for key in unknown_keys if key}
+            new_problems = [cls._explain(item) for item in items if not _is_misspelled(item, intended)]
             problems = problems + [item for item in new_problems if item.key_path not in known_paths]
         if isinstance(data, Mapping):
             problems = problems + list(cls._check_groups(data))
@@ -176,15 +178,6 @@ class Settings(_Model):
     def keys(cls) -> list[str]:
         """Return the keys as written in a scene file."""
         return [field.alias or name for name, field in cls.model_fields.items()]
-
-    @classmethod
-    def _is_misspelled(cls, item: Any, items: Iterable[Any]) -> bool:
-        """Return whether a key or part is missing only because it is misspelled, which is reported separately."""
-        unknown_keys = [str(other["loc"][0]) for other in items if other["type"] == "extra_forbidden"]
-        intended = {nearest_key(key, cls.keys()) for key in unknown_keys if key}
-        if item["type"] == "missing" and len(item["loc"]) == 1:
-            return item["loc"][0] in intended
-        return item.get("ctx", {}).get("absent", "") in intended
 
     @classmethod
     def _explain(cls, item: Any) -> Problem:
@@ -293,6 +286,16 @@ def _quantities(cls: type[Settings]) -> dict[str, str]:
 def _is_text(value: Any) -> bool:
     items = value if isinstance(value, list | tuple) else (value,)
     return any(isinstance(item, str) for item in items)
+
+
+def _is_misspelled(item: Any, intended: set[str | None]) -> bool:
+    """Return whether a key or part is missing only because it is misspelled, which is reported separately.
+
+    `intended` are the keys that are nearest to unknown keys.
+    """
+    if item["type"] == "missing" and len(item["loc"]) == 1:
+        return item["loc"][0] in intended
+    return item.get("ctx", {}).get("absent", "") in intended
 
 
 def _is_consequence(item: Any) -> bool:

@@ -61,7 +61,7 @@ def make_records():
         ("index", Opcode.MESSAGE_INDEX, index, None, head + 6),
         ("metadata", Opcode.METADATA, metadata(FIELDS), FIELDS, head + len(text(b"run")) + 4),
         ("zstd chunk", Opcode.CHUNK, chunk(b"zstd", MESSAGES[1]), MESSAGES[1], head + chunk_head + len(b"zstd") + 8),
-        ("attachment", Opcode.ATTACHMENT, scene, b"structure: {}", head + len(scene)),
+        ("attachment", Opcode.ATTACHMENT, scene, b"structure: {}", head + len(scene) - len(b"structure: {}") - 4),
         ("lz4 chunk", Opcode.CHUNK, chunk(b"lz4", MESSAGES[2]), MESSAGES[2], head + chunk_head + len(b"lz4") + 8),
     ):
         begin = records[-1].end if records else len(BEGINNING)
@@ -305,3 +305,47 @@ def test_unverified_record_is_not_used(tmp_path, opcode, content):
     parts = parts_of(tmp_path / "a", BEGINNING + record(opcode, content) + ZSTD_CHUNK.stored + DATA_END)
     assert isinstance(parts[0], Unreadable)
     assert recovered_from(parts) == expected_of(ZSTD_CHUNK)
+
+
+def nested_records(head, count):
+    """Return a file of records that contain all later ones, and are followed by no record.
+
+    `head`: function that returns the beginning of a record's content of a given length.
+    """
+    length, size = 100, 100 * count
+    records = []
+    for begin in range(0, size, length):
+        opcode, content = head(size - begin - RECORD_HEAD.size)
+        records.append((RECORD_HEAD.pack(opcode, size - begin - RECORD_HEAD.size) + content).ljust(length, b"\1"))
+    return MAGIC + b"".join(records) + bytes(7)
+
+
+def nested_chunk(length):
+    packed = length - CHUNK_HEAD.size - 8
+    return Opcode.CHUNK, CHUNK_HEAD.pack(0, 0, max(packed, 0), 1, 0) + struct.pack("<Q", max(packed, 0))
+
+
+def nested_attachment(length):
+    head = struct.pack("<QQ", 1, 2) + text(b"a") + text(b"b")
+    return Opcode.ATTACHMENT, head + struct.pack("<Q", max(length - len(head) - 12, 0))
+
+
+def nested_metadata(length):
+    return Opcode.METADATA, text(b"a") + struct.pack("<I", max(length - 9, 0))
+
+
+@pytest.mark.parametrize("head", [nested_chunk, nested_attachment, nested_metadata])
+def test_search_is_linear_in_the_size(tmp_path, monkeypatch, head):
+    monkeypatch.setattr(damaged_file_module, "_MAX_UNCONFIRMED_BYTES", 0)
+    read, n_bytes = DamagedFile._read, []
+
+    def counting_read(self, position, length):
+        n_bytes[-1] += length
+        return read(self, position, length)
+
+    monkeypatch.setattr(DamagedFile, "_read", counting_read)
+    for count in (200, 400):
+        n_bytes.append(0)
+        parts = parts_of(tmp_path / "a", nested_records(head, count) + FILE[len(BEGINNING) :])
+        assert recovered_from(parts) == expected_of(*RECORDS)
+    assert n_bytes[1] < 2.1 * n_bytes[0]

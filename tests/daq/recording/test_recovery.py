@@ -6,6 +6,7 @@ A chunk is the part of an MCAP file that is packed and has a checksum. Samples o
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,8 @@ import daq
 from daq.cli import app
 from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
+from daq.recording.recovery import _subtract
+from daq.recording.sample_block import encode
 from rig.errors import RecordingError, RunError, ShotrigError
 from tests.daq.recording.recordings import (
     FLUSH_LENGTH,
@@ -368,3 +371,72 @@ def test_recover_command_lists_losses_like_info(intact_file, tmp_path):
     assert "body 2, acceleration" in info.output
     rejected = run(app, ["info", str(tmp_path / "truncated.mcap")])
     assert isinstance(rejected.exception, RecordingError)
+
+
+@pytest.fixture
+def write_damaged_blocks(tmp_path, monkeypatch):
+    """Return a function that writes a recording whose blocks from sample 1280 to 2559 have other header bytes."""
+
+    def write(position, content):
+        def encode_damaged(clock, first_sample, samples):
+            data = encode(clock, first_sample, samples)
+            if first_sample == FLUSH_LENGTH:
+                data[..., position : position + len(content)] = np.frombuffer(content, np.uint8)
+            return data
+
+        monkeypatch.setattr("daq.recording.recorder.encode", encode_damaged)
+        return write_recording(tmp_path / "a.mcap", random_volts(SAMPLES))
+
+    return write
+
+
+# Position of the time and of the first sample in a block, bytes.
+T0, FIRST_SAMPLE = 1, 10
+
+
+@pytest.mark.parametrize(
+    ("position", "value"),
+    [(FIRST_SAMPLE, FLUSH_LENGTH + 2**40), (FIRST_SAMPLE, 2**64 - 1), (T0, 2**63 - 1), (T0, 0), (T0, 2**63)],
+)
+def test_block_with_contradicting_times_is_left_out(tmp_path, write_damaged_blocks, position, value):
+    path = write_damaged_blocks(position, struct.pack("<Q", value))
+    salvage = daq.recover(path, tmp_path / "fixed.mcap")
+    is_readable = check_readable(tmp_path / "fixed.mcap")
+    assert not is_readable[:, FLUSH_LENGTH : 2 * FLUSH_LENGTH].any()
+    assert is_readable.sum() == 2 * (SAMPLES - FLUSH_LENGTH)
+    assert salvage.lost.keys() == {"/raw/body1", "/raw/body2"}
+
+
+def test_implausible_count_of_samples_is_ignored(tmp_path, monkeypatch):
+    monkeypatch.setattr(Recorder, "_samples_written", property(lambda _: 10**16, lambda *_: None), raising=False)
+    path = write_recording(tmp_path / "a.mcap", random_volts(SAMPLES))
+    path.write_bytes(path.read_bytes()[:-3])
+    daq.recover(path, tmp_path / "fixed.mcap")
+    assert check_readable(tmp_path / "fixed.mcap").all()
+
+
+def test_loss_of_another_channel_is_marked(intact_file, tmp_path):
+    damaged, previous = tmp_path / "damaged.mcap", intact_file
+    for topic in ("/raw/body1", "/raw/body2"):
+        data = bytearray(previous.read_bytes())
+        _, end, _ = [chunk for chunk in chunks_of(previous) if topic in chunk[2]][1]
+        data[end - 5] ^= 1
+        damaged.write_bytes(data)
+        previous = tmp_path / f"{topic[-1]}.mcap"
+        daq.recover(damaged, previous)
+    assert check_readable(previous).sum() == 2 * (SAMPLES - FLUSH_LENGTH)
+
+
+def test_gaps_are_subtracted_in_linear_work():
+    class CountedRanges(list):
+        n_accesses = 0
+
+        def __getitem__(self, index):
+            CountedRanges.n_accesses += 1
+            return super().__getitem__(index)
+
+    for count in (500, 1000):
+        ranges = [(10 * k, 10 * k + 5) for k in range(count)]
+        gaps = CountedRanges((10 * k + 1, 10 * k + 2) for k in range(count))
+        assert len(list(_subtract(ranges, gaps))) == 2 * count
+    assert CountedRanges.n_accesses < 4 * (500 + 1000)

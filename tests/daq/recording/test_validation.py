@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,16 @@ from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.mcap_file.compression import zstd
 from daq.mcap_file.reader import Container
 from daq.mcap_file.writer import ChunkedFile, Message
+from daq.recording import recorder
 from daq.recording.layout import Timebase
 from daq.recording.markers import Marker, event_from_json
-from daq.recording.sample_block import decode, encode
+from daq.recording.sample_block import block_schema, decode, encode
 from daq.signal_chain.channel import ChannelInfo
 from daq.viewing.description import describe
-from rig.errors import RecordingError, add_path
+from rig.errors import RecordingError, RunWarning, add_path
 from rig.escaping import is_single_line
 from tests.daq.mcap_file.mcap_records import message, packed_chunk, record
-from tests.daq.recording.recordings import FLUSH_LENGTH, random_volts, write_recording
+from tests.daq.recording.recordings import CONVERTER_24_BIT, FLUSH_LENGTH, make_scene, random_volts, write_recording
 
 ANY_JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**300) | st.text() | st.just("x" * 60_000),
@@ -155,3 +157,39 @@ def test_nested_error_names_the_file_once(reason: str) -> None:
     with pytest.raises(RecordingError) as reported, add_path(path), add_path(path):
         raise RecordingError(reason)
     assert str(reported.value).count("r.mcap") == 1 and str(reported.value).endswith(reason)
+
+
+SIGNALING_NAN = np.array([0x7F800001], "<u4").view("<f4")[0]
+
+
+@pytest.mark.parametrize(
+    ("stored", "value"),
+    [*itertools.product(["float64", "float32"], [np.nan, np.inf, -np.inf, 1e31]), ("float32", SIGNALING_NAN)],
+)
+def test_number_that_is_no_voltage_is_lost(tmp_path: Path, stored: str, value: float) -> None:
+    volts = random_volts(3 * FLUSH_LENGTH).astype(stored)
+    volts[1, 2000:2010] = value
+    path = write_recording(tmp_path / "a.mcap", volts, make_scene(recording={"samples": stored}))
+    with daq.open(path) as recording:
+        with pytest.warns(RunWarning, match="sample 2000 .* no measured value") as caught:
+            assert np.flatnonzero(np.isnan(recording.read("body2"))).tolist() == [*range(2000, 2010)]
+            assert [(each.first_sample, each.last_sample, each.channels) for each in recording.gaps] == [
+                (2000, 2009, ("body2",))
+            ]
+            with pytest.raises(RecordingError, match="samples 2000 to 2009 of body2"):
+                recording.check()
+        assert len(caught) == 1 and np.isfinite(recording.read("body1")).all()
+
+
+def test_relabelled_sample_type_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recorder, "block_schema", lambda _: block_schema("shotrig.BlockFloat32"))
+    counts = np.arange(2 * FLUSH_LENGTH, dtype=np.int32).reshape(2, -1)
+    path = write_recording(tmp_path / "a.mcap", counts, make_scene(**CONVERTER_24_BIT))
+    with pytest.raises(RecordingError, match="samples of type 'counts', the schema 'float32'"):
+        daq.open(path)
+
+
+def test_recovery_of_shifted_samples_is_complete(intact_file: Path, tmp_path: Path) -> None:
+    daq.recover(rewrite(intact_file, shift=2**40), tmp_path / "fixed.mcap")
+    with daq.open(tmp_path / "fixed.mcap") as recording:
+        recording.check()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -431,3 +433,39 @@ def test_any_text_gives_a_scene_or_scene_error(text: str) -> None:
         assert str(error)
     else:
         assert scene.structure.bodies >= 1
+
+
+def count_calls(text: str) -> int:
+    """Count the calls of functions while an invalid scene is loaded."""
+    count = 0
+
+    def profile(frame: object, event: str, argument: object) -> None:
+        nonlocal count
+        count += event == "call"
+
+    sys.setprofile(profile)
+    try:
+        error_of(text)
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+def many_unknown_keys(n: int) -> str:
+    return STRUCTURE + "".join(f"unknown{k}: 1\n" for k in range(n))
+
+
+def many_unknown_names(n: int) -> str:
+    bodies = ", ".join(f"part{k}: 1 kg" for k in range(n))
+    channels = "".join(f"  - {{name: c{k}, at: pert{k}}}\n" for k in range(n))
+    return f"structure: {{masses: {{{bodies}}}, springs: [{', '.join(['1 kN/m'] * n)}]}}\nchannels:\n{channels}"
+
+
+def many_wrong_values(n: int) -> str:
+    return f"structure: {{masses: [{', '.join(['-1 kg'] * n)}], springs: [{', '.join(['1 N'] * n)}]}}\n"
+
+
+@pytest.mark.parametrize("scene", [many_unknown_keys, many_unknown_names, many_wrong_values])
+def test_work_is_linear_in_mistakes(scene: Callable[[int], str]) -> None:
+    error_of(scene(10))
+    assert count_calls(scene(400)) < 2.2 * count_calls(scene(200))

@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 # Every sample of a recording is drawn up to this number of samples, summed over the channels. A longer recording is
 # divided into intervals, and the smallest and largest value of each interval are drawn.
-_MAX_SAMPLES = 300_000
+_MAX_SAMPLES = 60_000
 # A long recording is divided into this number of intervals.
 _INTERVALS = 1500
 # Maximum number of spectra in a spectrogram.
-_SPECTRA = 300
+_SPECTRA = 240
 # Number of spectral lines in each spectrum.
-_LINES = 160
+_LINES = 128
 # A spectrogram ends at this multiple of the highest natural frequency of the structure.
 _MAX_FREQUENCY_RATIO = 3.0
 # A block has at least this number of samples; a shorter block has too little frequency resolution.
@@ -50,7 +50,7 @@ def time_histories(rec: Recording) -> Chart:
         panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
-        f"Time histories, {resolution}. Drag to zoom, double-click to reset.",
+        f"Time histories, {resolution}.",
         f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
         panels,
         x_name="time",

@@ -80,35 +80,48 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     results, charts = measurements.results, ChartWriter()
     changes = measurements.changes()
     sentences = summarize(results, changes)
-    sections = ['<section class="answer">', *(f"<p>{escape_html(text)}</p>" for text in sentences)]
-    sections += [f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))]
-    sections.append("</section>")
-    sections += [changes_table(changes), resonances(results), decays(results)]
-    if measurements.warnings:
-        items = "".join(f"<li>{escape_html(note)}</li>" for note in measurements.warnings)
-        sections.append(f'<h2>Warnings</h2><ul class="warnings">{items}</ul>')
-    responses = [charts.write(chart) for chart in response_charts(results)]
-    if responses:
-        sections += ["<h2>Frequency responses</h2>", *responses]
-    sections += _modes(results)
-    motions = [
-        charts.write(damper_chart(measurement, result)) for measurement in results for result in measurement.dampers
+    warnings = [f"<li>{escape_html(note)}</li>" for note in measurements.warnings]
+    dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
+    # Title and content of each section; a section without content is omitted.
+    sections = {
+        "Frequency responses": [charts.write(chart) for chart in response_charts(results)],
+        "Results": [changes_table(changes), resonances(results), decays(results)],
+        "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
+        "Mode shapes": _modes(results),
+        "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
+        "Free decays": [charts.write(chart) for chart in decay_charts(results)],
+        "Uncertainty": _budgets(results),
+        **{f"Recording {each.path.name}": _recording(each, charts, each is not results[0]) for each in results},
+        "How to repeat this": _commands(paths, results),
+    }
+    filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
+    anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
+    links = "".join(f'<li><a href="#{anchors[title]}">{escape_html(title)}</a></li>' for title in filled)
+    tests = "".join(
+        f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))
+    )
+    body = [
+        '<div class="first"><div>',
+        '<section class="answer">',
+        *(f"<p>{escape_html(text)}</p>" for text in sentences),
+        "</section>",
+        tests if len(results) == 1 else f"<details><summary>{len(results)} tests</summary>{tests}</details>",
+        f'</div><figure class="rig">{rig_drawing(results[0].rec.scene)}</figure></div>',
+        f"<nav><ul>{links}</ul></nav>",
+        *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
     ]
-    if motions:
-        sections += ["<h2>Dampers</h2>", *motions]
-    free_decays = [charts.write(chart) for chart in decay_charts(results)]
-    if free_decays:
-        sections += ["<h2>Free decays</h2>", *free_decays]
-    sections += _budgets(results)
-    for measurement in results:
-        sections += [
-            f"<h2>Recording {escape_html(measurement.path.name)}</h2>",
-            f"<figure>{rig_drawing(measurement.rec.scene)}</figure>",
-        ]
-        sections += [settings(measurement), charts.write(time_histories(measurement.rec))]
-        sections += [charts.write(chart) for chart in spectrograms(measurement.rec)]
-    sections += _commands(paths, results)
-    return sentences, "\n".join(sections)
+    return sentences, "\n".join(body)
+
+
+def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) -> list[str]:
+    """Write the settings, time histories and spectrograms of a recording; `is_drawn`: also its rig."""
+    pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec))
+    return [
+        f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
+        charts.write(time_histories(measurement.rec)),
+        settings(measurement),
+        f"<details><summary>Spectrograms</summary>{pictures}</details>" if pictures else "",
+    ]
 
 
 def _test_description(measurement: Measurement) -> str:
@@ -136,14 +149,13 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
                 f"<h3>{escape_html(measurement.label)}</h3>",
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
-    return ["<h2>Mode shapes</h2>", *sections] if sections else []
+    return sections
 
 
 def _budgets(results: Sequence[Measurement]) -> list[str]:
     """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
     peaks = [(measurement, measurement.sweeps[0].highest) for measurement in results if measurement.sweeps]
-    tables = [budget(measurement, *highest) for measurement, highest in peaks if highest is not None]
-    return ["<h2>Uncertainty</h2>", *tables] if tables else []
+    return [budget(measurement, *highest) for measurement, highest in peaks if highest is not None]
 
 
 def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str]:
@@ -176,7 +188,6 @@ def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str
         names = ", ".join(f"{measurement.path.stem}.yaml" for measurement in recorded)
         origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
-        "<h2>How to repeat this</h2>",
         f"<pre>{escape_html(chr(10).join(lines))}</pre>",
         f"<p>{escape_html(origin)}</p>",
     ]

@@ -54,8 +54,7 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
     band = np.concatenate([frf.frequency for frf in thinned])
     return Chart(
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % intervals, phase, coherence, "
-        "and expanded uncertainty relative to the value. Drag to zoom, double-click to reset, click a name to hide a "
-        "curve.",
+        "and expanded uncertainty relative to the value.",
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),

@@ -227,7 +227,8 @@ def settings(measurement: Measurement) -> str:
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
-        f"<table>{facts_html}</table>{table('Channels', heading, channels)}"
+        f"<details><summary>Settings and channels</summary><table>{facts_html}</table>"
+        f"{table('Channels', heading, channels)}</details>"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )
 

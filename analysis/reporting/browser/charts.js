@@ -4,7 +4,8 @@
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3" };
   const DARK = { text: "#dfe4ea", grid: "#3a424c" };
-  const MAX_WIDTH = 700; // px: the printable width of A4
+  const PRINT_WIDTH = 700; // px: the printable width of A4
+  const PRINT_HEIGHT = 0.62; // of the height on screen: two charts fit on a page
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
   const plots = [];
@@ -134,16 +135,10 @@
       shown.push({
         label: curve.label, stroke: curve.color, width: 1.4, spanGaps: false,
         points: { show: curve.x.length !== undefined && curve.x.length <= 160, size: 4, fill: curve.color },
-        value: (plot, value, k, i) => {
-          if (value == null) return "–";
-          const high = curve.high && i != null ? plot.data[main + 2][i] : null;
-          const bound = high == null ? "" : ` ± ${digits(high - value)}`;
-          return `${digits(value)}${bound} ${panel.unit}`;
-        },
       });
       if (!curve.low) continue;
       for (const edge of ["low", "high"]) {
-        shown.push({ label: `${curve.label} ${edge}`, class: "bound", stroke: "transparent", points: { show: false } });
+        shown.push({ label: `${curve.label} ${edge}`, stroke: "transparent", points: { show: false } });
       }
       bands.push({ series: [main + 2, main + 1], fill: curve.color + "33" });
     }
@@ -159,26 +154,166 @@
     return tables.length === 1 ? tables[0] : uPlot.join(tables);
   }
 
+  // The curves of all panels by name: their values under the cursor are in one row of the readout.
+  function curveRows(chart) {
+    const rows = new Map();
+    chart.panels.forEach((panel, k) => {
+      let series = 1;
+      for (const curve of panel.curves) {
+        if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [] });
+        rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low) });
+        series += curve.low ? 3 : 1;
+      }
+    });
+    return rows;
+  }
+
+  // Curves with other abscissae lie between the points of this curve: its nearest point is shown.
+  const MAX_DISTANCE = 60; // points
+  function nearest(values, i) {
+    for (let distance = 0; distance < MAX_DISTANCE; distance++) {
+      if (values[i - distance] != null) return i - distance;
+      if (values[i + distance] != null) return i + distance;
+    }
+    return null;
+  }
+
+  function element(parent, tag, text = "", style = "") {
+    const made = document.createElement(tag);
+    made.textContent = text;
+    made.className = style;
+    return parent.appendChild(made);
+  }
+
+  // One table below the chart: a name for each curve, which hides it, and its value in each panel under the cursor.
+  function readout(holder, chart, drawn) {
+    const table = element(holder, "table", "", "readout"), head = element(table, "tr");
+    const abscissa = element(head, "th");
+    const update = [(x) => { abscissa.textContent = `${chart.x.name}: ${x == null ? "–" : `${Number(x.toPrecision(6))} ${chart.x.unit}`}`; }];
+    for (const panel of chart.panels) element(head, "td", panel.label);
+    for (const [label, { color, places }] of curveRows(chart)) {
+      const row = element(table, "tr"), name = element(row, "th", "", "name");
+      element(name, "span", "", "swatch").style.background = color;
+      name.append(label);
+      name.title = "Hide or show this curve";
+      name.addEventListener("click", () => {
+        const shown = row.classList.toggle("hidden");
+        for (const { k, series, bounded } of places) {
+          for (let n = series; n < series + (bounded ? 3 : 1); n++) drawn[k].setSeries(n, { show: !shown });
+        }
+      });
+      const cells = chart.panels.map(() => element(row, "td", "–"));
+      for (const { k, series, bounded } of places) {
+        update.push((x, i) => {
+          const at = i == null ? null : nearest(drawn[k].data[series], i), value = at == null ? null : drawn[k].data[series][at];
+          const high = value == null || !bounded ? null : drawn[k].data[series + 2][at];
+          cells[k].textContent = value == null ? "–" : `${digits(value)}${high == null ? "" : ` ± ${digits(high - value)}`}`;
+        });
+      }
+    }
+    for (const show of update) show(null, null);
+    return (plot) => {
+      const i = plot.cursor.idx;
+      for (const show of update) show(i == null ? null : plot.data[0][i], i);
+    };
+  }
+
+  function save(name, address) {
+    const link = document.createElement("a");
+    link.download = name;
+    link.href = address;
+    link.click();
+  }
+
+  // The curves as a table: a column for each abscissa and curve of each panel, as they may differ.
+  function csv(chart, drawn) {
+    const columns = [];
+    chart.panels.forEach((panel, k) => {
+      if (!panel.curves.length) return;
+      columns.push([chart.x.label, ...drawn[k].data[0]]);
+      drawn[k].series.slice(1).forEach((curve, n) => columns.push([`${panel.label}: ${curve.label}`, ...drawn[k].data[n + 1]]));
+    });
+    const rows = Math.max(...columns.map((column) => column.length));
+    const cell = (value) => (value == null ? "" : typeof value === "number" ? value : `"${value.replaceAll('"', '""')}"`);
+    return Array.from({ length: rows }, (_, i) => columns.map((column) => cell(column[i])).join(",")).join("\n");
+  }
+
+  function png(drawn) {
+    const sources = drawn.map((plot) => plot.ctx.canvas), canvas = document.createElement("canvas");
+    canvas.width = Math.max(...sources.map((source) => source.width));
+    canvas.height = sources.reduce((sum, source) => sum + source.height, 0);
+    const context = canvas.getContext("2d");
+    context.fillStyle = getComputedStyle(document.body).backgroundColor;
+    context.fillRect(0, 0, canvas.width, canvas.height);
+    let top = 0;
+    for (const source of sources) {
+      context.drawImage(source, 0, top);
+      top += source.height;
+    }
+    return canvas.toDataURL("image/png");
+  }
+
+  function tools(holder, chart, drawn) {
+    const bar = element(holder, "div", "", "tools"), name = holder.dataset.source;
+    if (chart.panels.some((panel) => panel.curves.length)) {
+      element(bar, "button", "CSV").addEventListener("click", () => {
+        save(`${name}.csv`, `data:text/csv;charset=utf-8,${encodeURIComponent(csv(chart, drawn))}`);
+      });
+    }
+    element(bar, "button", "PNG").addEventListener("click", () => save(`${name}.png`, png(drawn)));
+    element(bar, "span", "Drag sideways to zoom, double-click or double-tap to reset.");
+  }
+
+  // uPlot zooms with the mouse; a finger that moves sideways selects a range in the same way.
+  function zoomByTouch(plot) {
+    let start = null, lastTap = 0;
+    const position = (event) => event.clientX - plot.over.getBoundingClientRect().left;
+    plot.over.addEventListener("pointerdown", (event) => {
+      if (event.pointerType !== "touch") return;
+      start = position(event);
+      if (event.timeStamp - lastTap < 300) plot.setData(plot.data);
+      lastTap = event.timeStamp;
+    });
+    plot.over.addEventListener("pointermove", (event) => {
+      if (start == null || event.pointerType !== "touch") return;
+      const left = Math.min(start, position(event)), width = Math.abs(position(event) - start);
+      plot.setSelect({ left, width, top: 0, height: plot.over.clientHeight }, false);
+    });
+    plot.over.addEventListener("pointerup", (event) => {
+      if (start == null || event.pointerType !== "touch") return;
+      const ends = [start, position(event)].sort((a, b) => a - b), [low, high] = ends.map((x) => plot.posToVal(x, "x"));
+      plot.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+      if (ends[1] - ends[0] > 10) for (const other of plots.filter(({ holder }) => holder.contains(plot.root))) other.plot.setScale("x", { min: low, max: high });
+      start = null;
+    });
+    plot.over.addEventListener("pointercancel", () => { start = null; });
+  }
+
   function draw(holder, chart, number) {
-    const width = Math.min(holder.clientWidth, MAX_WIDTH);
+    const drawn = [];
+    let show = () => {};
     chart.panels.forEach((panel, k) => {
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width, height: panel.height + (last ? 20 : 0),
+        width: holder.clientWidth || PRINT_WIDTH, height: panel.height + (last ? 20 : 0),
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },
         },
         axes: [axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 20), axis(panel.label, panel.log, 58, panel.ticks)],
-        series: [{ label: chart.x.name, value: (u, v) => (v == null ? "–" : `${Number(v.toPrecision(6))} ${chart.x.unit}`) }, ...shown],
+        series: [{ label: chart.x.name }, ...shown],
         bands,
-        cursor: { sync: { key: `chart${number}`, setSeries: true, scales: ["x", null] }, drag: { x: true, y: false } },
-        legend: { show: panel.curves.length > 0 },
-        hooks: canvas ? { drawClear: [(u) => drawImage(u, panel.image, canvas)] } : {},
+        cursor: { sync: { key: `chart${number}`, setSeries: false, scales: ["x", null] }, drag: { x: true, y: false } },
+        legend: { show: false },
+        hooks: { setCursor: [(u) => show(u)], ...(canvas ? { drawClear: [(u) => drawImage(u, panel.image, canvas)] } : {}) },
       }, table(panel), holder);
-      plots.push({ plot, holder });
+      zoomByTouch(plot);
+      drawn.push(plot);
+      plots.push({ plot, holder, height: plot.height });
     });
+    if (chart.panels.some((panel) => panel.curves.length)) show = readout(holder, chart, drawn);
+    tools(holder, chart, drawn);
     holder.dataset.drawn = chart.panels.length;
   }
 
@@ -187,9 +322,9 @@
   }
 
   function resize() {
-    for (const { plot, holder } of plots) {
-      const width = Math.min(holder.clientWidth, MAX_WIDTH);
-      if (width !== plot.width) plot.setSize({ width, height: plot.height });
+    for (const { plot, holder, height } of plots) {
+      const width = printing ? PRINT_WIDTH : holder.clientWidth;
+      if (width && width !== plot.width) plot.setSize({ width, height: printing ? PRINT_HEIGHT * height : height });
     }
   }
 
@@ -198,8 +333,9 @@
   });
   window.addEventListener("resize", resize);
   scheme.addEventListener("change", redraw);
-  // Paper shows the scene files, which repeat the test.
+  document.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", resize));
+  // Paper shows the settings and scene files, which repeat the test.
   const showDetails = (open) => document.querySelectorAll("details").forEach((details) => { details.open = open; });
-  window.addEventListener("beforeprint", () => { printing = true; showDetails(true); redraw(); });
-  window.addEventListener("afterprint", () => { printing = false; showDetails(false); redraw(); });
+  window.addEventListener("beforeprint", () => { printing = true; showDetails(true); resize(); redraw(); });
+  window.addEventListener("afterprint", () => { printing = false; showDetails(false); resize(); redraw(); });
 })();

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, ClassVar
 
 from rig.escaping import escape_terminal
 from rig.progress import CountProgress, FractionProgress
 
+_LOG = logging.getLogger("shotrig.compiling")
 # A command reports that it is still running after this time without output.
 MAX_SILENCE_S = 12.0
 # Delays separated by less than this count as one delay.
 _MAX_DELAY_GAP_S = 5.0
+
+
+@cache
+def warn_of_compilation(text: str) -> None:
+    """Log a warning about machine code, once in a process."""
+    _LOG.warning(text)
 
 
 class Unwritable(OSError):

@@ -16,12 +16,13 @@ from typing import Any
 import llvmlite.binding
 import numba
 from numba.core import types
-from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
+from rig.numerics.code_cache import CodeCache
+
 # If numba lacks these internals, the import fails with AttributeError, and `rig.numerics.jit` uses public options.
-getattr(JITCodeLibrary, "_optimize_final_module"), getattr(FunctionCache, "_load_overload")  # noqa: B009
+getattr(JITCodeLibrary, "_optimize_final_module")  # noqa: B009
 
 
 class _EntryLibrary(JITCodeLibrary):
@@ -75,7 +76,7 @@ def _callee(function: Callable[..., object], options: dict[str, Any]) -> Any:
 
 def njit(function: Callable[..., object], cache: bool, **options: Any) -> Any:
     """Compile a function as `numba.njit` does; a kernel has the option `_nrt` False, because it creates no arrays."""
-    dispatcher: Any = numba.njit(cache=cache, pipeline_class=_EntryCompiler, **options)(function)
+    dispatcher: Any = numba.njit(pipeline_class=_EntryCompiler, **options)(function)
     callee = functools.cache(lambda: _callee(function, options))
 
     def get_call_template(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
@@ -83,6 +84,6 @@ def njit(function: Callable[..., object], cache: bool, **options: Any) -> Any:
 
     dispatcher.get_call_template = get_call_template
     dispatcher.get_overload = lambda args: callee().overloads[args].fndesc
-    if cache and not options.get("_nrt", True):
-        dispatcher._cache.load_overload = dispatcher._cache._load_overload  # noqa: SLF001
+    if cache:
+        dispatcher._cache = CodeCache(function, refreshes=options.get("_nrt", True))  # noqa: SLF001
     return dispatcher

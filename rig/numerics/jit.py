@@ -14,7 +14,6 @@ import functools
 import gc
 import hashlib
 import inspect
-import logging
 import os
 import re
 import shutil
@@ -30,12 +29,12 @@ import platformdirs
 from numba.core.event import Event, Listener, register
 
 from rig import console
+from rig.console import warn_of_compilation
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _CONFIG: Any = numba.config
 _COMPILING = "compiling machine code"
-_LOG = logging.getLogger("shotrig.compiling")
 _ROOT = Path(__file__).parents[2]
 _IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
 # Number of allocations between runs of the cyclic garbage collector while numba compiles (Python default 700). The
@@ -97,7 +96,7 @@ def code_folder(source: Path) -> Path | None:
             if time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:
-        _warn_once(
+        warn_of_compilation(
             f"the folder {folder} for machine code cannot be written, so every start compiles it again (up to a "
             "minute). Set the environment variable NUMBA_CACHE_DIR to a folder that can be written."
         )
@@ -149,7 +148,7 @@ class _Compiling(Listener):
         self._gc_thresholds.append((young, *older))
         gc.set_threshold(young and max(young, _GC_THRESHOLD), *older)
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
-            _warn_once(
+            warn_of_compilation(
                 f"{_COMPILING} for this processor, once: about 20 s, or up to a minute if several parts of the program "
                 "are needed"
             )
@@ -162,12 +161,6 @@ class _Compiling(Listener):
 
 
 register("numba:compile", _Compiling())
-
-
-@functools.cache
-def _warn_once(text: str) -> None:
-    """Log a warning, once in a process."""
-    _LOG.warning(text)
 
 
 def _njit(function: F, is_kernel: bool, **options: Any) -> F:

@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -206,3 +207,45 @@ def test_public_options_count_no_references(kernels: Path) -> None:
     # Counting the references to arrays would make the engine ten times slower.
     hidden = 'import sys; sys.modules["rig.numerics.callees"] = None; from rig.numerics.simd import multiply; '
     assert run(kernels, hidden + 'print(multiply.targetoptions["_nrt"])').stdout == "False\n"
+
+
+# Script that calls a kernel, then prints the names of the kernels that were compiled.
+CALL_COMPILED = """
+from kernels.outer import Pair, outer
+from numba.core.event import install_recorder
+
+with install_recorder("numba:compile") as recorder:
+    print(outer(Pair(1.0, 100.0)))
+print(*(event.data["dispatcher"].py_func.__name__ for _, event in recorder.buffer if event.is_start))
+"""
+
+
+def flip_bit(code: bytes, position: int) -> bytes:
+    return code[:position] + bytes([code[position] ^ 4]) + code[position + 1 :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda code: b"",
+        lambda code: code[:3],
+        lambda code: code[: len(code) // 2],
+        lambda code: flip_bit(code, 0),
+        lambda code: flip_bit(code, len(code) // 3),
+        lambda code: flip_bit(code, len(code) - 9),
+    ],
+)
+def test_damaged_machine_code_is_compiled_again(kernels: Path, damage: Callable[[bytes], bytes]) -> None:
+    run(kernels)
+    (file,) = (kernels / "cache" / "machine-code").glob("kernels-*/outer.outer-*")
+    file.write_bytes(damage(file.read_bytes()))
+    second, third = run(kernels, CALL_COMPILED), run(kernels, CALL_COMPILED)
+    assert second.stdout.split() == ["112.0", "outer", "inner"] and third.stdout.split() == ["112.0"]
+    assert second.stderr.count("is damaged, and is compiled again") == 1 and not third.stderr
+
+
+def test_full_disk_of_machine_code_is_reported(kernels: Path) -> None:
+    full = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100)); "
+    result = run(kernels, full + CALL)
+    assert result.stdout == "112.0\n" and result.stderr.count("cannot be stored") == 1
+    assert not [file for file in kernels.rglob("*.code*") if file.is_file()]

@@ -1,21 +1,19 @@
-"""Settings of the shaker: its kind, its attachment to the structure, and its electronics."""
+"""Parts of the settings of shakers: driven bodies, output, coil, armature and amplifier."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema, model_validator
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler, WithJsonSchema
 from pydantic_core import CoreSchema, core_schema
 
-from rig.data_sheets.data_sheets import Preset, check_preset, data_sheet
-from rig.settings.alternatives import Alternatives, OneOrSeveral, by_kind
+from rig.data_sheets.data_sheets import Preset, check_preset
 from rig.settings.problems import KeyPath, Problem
 from rig.settings.quantities import (
     CURRENT,
     DASHPOT,
     FORCE_FACTOR,
-    FREQUENCY,
     INDUCTANCE,
     MASS,
     RATIO,
@@ -64,7 +62,7 @@ class Output(Settings):
             yield Problem(("bits",), "given without range. Add range, the largest voltage, such as 10 V.")
 
 
-class _BodyOrBodies:
+class BodyOrBodies:
     """One body or a list of bodies, counted from 1."""
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -85,45 +83,6 @@ class _BodyOrBodies:
         if len(set(bodies)) != len(bodies):
             raise unexpected_value_error(value, "a list that names each body once")
         return bodies if is_list else bodies[0]
-
-
-class ForceShaker(Settings):
-    """A force that acts on one body, or the same force on several, with nothing attached to them."""
-
-    kind: Literal["force"] = "force"
-    body: Annotated[int | tuple[int, ...], _BodyOrBodies()]
-    """The number of a body, from 1, or its name; or a list of bodies."""
-    output: Output = Output()
-    """The analog output whose voltage is the drive."""
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """The driven bodies, from 1."""
-        return self.body if isinstance(self.body, tuple) else (self.body,)
-
-    @property
-    def spring(self) -> None:
-        """There is no coil spring."""
-
-
-class TableShaker(Settings):
-    """A table with prescribed displacement that drives body `body` through the coil spring."""
-
-    kind: Literal["table"] = "table"
-    body: Body
-    """The driven body, by its number from 1 or its name."""
-    spring: CoilSpring
-    """Stiffness of the coil spring [N/m]."""
-    bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
-    """Corner frequency of the position servo [Hz], a critically damped second-order system. The table velocity is
-    continuous, as required to measure its acceleration."""
-    output: Output = Output()
-    """The analog output whose voltage is the drive."""
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """The driven body, from 1."""
-        return (self.body,)
 
 
 class Coil(Settings):
@@ -164,53 +123,3 @@ class Amplifier(Settings):
         if content.get("mode") == "current":
             return {("gain",): TRANSCONDUCTANCE, ("limit",): CURRENT}
         return {("gain",): RATIO, ("limit",): VOLTAGE}
-
-
-class ElectrodynamicShaker(Settings):
-    """A moving-coil shaker that drives body `body` through the coil spring, with the reaction of the structure."""
-
-    kind: Literal["electrodynamic"] = "electrodynamic"
-    preset: Preset | None = None
-    """Name of a shaker whose data sheet supplies the values of coil and armature not given here."""
-    body: Body
-    """The driven body, by its number from 1 or its name."""
-    spring: CoilSpring
-    """Stiffness of the coil spring between the table and the body [N/m]."""
-    coil: Coil = Coil()
-    armature: Armature = Armature()
-    amplifier: Amplifier = Amplifier()
-    output: Output = Output()
-    """The analog output whose voltage is the drive."""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _complete_from_preset(cls, content: Any) -> Any:
-        """Complete the given values with those of the data sheet."""
-        preset = content.get("preset") if isinstance(content, Mapping) else None
-        if not isinstance(preset, str) or any(check_preset(preset, "shaker")):
-            return content
-        parts = {
-            part: {**values, **content.get(part, {})}
-            for part, values in data_sheet(preset, "shaker").settings["shaker"].items()
-            if isinstance(content.get(part, {}), Mapping)
-        }
-        return {**content, **parts}
-
-    def check_consistency(self) -> Iterable[Problem]:
-        """Check that the part is known."""
-        return check_preset(self.preset, "shaker")
-
-    @property
-    def bodies(self) -> tuple[int, ...]:
-        """The driven body, from 1."""
-        return (self.body,)
-
-
-Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
-#: Type of `shaker:` in a scene: one shaker or a list.
-Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]
-
-
-def as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
-    """Return the shakers of the section `shaker`."""
-    return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)

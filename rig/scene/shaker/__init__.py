@@ -1,0 +1,24 @@
+"""Settings of shakers. Each kind has a module of its name."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from rig.scene.shaker.electrodynamic import ElectrodynamicShaker as ElectrodynamicShaker
+from rig.scene.shaker.force import ForceShaker as ForceShaker
+from rig.scene.shaker.parts import DRIVE_PER_VOLT as DRIVE_PER_VOLT
+from rig.scene.shaker.parts import Body as Body
+from rig.scene.shaker.parts import Coil as Coil
+from rig.scene.shaker.parts import Output as Output
+from rig.scene.shaker.parts import at_shaker as at_shaker
+from rig.scene.shaker.table import TableShaker as TableShaker
+from rig.settings.alternatives import Alternatives, OneOrSeveral, by_kind
+
+Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
+#: Type of `shaker:` in a scene: one shaker or a list.
+Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]
+
+
+def as_tuple(shaker: Shaker | tuple[Shaker, ...] | None) -> tuple[Shaker, ...]:
+    """Return the shakers of the section `shaker`."""
+    return shaker if isinstance(shaker, tuple) else () if shaker is None else (shaker,)

@@ -109,7 +109,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
         raise RecordingError(
             f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
         )
-    spring = getattr(scene.driven_shaker, "spring", None)
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     reference = "force" if spring is None or rec.test.kind is TestKind.HITS else "table"
     has_tones = rec.test.kind is TestKind.TONES
     if any(damper.moves for damper in scene.dampers) and not has_tones:

@@ -188,7 +188,7 @@ def _values(scene: Scene) -> Iterator[tuple[KeyPath, float | None]]:
             yield ("dampers", k, name), getattr(damper, name)
         yield from _wall_values(("dampers", k, "contact"), damper.contact)
     if len(scene.shakers) == 1 and not isinstance(scene.shaker, tuple):
-        yield ("shaker", "spring"), scene.shakers[0].spring
+        yield ("shaker", "spring"), scene.shakers[0].coil_spring
 
 
 def _wall_values(

@@ -117,7 +117,7 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     A modal constant is -2 omega times the imaginary part of the residue.
     """
     test_scene = scene_of_test(scene, group.curves)
-    spring = getattr(test_scene.driven_shaker, "spring", None)
+    spring = None if test_scene.driven_shaker is None else test_scene.driven_shaker.coil_spring
     model = structural_model(test_scene).with_bed_masses()
     if spring is not None:
         model = model.with_ground_springs(driven_bodies(test_scene), spring)

@@ -18,7 +18,7 @@ from daq.recording.recording import Recording
 from rig.errors import SceneError
 from rig.results.response import Response
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker, TableShaker, at_shaker
+from rig.scene.shaker import ForceShaker, at_shaker
 from rig.system.assembly import assemble, matrices_without_free_beds
 from rig.system.open_loop_drive import riding_response
 from rig.system.structural_model import natural_modes
@@ -61,7 +61,7 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
     mass, _, stiffness = matrices_without_free_beds(scene)
     # A table with prescribed displacement is at rest.
     tables = enumerate((shaker for _, shaker in scene.tables), scene.structure.bodies)
-    resting = [row for row, shaker in tables if isinstance(shaker, TableShaker)]
+    resting = [row for row, shaker in tables if shaker.prescribed]
     mass, stiffness = (np.delete(np.delete(matrix, resting, 0), resting, 1) for matrix in (mass, stiffness))
     omega, shapes = natural_modes(mass, stiffness)
     bodies = [rec.channels[name].body - 1 for name in modes.responses]

@@ -102,13 +102,12 @@ def _spring(x: float, top: float, bottom: float) -> str:
 
 def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     """Draw a shaker to the left of the body that it drives, with its coil spring if it has one."""
-    title = {"force": "force", "table": "shaker table", "electrodynamic": "electrodynamic shaker"}[shaker.kind]
-    yield f'<text x="4" y="{y - 30:g}">{escape_html(title)}{"" if number is None else f" {number}"}</text>'
-    if shaker.kind != "force":
+    yield f'<text x="4" y="{y - 30:g}">{escape_html(shaker.glyph.title)}{"" if number is None else f" {number}"}</text>'
+    if shaker.coil_spring is not None:
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
         yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
         yield f'<path stroke="#009E73" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
-        yield f'<text x="62" y="{y + 26:g}">{shaker.spring / 1e3:.4g} kN/m</text>'
+        yield f'<text x="62" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
     else:
         yield f'<path stroke="#009E73" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
 

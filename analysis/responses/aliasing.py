@@ -12,7 +12,7 @@ import numpy as np
 from analysis.responses.systematic import ALIASING, ChannelContributions, gain_error_bound, relative_to_reading
 from rig.arrays import Array, ComplexArray
 from rig.results.response import MOTIONS
-from rig.scene.shaker import ElectrodynamicShaker, TableShaker
+from rig.scene.shaker import Shaker
 from rig.system.structural_model import bed_masses, mass_matrix
 
 if TYPE_CHECKING:
@@ -67,10 +67,10 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
             # Velocity and displacement decrease with frequency, relative to the acceleration.
             transmission *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
-        if info.at == "table" and isinstance(shaker, TableShaker | ElectrodynamicShaker):
+        if info.at == "table" and shaker is not None:
             # If the channel does not contribute to the force, its contribution is computed from the response of the
             # driven body: k0 x0 / F = 1 + k0 x1 / F.
-            spring_share = np.where(reference[row] == 0.0, 1.0 + shaker.spring * value, reference[row])
+            spring_share = np.where(reference[row] == 0.0, 1.0 + (shaker.coil_spring or 0.0) * value, reference[row])
             image_ratio = _image_ratio(shaker, frequency, images, spring_share)
             true_ratio[row] = _FURTHER_IMAGES * np.sum(transmission * image_ratio, axis=0)
             recorded_ratio[row] = relative_to_reading(true_ratio[row])
@@ -114,9 +114,7 @@ def _inverse_mass(scene: Scene, body: int) -> float:
     return float(np.linalg.inv(mass_matrix(scene.structure))[body - 1, body - 1])
 
 
-def _image_ratio(
-    shaker: TableShaker | ElectrodynamicShaker, frequency: Array, images: Array, spring_share: ComplexArray
-) -> Array:
+def _image_ratio(shaker: Shaker, frequency: Array, images: Array, spring_share: ComplexArray) -> Array:
     """Compute the ratio of table accelerations due to images of the drive and due to the drive, shape (images, lines).
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
@@ -124,21 +122,9 @@ def _image_ratio(
     frequency ratio; its acceleration per displacement is larger by the same factor. `spring_share`: spring stiffness
     times X0 / F at each line.
     """
-    per_motion, per_force = _required_drive(shaker, frequency)
-    image_per_motion, image_per_force = _required_drive(shaker, images)
+    spring = shaker.coil_spring or 0.0
+    per_motion, per_force = shaker.required_drive(np.asarray(2j * np.pi * frequency, dtype=np.complex128))
+    image_per_motion, image_per_force = shaker.required_drive(np.asarray(2j * np.pi * images, dtype=np.complex128))
     with np.errstate(divide="ignore", invalid="ignore"):
-        drive = abs(per_motion) + abs(per_force) * shaker.spring / np.maximum(abs(spring_share), 1e-300)
-    return np.asarray(drive / abs(image_per_motion + image_per_force * shaker.spring))
-
-
-def _required_drive(shaker: TableShaker | ElectrodynamicShaker, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return the drive, up to a constant gain, per meter of table motion and per newton of force on the table."""
-    s: ComplexArray = np.asarray(2j * np.pi * frequency, dtype=np.complex128)
-    if isinstance(shaker, TableShaker):
-        return np.square(1.0 + s / (2.0 * np.pi * shaker.bandwidth)), np.zeros_like(s)
-    coil, armature = shaker.coil, shaker.armature
-    force = armature.mass * s**2 + armature.damping * s + armature.stiffness
-    if shaker.amplifier.mode == "current":
-        return force, np.ones_like(s)
-    impedance = (coil.resistance + coil.inductance * s) / coil.force_factor
-    return impedance * force + coil.force_factor * s, impedance
+        drive = abs(per_motion) + abs(per_force) * spring / np.maximum(abs(spring_share), 1e-300)
+    return np.asarray(drive / abs(image_per_motion + image_per_force * spring))

@@ -139,21 +139,21 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
             "Add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`."
         )
     shaker = rec.scene.driven_shaker
-    if shaker is None or shaker.spring is None:
+    if shaker is None or shaker.coil_spring is None:
         hint = "Drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}."
         if shaker is not None:
             hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
         raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}, no coil spring). {hint}")
-    ends = []
-    for at in (rec.scene.at_driven("table"), f"body {shaker.body}"):
+    ends, terms = [], shaker.force_terms("", rec.scene.at_driven("table"))
+    for at in terms:
         info = motion_channel_at(rec, at)
         if info is None:
             raise RecordingError(
-                f"{rec.path}: the spring force k0 (x0 - x{shaker.body}) needs a motion channel at {at} "
+                f"{rec.path}: the spring force k0 (x0 - x{shaker.bodies[0]}) needs a motion channel at {at} "
                 f"({_places(rec)}). Add {{name: {at.replace(' ', '')}, at: {at}}} to the scene's channels."
             )
         ends.append(info.name)
-    return Measurand(tuple(ends), (shaker.spring, -shaker.spring), "displacement")
+    return Measurand(tuple(ends), tuple(terms.values()), "displacement")
 
 
 def input_location(rec: Recording, reference: str) -> str:

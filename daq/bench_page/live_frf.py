@@ -130,7 +130,7 @@ def _force_weights(station: Station, frequency: Array) -> ComplexArray:
             weights[row] = 1.0 / info.response(frequency)
             return weights
     shaker = station.scene.driven_shaker
-    if has_hammer or shaker is None or shaker.spring is None:
+    if has_hammer or shaker is None or shaker.coil_spring is None:
         position = "hammer" if has_hammer else "shaker"
         raise SceneError(
             f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}} to the "

@@ -29,7 +29,7 @@ class RigDrawing:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._shaker_bodies = [shaker.body for _, shaker in scene.tables]
+        self._shaker_bodies = [shaker.bodies[0] for _, shaker in scene.tables]
         self._exaggeration = 0.0
         self.svg = ""
 

@@ -145,7 +145,9 @@ class RigView:
         for table in self.shaker_tables:
             yield from self._shaker(table)
         # Arrows show forces that act directly on a body: a shaker of kind force, and the hammer.
-        forced_bodies = [body for shaker in self.scene.shakers if shaker.kind == "force" for body in shaker.bodies]
+        forced_bodies = [
+            body for shaker in self.scene.shakers if shaker.glyph.shape == "arrow" for body in shaker.bodies
+        ]
         for body in dict.fromkeys(forced_bodies):
             yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
         if self.scene.hammer is not None:
@@ -207,7 +209,7 @@ class RigView:
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
         height = table.top - PLATE - 0.012
         middle = (table.x, 0.0, height / 2)
-        if table.kind == "electrodynamic":
+        if table.glyph.shape == "cylinder":
             yield table.entity("shaker"), cylinder(middle, height, 0.036, DARK_STEEL)
         else:
             yield table.entity("shaker"), boxes([(middle, (0.07, 0.07, height))], DARK_STEEL)
@@ -216,7 +218,7 @@ class RigView:
         color = self._color(table.point, DRIVE)
         yield f"{table.entity('table')}/plate", boxes([plate, stem], color)
         label_position = (table.x + 0.055, -0.09, -PLATE)
-        text = table.point if table.kind == "table" else table.point.replace("table", "armature")
+        text = table.point.replace("table", table.glyph.table)
         yield f"{table.entity('table')}/name", label(label_position, text + self._note(table.point), color)
         yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 

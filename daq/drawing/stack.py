@@ -15,6 +15,7 @@ from daq.drawing.shapes import Point
 if TYPE_CHECKING:
     from rig.scene.damper import Damper
     from rig.scene.scene import Scene
+    from rig.scene.shaker.kind import Glyph
 
     Box = tuple[Point, Point]
 
@@ -83,7 +84,7 @@ class Table(NamedTuple):
     """The table of a shaker; lengths in m."""
 
     point: str  # name, such as ``table``
-    kind: str  # of the shaker
+    glyph: Glyph  # of the shaker
     body: int  # on its coil spring, from 1
     x: float  # position
     top: float  # height of its top
@@ -100,7 +101,7 @@ class Stack:
         bodies = range(1, scene.structure.bodies + 1)
         self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, exaggeration) for body in bodies]
         self.heights = [HOLLOW_HEIGHT if body_cavities else SOLID_HEIGHT for body_cavities in self.cavities]
-        shaker_bodies = [shaker.body for _, shaker in scene.tables]
+        shaker_bodies = [shaker.bodies[0] for _, shaker in scene.tables]
         # A table of body 1, with its coil spring, requires space below the body.
         first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
         self.lengths = [first_length] + [SPRING_LENGTH] * (len(bodies) - 1)
@@ -115,7 +116,7 @@ class Stack:
         for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
             is_under_body = body == 1 and shaker_bodies.index(1) == len(self.tables)
             x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_positions)
-            self.tables.append(Table(point, shaker.kind, body, x, self.bottoms[body - 1] - COIL_LENGTH))
+            self.tables.append(Table(point, shaker.glyph, body, x, self.bottoms[body - 1] - COIL_LENGTH))
 
 
 def round_factor(limit: float) -> float:

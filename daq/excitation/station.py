@@ -59,7 +59,7 @@ class Station:
     @property
     def force_is_drive(self) -> bool:
         """Whether the drive is the force on the structure itself."""
-        return self.scene.driven_shaker is not None and self.scene.driven_shaker.kind == "force"
+        return self.scene.driven_shaker is not None and self.scene.driven_shaker.drive_is_force
 
     @property
     def is_force_controlled(self) -> bool:
@@ -108,15 +108,17 @@ class Station:
     @property
     def spring_rows(self) -> tuple[int, int]:
         """Rows of the channels at both ends of the coil spring: table, then body."""
-        assert self.scene.driven_shaker is not None
-        return self.motion_row(self.scene.at_driven("table")), self.motion_row(f"body {self.scene.driven_shaker.body}")
+        shaker = self.scene.driven_shaker
+        assert shaker is not None
+        table, body = shaker.force_terms("", self.scene.at_driven("table"))
+        return self.motion_row(table), self.motion_row(body)
 
     @property
     def spring_stiffness(self) -> float:
         """Stiffness of the coil spring, N/m."""
         shaker = self.scene.driven_shaker
-        assert shaker is not None and shaker.spring is not None
-        return shaker.spring
+        assert shaker is not None and shaker.coil_spring is not None
+        return shaker.coil_spring
 
     def displacement_factor(self, row: int, frequency: Array | float) -> ComplexArray:
         """Return the factor from a channel's complex amplitude to its displacement in m, at frequencies in Hz."""
@@ -136,19 +138,10 @@ class Station:
     @property
     def drive_limit(self) -> float:
         """Largest drive within the range of the shaker's amplifier; V, m or N."""
-        shaker = self.scene.driven_shaker
-        if shaker is None or shaker.kind != "electrodynamic":
-            return np.inf
-        return shaker.amplifier.limit / shaker.amplifier.gain
+        return np.inf if self.scene.driven_shaker is None else self.scene.driven_shaker.drive_limit
 
     @property
     def cautious_drive(self) -> float:
         """Initial drive per newton of spring force: a fifth of a rough static estimate, to start below the level."""
-        shaker = self.scene.driven_shaker
-        assert shaker is not None and shaker.kind != "force"
-        if shaker.kind == "table":
-            return 0.2 / self.spring_stiffness
-        newtons_per_drive = shaker.coil.force_factor * shaker.amplifier.gain
-        if shaker.amplifier.mode == "voltage":
-            newtons_per_drive /= shaker.coil.resistance
-        return 0.2 / newtons_per_drive
+        assert self.scene.driven_shaker is not None
+        return 0.2 / self.scene.driven_shaker.newtons_per_drive

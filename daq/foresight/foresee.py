@@ -36,7 +36,7 @@ from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
-from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker
+from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.system.assembly import assemble
 from rig.system.impact_acceleration import impact_acceleration
 
@@ -270,8 +270,7 @@ class _Assessment:
             if drive == 0.0:
                 continue
             output = complete_from_preset(shaker.output).range
-            amplifier = shaker.amplifier if isinstance(shaker, ElectrodynamicShaker) else None
-            drive_limit = np.inf if amplifier is None else amplifier.limit / amplifier.gain
+            amplifier, drive_limit = shaker.power_amplifier, shaker.drive_limit
             if drive >= _LIMITED_DRIVE_RATIO * drive_limit:
                 # The drive cannot exceed the limit; the linear response gives the required drive.
                 required = required_drive(self.scene, self.system)
@@ -281,9 +280,10 @@ class _Assessment:
             limit, name = np.inf if output is None else output, f"ao{self.scene.driven - 1}"
             yield Expectation(name, "V", volts, frequency, time, limit, "output", volts > limit)
             if amplifier is not None:
-                unit = "V" if amplifier.mode == "voltage" else "A"
-                magnitude, limit, is_limited = amplifier.gain * drive, amplifier.limit, drive > drive_limit
-                yield Expectation("amplifier", unit, magnitude, frequency, time, limit, "amplifier", is_limited)
+                unit, magnitude, is_limited = amplifier.unit, amplifier.gain * drive, drive > drive_limit
+                yield Expectation(
+                    "amplifier", unit, magnitude, frequency, time, amplifier.limit, "amplifier", is_limited
+                )
 
     def _tables(self) -> Iterable[Expectation]:
         """Yield the largest displacement of each shaker table."""

@@ -23,7 +23,6 @@ from rig.arrays import Array
 from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine, Test
 from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker
 from rig.system.assembly import assemble
 from rig.system.structural_model import structural_model
 
@@ -238,9 +237,8 @@ def level_key(scene: Scene) -> tuple[str, float, str]:
         if levels is not None:
             unit = "N"
             if name == "drive":
-                shaker = scene.driven_shaker
-                unit = "V" if isinstance(shaker, ElectrodynamicShaker) else "m"
-                unit = "N" if shaker is not None and shaker.kind == "force" else unit
+                assert scene.driven_shaker is not None
+                unit = scene.driven_shaker.drive_unit
             return f"test.{name}", float(max(levels) if isinstance(levels, tuple) else levels), unit
     return "", np.nan, ""
 

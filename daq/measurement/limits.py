@@ -139,9 +139,9 @@ class Limits:
 def controlled_places(scene: Scene) -> tuple[str, ...]:
     """Return the locations of the channels for the controlled spring force; empty if no force is controlled."""
     shaker = scene.driven_shaker
-    if shaker is None or shaker.kind == "force" or getattr(scene.test, "force", None) is None:
+    if scene.test is None or shaker is None:
         return ()
-    return scene.at_driven("table"), f"body {shaker.bodies[0]}"
+    return scene.test.controlled_at(shaker, scene.at_driven("table"))
 
 
 class ControlLoss:

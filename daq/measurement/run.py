@@ -246,9 +246,7 @@ def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> st
     places = SceneOutline.of(scene).missing_force_points(channels)
     if not places:
         return None
-    shaker = scene.driven_shaker
-    assert shaker is not None
-    names = ["force" if shaker.kind == "force" else place.replace(" ", "") for place in places]
+    names = ["force" if place.startswith("shaker") else place.replace(" ", "") for place in places]
     missing = " and ".join(f"{{name: {name}, at: {place}}}" for name, place in zip(names, places, strict=True))
     return (
         "no channel measures the force on the structure, so `analysis frf` has no reference. "

@@ -117,8 +117,7 @@ class SceneOutline:
         test = "none" if scene.test is None else scene.test.kind
         shaker, force_points = scene.driven_shaker, tuple[str, ...]()
         if shaker is not None and test not in ("impulse", "free"):
-            table = (scene.at_driven("table"), f"body {shaker.body}")
-            force_points = (scene.at_driven("shaker"),) if shaker.kind == "force" else table
+            force_points = tuple(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
         return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_points)
 
     @classmethod

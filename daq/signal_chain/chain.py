@@ -133,7 +133,7 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
         channels.append(Channel(name="force", at="hammer"))
         return tuple(channels)
     for number, shaker in enumerate(scene.shakers, 1):
-        if shaker.kind == "force":
+        if "shaker" in shaker.points:
             name, location = (at_shaker(word, number, len(scene.shakers)) for word in ("force", "shaker"))
             channels.append(Channel(name=name.replace(" ", ""), at=location))
     return tuple(channels)
@@ -144,8 +144,8 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     if not channel.measures_voltage:
         return channel.at, 1.0
     number = channel.number or 1
-    unit = {"force": "N", "table": "m", "electrodynamic": "V"}[scene.shakers[number - 1].kind]
-    return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[unit]
+    drive_unit = scene.shakers[number - 1].drive_unit
+    return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[drive_unit]
 
 
 def _point_row(channel: Channel, points: Sequence[str]) -> int:

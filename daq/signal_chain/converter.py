@@ -15,7 +15,7 @@ from rig.numerics.runs import merge_spans
 from rig.scene.measurement_chain import Converter as Settings
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
-from rig.scene.shaker import DRIVE_PER_VOLT, ElectrodynamicShaker, ForceShaker, at_shaker
+from rig.scene.shaker import DRIVE_PER_VOLT, at_shaker
 
 
 def volts_per_count(settings: Settings) -> float | None:
@@ -116,12 +116,5 @@ def describe_output(scene: Scene, number: int) -> str:
     'force on arm, 1 N/V'
     """
     shaker = scene.shakers[number - 1]
-    if isinstance(shaker, ForceShaker):
-        bodies = " and ".join(map(scene.structure.label, shaker.bodies))
-        return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"
-    suffix = at_shaker("", number, len(scene.shakers))
-    if isinstance(shaker, ElectrodynamicShaker):
-        current = shaker.amplifier.mode == "current"
-        prefix, unit = ("current through", "A") if current else ("voltage at", "V")
-        return f"{prefix} the coil{suffix and f' of shaker{suffix}'}, {shaker.amplifier.gain:g} {unit}/V"
-    return f"table{suffix} position, {1e3 * DRIVE_PER_VOLT['m']:g} mm/V"
+    bodies = " and ".join(map(scene.structure.label, shaker.bodies))
+    return shaker.output_text(at_shaker("", number, len(scene.shakers)), bodies)

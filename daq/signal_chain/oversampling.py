@@ -13,7 +13,6 @@ from daq.signal_chain.decimation_filter import PASSBAND_EDGE, STOPBAND_EDGE
 from rig.arrays import Array
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
-from rig.scene.shaker import TableShaker
 from rig.system.assembly import assemble
 from rig.system.spheres import contact_time, spheres_of
 
@@ -70,9 +69,9 @@ def choose_oversampling(scene: Scene) -> int:
         if not has_limit:
             resolved_ratio = min(resolved_ratio, PASSBAND_EDGE)
         oversampling = max(alias_ratio, resolved_ratio / MAX_RESOLVED_RATIO)
-        # The drive is piecewise linear; its kinks excite a table up to the table's bandwidth.
-        bandwidths = (shaker.bandwidth for shaker in scene.shakers if isinstance(shaker, TableShaker))
-        oversampling = max(oversampling, max(bandwidths, default=0.0) / rate / MAX_RESOLVED_RATIO)
+        # The drive is piecewise linear; its kinks excite a table up to the table's corner frequency.
+        corner = max((shaker.corner for shaker in scene.shakers), default=0.0)
+        oversampling = max(oversampling, corner / rate / MAX_RESOLVED_RATIO)
     return max(1, min(math.ceil(oversampling), int(MAX_RATE / rate)))
 
 

@@ -17,7 +17,7 @@ from rig.grain_beds.coupling import CoupledPropagator
 from rig.scene.scene import Scene
 from rig.simulation.simulate import simulate
 from rig.steady_response.frequency_response import frequency_response
-from rig.system.assembly import assemble, spring_force_row
+from rig.system.assembly import assemble, force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import tone_drive, with_ideal_force
 
@@ -178,7 +178,7 @@ def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: 
 
 def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
     """Return the first harmonic of the driving force: the force of the coil spring, or the drive itself."""
-    row = spring_force_row(scene, system)
+    row = force_row(scene, system)
     return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 
 

@@ -14,7 +14,6 @@ from rig.scene.excitation import FORCE_TOLERANCE
 from rig.scene.measurement_chain import Channel, Hammer
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.steady_response.frequency_response import frequency_response
 from rig.workers import Workers
 
@@ -70,11 +69,8 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
         return []
     shaker = scene.driven_shaker
     assert shaker is not None
-    needed_locations = [f"body {body}"]
-    if isinstance(shaker, ForceShaker):
-        needed_locations.append(scene.at_driven("shaker"))
-    else:
-        needed_locations += [f"body {shaker.bodies[0]}", scene.at_driven("table")]
+    force_locations = sorted(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
+    needed_locations = [f"body {body}", *force_locations]
     measured_locations = {channel.at for channel in scene.channels}
     names = {channel.name for channel in scene.channels}
     template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)

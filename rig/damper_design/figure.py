@@ -21,7 +21,6 @@ from rig.results import format_decimals, format_number, format_percent
 from rig.scene.damper import Damper
 from rig.scene.excitation import FORCE_TOLERANCE
 from rig.scene.scene import STANDARD_GRAVITY, Scene
-from rig.scene.shaker import ForceShaker
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,7 +173,8 @@ def describe_check(design: Design, scene: Path) -> str:
 
 def _harmonics_of_force(scene: Scene) -> str:
     """Return the first part of a sentence about the force of a test: with a coil spring it is not sinusoidal."""
-    return "" if isinstance(scene.driven_shaker, ForceShaker) else "the coil spring adds harmonics to the force, "
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
+    return "" if spring is None else "the coil spring adds harmonics to the force, "
 
 
 def _has_other_motion(expected: Expected) -> bool:

@@ -110,7 +110,7 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
 def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> float:
     """Estimate an upper bound of the steady acceleration at a point, m/s^2, from the largest displacement of a body."""
     displacement = peak.compliance * level
-    spring = None if scene.driven_shaker is None else scene.driven_shaker.spring
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     # The displacement of the shaker table includes the elongation of the spring.
     if not at.startswith("body") and spring:
         displacement += level / spring

@@ -11,7 +11,6 @@ from rig.errors import SceneError
 from rig.motion_map.grid import select_frequencies
 from rig.scene.body_names import body_number
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.settings.quantities import (
     FORCE,
     FREQUENCY,
@@ -74,7 +73,7 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
 
 def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
     """Replace a drive level of the test (V or m) with a controlled force, because the levels of a design are forces."""
-    if scene.level_key != "drive" or isinstance(scene.driven_shaker, ForceShaker):
+    if scene.level_key != "drive":
         return scene
     if levels is None:
         raise SceneError(

@@ -17,7 +17,7 @@ from rig.escaping import escape_html
 from rig.results import Result
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, TableShaker
+from rig.scene.shaker import Shaker
 from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
@@ -182,31 +182,14 @@ def _damping_text(scene: Scene) -> str:
 
 
 def _shaker_effects(shaker: Shaker, scene: Scene) -> Iterable[Effect]:
-    """List the effects of a shaker: force, or coil spring and table, coil current, amplifier clipping."""
-    bodies = scene.structure.listed(shaker.bodies)
-    if isinstance(shaker, ForceShaker):
-        yield Effect("motion", "force", 0, f"on {bodies}, nothing attached")
-        return
-    spring = f"spring of {shaker.spring:.4g} N/m to {bodies}"
-    if isinstance(shaker, TableShaker):
-        # A hammer test excites these modes, because the coil spring remains attached.
-        with_spring = structural_model(scene).with_ground_springs([body - 1 for body in shaker.bodies], shaker.spring)
-        modes = f"with it and the table at rest {_frequencies_text(with_spring)}"
-        servo = f"position servo of {shaker.bandwidth:.4g} Hz"
-        yield Effect("motion", "coil spring and table", 2, f"{spring}, {modes}; {servo}")
-        return
-    yield Effect("motion", "coil spring and table", 2, f"{spring}; armature of {shaker.armature.mass:.4g} kg")
-    if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
-        coil = shaker.coil
-        yield Effect(
-            "motion",
-            "coil current",
-            1,
-            f"{coil.resistance:.4g} ohm, {coil.inductance:.4g} H, {coil.force_factor:.4g} N/A",
-        )
-    if np.isfinite(shaker.amplifier.limit):
-        unit = "V" if shaker.amplifier.mode == "voltage" else "A"
-        yield Effect("motion", "amplifier clipping", 0, f"at {shaker.amplifier.limit:.4g} {unit}")
+    """List the effects of a shaker."""
+
+    def modes_at_rest() -> str:
+        driven = [body - 1 for body in shaker.bodies]
+        return _frequencies_text(structural_model(scene).with_ground_springs(driven, shaker.coil_spring or 0.0))
+
+    for effect in shaker.effects(scene.structure.listed(shaker.bodies), modes_at_rest):
+        yield Effect("motion", *effect)
 
 
 def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:

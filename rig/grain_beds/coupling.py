@@ -260,14 +260,15 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
     system_without_beds = assemble(scene.replace(dampers=dampers_without_grains))
     bed_inputs = np.zeros((system.coordinates, len(bodies)))
     bed_inputs[bodies, np.arange(len(bodies))] = 1.0
+    no_effect = np.zeros((len(system_without_beds.rate_state), len(bodies)))
     return replace(
         system_without_beds,
         inputs=(*system_without_beds.inputs, *(f"{FORCE_OF_BED} {number}" for number in numbers)),
         drive_units=(*system_without_beds.drive_units, *("N" for _ in bodies)),
+        drive_limit=np.append(system_without_beds.drive_limit, np.full(len(bodies), np.inf)),
         force_drive=np.hstack([system_without_beds.force_drive, bed_inputs]),
-        rate_drive=np.hstack(
-            [system_without_beds.rate_drive, np.zeros((len(system_without_beds.rate_drive), len(bodies)))]
-        ),
+        rate_drive=np.hstack([system_without_beds.rate_drive, no_effect]),
+        state_power=np.hstack([system_without_beds.state_power, no_effect]),
         damper_number=system.damper_number[~system.grains],
         initial=system.initial,
     )

@@ -89,9 +89,7 @@ class GrainsRun:
         segment_states[:, ns : ns + len(inputs)] = inputs[:, :-1].T
         segment_states[:, ns + len(inputs) : ns + 2 * len(inputs)] = np.diff(inputs).T
         durations = np.full(len(segment_states), coupled.step)
-        energy = energy_balance(
-            self._scene, structure.tables, start, structure.snapshot(), trajectory, segment_states, durations
-        )
+        energy = energy_balance(structure.tables, start, structure.snapshot(), trajectory, segment_states, durations)
         events_at_samples = coupled.at_samples(trajectory)
         events = event_table(
             (first + events_at_samples.event_segment) / self._rate + events_at_samples.event_offset,

@@ -7,7 +7,6 @@ import numpy as np
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.scene.scene import Scene
-from rig.scene.shaker import TableShaker
 from rig.settings.quantities import FORCE, LENGTH, VOLTAGE, count
 from rig.system.assembly import assemble
 from rig.system.open_loop_drive import accelerations_per_level, level_of
@@ -46,9 +45,10 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
     over = over if over is not None else level_quantity
     if over not in (level_quantity, "clearance"):
         raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
-    if over == "force":
-        return over, "N"
-    return over, "m" if over == "clearance" or isinstance(scene.driven_shaker, TableShaker) else "V"
+    if over == "drive":
+        assert scene.driven_shaker is not None
+        return over, scene.driven_shaker.drive_unit
+    return over, "N" if over == "force" else "m"
 
 
 def select_frequencies(

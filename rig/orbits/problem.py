@@ -21,9 +21,8 @@ from rig.errors import SceneError
 from rig.orbits.event_sequence import Plan
 from rig.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
-from rig.system.assembly import assemble, spring_force_row
+from rig.system.assembly import assemble, force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 
@@ -120,8 +119,9 @@ class OrbitProblem:
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
         self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
-        self._force_row = spring_force_row(self.scene, self.system)
-        self._is_driven_by_force = isinstance(self.scene.driven_shaker, ForceShaker)
+        self._force_row = force_row(self.scene, self.system)
+        shaker = self.scene.driven_shaker
+        self._is_driven_by_force = shaker is not None and shaker.drive_is_force
         self._damper_zeros, self._wall_zeros = np.zeros(self.system.dampers), np.zeros((self.system.dampers, 2))
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
         self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, ValidationInfo
 
 from rig.scene.body_names import body_problems
 from rig.scene.measurement_chain import Channel, Converter
-from rig.scene.shaker import ForceShaker, Shaker, as_tuple, at_shaker
+from rig.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
 from rig.settings.problems import KeyPath, Problem, combined_error
 
 if TYPE_CHECKING:
@@ -31,7 +31,9 @@ def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSectio
     for number, shaker in enumerate(as_tuple(value)):
         key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
-            yield from body_problems(valid, body, (*key_path, k) if isinstance(shaker.body, tuple) else key_path)
+            yield from body_problems(
+                valid, body, (*key_path, k) if isinstance(getattr(shaker, "body", None), tuple) else key_path
+            )
 
 
 def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:
@@ -75,8 +77,9 @@ def _check_location_at_shaker(
         return
     shaker = shakers[(channel.number or 1) - 1] if shakers else None
     absent = "" if shakers else "shaker"
-    if kind == "table" and (shaker is None or isinstance(shaker, ForceShaker)):
-        message = "the scene has no shaker table; expected a body, or a shaker of kind table or electrodynamic"
+    if kind == "table" and (shaker is None or kind not in shaker.points):
+        with_table = " or ".join(name for name, each in KINDS.items() if kind in each.points)
+        message = f"the scene has no shaker table; expected a body, or a shaker of kind {with_table}"
         yield Problem(key_path, message, absent)
     elif kind == "drive" and shaker is None:
         yield Problem(
@@ -87,13 +90,8 @@ def _check_location_at_shaker(
     elif kind == "shaker" and shaker is None:
         remedy = "Mount the channel on a body (at: body 1), or add a shaker of kind force."
         yield Problem(key_path, f"the scene has no force shaker. {remedy}", absent)
-    elif kind == "shaker" and shaker is not None and not isinstance(shaker, ForceShaker):
-        table = at_shaker("table", channel.number or 1, n_shakers)
-        yield Problem(
-            key_path,
-            f"a shaker of kind {shaker.kind} acts through its coil spring, whose force follows from the displacements "
-            f"of its two ends. Measure there instead, with two channels (at: {table}, at: body {shaker.bodies[0]}).",
-        )
+    elif kind == "shaker" and shaker is not None and kind not in shaker.points:
+        yield Problem(key_path, shaker.force_hint(at_shaker("table", channel.number or 1, n_shakers)))
     elif kind == "shaker" and test is not None and test.hammer is not None:
         message = "in a hammer test the shaker is idle, so its force is not measured."
         yield Problem(key_path, f"{message} Mount this channel at the hammer (at: hammer).")

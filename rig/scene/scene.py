@@ -12,10 +12,10 @@ from rig.scene.body_names import replace_names
 from rig.scene.damper import Damper
 from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel, Converter, RecordingSettings
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, Shaker, Shakers, TableShaker, as_tuple, at_shaker
+from rig.scene.shaker import KINDS, Shaker, Shakers, as_tuple, at_shaker
 from rig.scene.structure import Structure
 from rig.settings.problems import KeyPath, Problem
-from rig.settings.quantities import ACCELERATION, FORCE, LENGTH, VOLTAGE, Kind
+from rig.settings.quantities import ACCELERATION, Kind
 from rig.settings.quantity_field import Quantity, printable
 from rig.settings.settings import Settings, value_at
 
@@ -58,13 +58,12 @@ class Scene(Settings):
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
         """Return the quantity of the drive (length, voltage or force), which follows from the type of the shaker."""
-        kinds = {"table": LENGTH, "electrodynamic": VOLTAGE, "force": FORCE}
         shaker, number = content.get("shaker"), str(value_at(content, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
             driven = int(number) if number.isdecimal() else 0
             shaker = shaker[driven - 1] if 0 < driven <= len(shaker) else None
-        kind = kinds.get(str(value_at(shaker, ("kind",))))
-        return {} if kind is None else {("test", "drive"): kind}
+        kind = KINDS.get(str(value_at(shaker, ("kind",))))
+        return {} if kind is None else {("test", "drive"): kind.drive_quantity}
 
     @property
     def shakers(self) -> tuple[Shaker, ...]:
@@ -72,12 +71,12 @@ class Scene(Settings):
         return as_tuple(self.shaker)
 
     @property
-    def tables(self) -> tuple[tuple[str, TableShaker | ElectrodynamicShaker], ...]:
+    def tables(self) -> tuple[tuple[str, Shaker], ...]:
         """Names of the shakers' tables, each with its shaker, in their order."""
         return tuple(
             (at_shaker("table", number, len(self.shakers)), shaker)
             for number, shaker in enumerate(self.shakers, 1)
-            if not isinstance(shaker, ForceShaker)
+            if "table" in shaker.points
         )
 
     @property

@@ -22,8 +22,6 @@ from rig.engine.flow_tables import FlowTables
 from rig.engine.state import CEILING, FLIGHT, FLOOR, State
 from rig.engine.trajectory import Trajectory
 from rig.numerics.bernstein import N_COEFFICIENTS
-from rig.scene.scene import Scene
-from rig.scene.shaker import ElectrodynamicShaker, TableShaker, at_shaker
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
@@ -76,7 +74,7 @@ class QuadraticForms:
     to_grains: Array  # into beds of grains
 
 
-def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> QuadraticForms:
+def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
     `output`: matrix that maps the drive states p to the inputs, u = output p.
@@ -86,38 +84,28 @@ def quadratic_forms(scene: Scene, system: HybridSystem, output: Array) -> Quadra
     mass = system.mass.copy()
     stiffness = -system.force_state[:, :n]
     damping = -system.force_state[:, n : 2 * n]
+    # A prescribed coordinate has no mass of its own. Its actuator does work against the structure.
+    prescribed = system.prescribed
+    mass[prescribed] = 0.0
+    stiffness[prescribed], damping[prescribed] = system.reaction[:, :n], system.reaction[:, n : 2 * n]
     input_force = np.zeros((n, size))
     is_bed_input = np.array([name.startswith(f"{FORCE_OF_BED} ") for name in system.inputs], dtype=bool)
     input_force[:, ns:] = system.force_drive[:, ~is_bed_input] @ output[~is_bed_input]
+    input_force[prescribed] = 0.0
+    input_force[prescribed, :ns] = system.reaction
     to_grains = np.zeros((size, size))
     to_grains[n : 2 * n, ns:] = -system.force_drive[:, is_bed_input] @ output[is_bed_input]
+    further = np.arange(2 * n, ns)
     power = np.zeros((size, size))
-    for number, shaker in enumerate(scene.shakers, 1):
-        if isinstance(shaker, TableShaker):
-            # The table motion is prescribed: it does work on the coil spring, and its own energy is not included.
-            table = system.points.index(at_shaker("table", number, len(scene.shakers)))
-            body = shaker.body - 1
-            mass[table, table] = damping[table, table] = 0.0
-            input_force[table] = 0.0
-            stiffness[table, table] = shaker.spring
-            stiffness[table, body] = -shaker.spring
-            force = np.zeros(size)
-            force[table], force[body] = shaker.spring, -shaker.spring
-            power[n + table] += force
-    power[n : 2 * n] += input_force
+    power[n : 2 * n] = input_force
+    power[2 * n : ns, ns:] = system.state_power @ output
     stored = np.zeros((size, size))
     stored[:n, :n] = stiffness
     stored[n : 2 * n, n : 2 * n] = mass
+    stored[further, further] = system.state_energy
     dissipated = np.zeros((size, size))
     dissipated[n : 2 * n, n : 2 * n] = damping
-    current = 2 * n
-    for number, shaker in enumerate(scene.shakers, 1):
-        if isinstance(shaker, ElectrodynamicShaker) and shaker.amplifier.mode == "voltage":
-            stored[current, current] = shaker.coil.inductance
-            dissipated[current, current] = shaker.coil.resistance
-            drive = output[system.inputs.index(at_shaker("shaker", number, len(scene.shakers)))]
-            power[current, ns:] = shaker.amplifier.gain * drive
-            current += 1
+    dissipated[further, further] = system.state_loss
     return QuadraticForms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
 
 
@@ -132,7 +120,6 @@ def _quadratic(form: Array, states: Array) -> Array:
 
 
 def energy_balance(
-    scene: Scene,
     tables: FlowTables,
     start: State,
     end: State,
@@ -142,10 +129,10 @@ def energy_balance(
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
-    `scene`, `tables`: the scene and the flow tables of its simulation; `start`, `end`: states before and after the
+    `tables`: the flow tables of its simulation; `start`, `end`: states before and after the
     motion; `segment_states`: states at the starts of the segments; `durations`: durations of the segments, s.
     """
-    forms = quadratic_forms(scene, tables.system, tables.drive.output)
+    forms = quadratic_forms(tables.system, tables.drive.output)
     intervals = _intervals(tables, trajectory, segment_states, durations)
     work, dissipated, dashpots, to_grains = _integrate(tables, forms, *intervals)
     return Energy(

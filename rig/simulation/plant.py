@@ -14,7 +14,6 @@ from rig.engine.state import FLOOR
 from rig.engine.trajectory import Trajectory, event_table
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
-from rig.scene.shaker import at_shaker
 from rig.settings.quantities import FREQUENCY, positive_value
 from rig.simulation.grains import grains_simulation
 from rig.simulation.motion import Motion
@@ -51,12 +50,8 @@ class Plant:
         self.points = self.system.points
         self._propagator, self._steps = _propagator(scene, self.system, 1.0 / self.rate)
         # Largest drive of each input before the amplifier clips; None: no input has a limit.
-        limits = np.full((len(self.inputs), 1), np.inf)
-        for number, shaker in enumerate(scene.shakers, 1):
-            if shaker.kind == "electrodynamic":
-                row = self.inputs.index(at_shaker("shaker", number, len(scene.shakers)))
-                limits[row] = shaker.amplifier.limit / shaker.amplifier.gain
-        self._drive_limit = limits if np.isfinite(limits).any() else None
+        limits = self.system.drive_limit
+        self._drive_limit = limits[:, None] if np.isfinite(limits).any() else None
         self._dampers = len(scene.dampers)
         # Empty arrays for blocks without breaks or events, computed once.
         self._no_breaks: tuple[Array, Array, Array] | None = None

@@ -295,7 +295,5 @@ def _assemble_run(
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
         events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
-        _energy_balance=partial(
-            energy_balance, scene, propagator.tables, start, end, trajectory, segment_states, durations
-        ),
+        _energy_balance=partial(energy_balance, propagator.tables, start, end, trajectory, segment_states, durations),
     )

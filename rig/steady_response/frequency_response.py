@@ -20,12 +20,11 @@ from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.settings.quantities import FREQUENCY, positive_values
 from rig.simulation.energy import fourier_integral
 from rig.steady_response.motion_type import combined_type, motion_types
 from rig.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle
-from rig.system.assembly import assemble, spring_force_row
+from rig.system.assembly import assemble, force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import level_of, tone_drive
 
@@ -315,7 +314,9 @@ class SteadyContinuation:
         self.tolerance, self.longest = tolerance, longest
         #: Set when no more points are required.
         self.stopped = Event()
-        self.controls_spring_force = scene.level_key == "force" and not isinstance(scene.driven_shaker, ForceShaker)
+        shaker = scene.driven_shaker
+        self.drive_is_force = shaker is not None and shaker.drive_is_force
+        self.controls_spring_force = scene.level_key == "force" and not self.drive_is_force
 
     def points(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
         """Yield points at the given frequencies, each from the previous point; the first from rest."""
@@ -410,11 +411,11 @@ class SteadyContinuation:
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
-        if isinstance(self.scene.driven_shaker, ForceShaker):
+        if self.drive_is_force:
             # The force is a sine: Re(-i F e^{i w t}) = F sin(w t).
             force = -1j * level_of(self.scene) * level
         else:
-            force = complex(spring_force_row(self.scene, system) @ harmonic[: system.states])
+            force = complex(force_row(self.scene, system) @ harmonic[: system.states])
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,

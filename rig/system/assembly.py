@@ -6,19 +6,20 @@ floor of the cavity; otherwise it *flies*.
 
 from __future__ import annotations
 
-from typing import NamedTuple, assert_never
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
+from rig.equations import Equations
 from rig.errors import SceneError
 from rig.scene.damper import Damper, TimedContact, Wall, Walls
 from rig.scene.scene import Scene
-from rig.scene.shaker import Coil, ElectrodynamicShaker, ForceShaker, Shaker, TableShaker, at_shaker
+from rig.scene.shaker import at_shaker
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import spring_damper
-from rig.system.structural_model import StructuralModel, structural_model
+from rig.system.structural_model import StructuralModel, ground_connection, structural_model
 
 #: Maximum number of free dampers: contact configurations are bits of a 64-bit integer.
 MAX_DAMPERS = 62
@@ -52,12 +53,13 @@ def assemble(scene: Scene) -> HybridSystem:
     equations = _without_free_beds(scene, model, weight)
     clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
     restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
-    walls = _stiffness_and_damping(equations.mass, [scene.dampers[j] for j in free], masses[free])
+    walls = _stiffness_and_damping(equations.matrices()[0], [scene.dampers[j] for j in free], masses[free])
     gap_coordinate = np.full(len(free), -1, dtype=np.intp)
     for row, j in enumerate(free):
         if scene.dampers[j].contact is not None:
-            gap_coordinate[row] = equations.add_bed(body[j], masses[j], scene.gravity)
-    system = equations.system(
+            gap_coordinate[row] = _add_bed(equations, body[j], masses[j], scene.gravity)
+    system = _system(
+        equations,
         gravity=scene.gravity,
         coordinate=body[free],
         masses=masses[free],
@@ -76,158 +78,82 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
     """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies and tables, shape (coordinates, coordinates)."""
     model = structural_model(scene)
     equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
-    return equations.mass, equations.damping, equations.stiffness
+    return equations.matrices()
 
 
-def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> _Equations:
+def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
     """Return the equations of bodies and tables with their inputs.
 
     `weight`: constant force of the locked beds on each body, N, shape (bodies,), upwards and therefore negative.
     """
-    equations = _Equations(len(model.mass), model.with_bed_masses(), weight)
+    structure = model.with_bed_masses()
+    ground = partial(ground_connection, scene.structure, structure)
+    equations = Equations(structure.mass, structure.damping, structure.stiffness, weight, ground)
     for number, shaker in enumerate(scene.shakers, 1):
-        drive, table_name = (at_shaker(noun, number, len(scene.shakers)) for noun in ("shaker", "table"))
-        _add_shaker(equations, shaker, drive, table_name)
+        shaker.add_to(equations, *(at_shaker(noun, number, len(scene.shakers)) for noun in ("shaker", "table")))
     if scene.hammer is not None:
         equations.add_input("hammer", "N", {scene.hammer - 1: 1.0})
     return equations
 
 
-class _Coil(NamedTuple):
-    """The coil of an electrodynamic shaker with a voltage amplifier; its current is a state.
-
-    `gain`: gain of the amplifier, V/V; `table`: row of its table; `column`: column of its drive among the inputs.
-    """
-
-    coil: Coil
-    gain: float
-    table: int
-    column: int
-
-
-class _Equations:
-    """The equations of motion during assembly, in SI units.
-
-    `points`: names of the bodies and tables. `mass`, `damping`, `stiffness`: matrices of all coordinates. `weight`:
-    constant force on each coordinate. `inputs`, `units`: names and units of the drives; `input_forces`: for each input,
-    the force on each coordinate per unit.
-    """
-
-    def __init__(self, bodies: int, structure: StructuralModel, weight: Array) -> None:
-        self.points = [f"body {j + 1}" for j in range(bodies)]
-        self.mass, self.weight = structure.mass.copy(), weight
-        self.damping, self.stiffness = structure.damping.copy(), structure.stiffness.copy()
-        self.inputs: list[str] = []
-        self.units: list[str] = []
-        self.input_forces: list[dict[int, float]] = []
-        self.coils: list[_Coil] = []
-
-    def add_table(self, name: str, mass: float) -> int:
-        """Add a table (shaker head) without support, of a mass [kg]; return its row."""
-        self.points.append(name)
-        return self._add_coordinate(mass)
-
-    def add_bed(self, body: int, mass: float, gravity: float) -> int:
-        """Add a bed in free fall, whose coordinate is its height above the floor of its cavity; return its row."""
-        row = self._add_coordinate(mass)
-        self.mass[body, body] += mass
-        self.mass[body, row] = self.mass[row, body] = mass
-        self.weight[[body, row]] -= mass * gravity
-        return row
-
-    def _add_coordinate(self, mass: float) -> int:
-        """Add a coordinate with a mass [kg] and no other elements; return its row."""
-        row = len(self.mass)
-        enlarged = np.zeros((3, row + 1, row + 1))
-        enlarged[:, :row, :row] = self.mass, self.damping, self.stiffness
-        self.mass, self.damping, self.stiffness = enlarged
-        self.mass[row, row] = mass
-        self.weight = np.append(self.weight, 0.0)
-        return row
-
-    def add_input(self, name: str, unit: str, forces: dict[int, float]) -> None:
-        """Add an input; `forces`: its force on coordinates by their row, N per unit of the input."""
-        self.inputs.append(name)
-        self.units.append(unit)
-        self.input_forces.append(forces)
-
-    def add_spring(self, first: int, second: int, stiffness: float) -> None:
-        """Add a spring of a stiffness [N/m] between two coordinates."""
-        self.stiffness[[first, second], [first, second]] += stiffness
-        self.stiffness[[first, second], [second, first]] -= stiffness
-
-    def system(
-        self, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
-        restitution: Array, number: NDArray[np.intp], gap_coordinate: NDArray[np.intp], walls: tuple[Array, Array],
-        grains: NDArray[np.bool_],
-    ) -> HybridSystem:  # fmt: skip
-        """Return the system; the arguments are the fields of `HybridSystem` for the free dampers."""
-        n, n_coils = len(self.mass), len(self.coils)
-        force_state = np.hstack([-self.stiffness, -self.damping, np.zeros((n, n_coils))])
-        force_drive = np.zeros((n, len(self.inputs)))
-        for column, forces in enumerate(self.input_forces):
-            for row, value in forces.items():
-                force_drive[row, column] = value
-        rate_state = np.zeros((n_coils, 2 * n + n_coils))
-        rate_drive = np.zeros((n_coils, len(self.inputs)))
-        for k, (coil, gain, table, column) in enumerate(self.coils):
-            force_state[table, 2 * n + k] = coil.force_factor
-            rate_state[k, n + table] = -coil.force_factor / coil.inductance
-            rate_state[k, 2 * n + k] = -coil.resistance / coil.inductance
-            rate_drive[k, column] = gain / coil.inductance
-        return HybridSystem(
-            points=tuple(self.points),
-            inputs=tuple(self.inputs),
-            drive_units=tuple(self.units),
-            gravity=gravity,
-            mass=self.mass,
-            force_state=force_state,
-            force_drive=force_drive,
-            force_constant=self.weight,
-            rate_state=rate_state,
-            rate_drive=rate_drive,
-            damper_coordinate=coordinate,
-            damper_mass=masses,
-            clearance=clearance,
-            restitution=restitution,
-            damper_number=number,
-            gap_coordinate=gap_coordinate,
-            wall_stiffness=walls[0],
-            wall_damping=walls[1],
-            grains=grains,
-            initial=np.zeros(2 * n + n_coils),
-        )
+def _system(
+    equations: Equations, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
+    restitution: Array, number: NDArray[np.intp], gap_coordinate: NDArray[np.intp], walls: tuple[Array, Array],
+    grains: NDArray[np.bool_],
+) -> HybridSystem:  # fmt: skip
+    """Return the system of equations; the other arguments are the fields of `HybridSystem` for the free dampers."""
+    mass, damping, stiffness = equations.matrices()
+    n, currents, n_inputs = len(mass), equations.currents, len(equations.inputs)
+    force_state = np.hstack([-stiffness, -damping, np.zeros((n, len(currents)))])
+    force_drive = np.zeros((n, n_inputs))
+    for column, forces in enumerate(equations.input_forces):
+        for row, value in forces.items():
+            force_drive[row, column] = value
+    rate_state = np.zeros((len(currents), 2 * n + len(currents)))
+    rate_drive, state_power = np.zeros((2, len(currents), n_inputs))
+    for k, current in enumerate(currents):
+        force_state[current.row, 2 * n + k] = current.force_factor
+        rate_state[k, n + current.row] = -current.force_factor / current.inductance
+        rate_state[k, 2 * n + k] = -current.resistance / current.inductance
+        rate_drive[k, current.column] = current.gain / current.inductance
+        state_power[k, current.column] = current.gain
+    return HybridSystem(
+        points=tuple(equations.points),
+        inputs=tuple(equations.inputs),
+        drive_units=tuple(equations.units),
+        drive_limit=np.array(equations.drive_limit),
+        gravity=gravity,
+        mass=mass,
+        force_state=force_state,
+        force_drive=force_drive,
+        force_constant=equations.weight,
+        rate_state=rate_state,
+        rate_drive=rate_drive,
+        state_energy=np.array([current.inductance for current in currents]),
+        state_loss=np.array([current.resistance for current in currents]),
+        state_power=state_power,
+        prescribed=np.array(equations.prescribed, dtype=np.intp),
+        reaction=equations.reaction(),
+        damper_coordinate=coordinate,
+        damper_mass=masses,
+        clearance=clearance,
+        restitution=restitution,
+        damper_number=number,
+        gap_coordinate=gap_coordinate,
+        wall_stiffness=walls[0],
+        wall_damping=walls[1],
+        grains=grains,
+        initial=np.zeros(2 * n + len(currents)),
+    )
 
 
-def _add_shaker(equations: _Equations, shaker: Shaker, drive: str, table_name: str) -> None:
-    """Add a shaker; `drive` and `table_name` are the names of its input and its table."""
-    match shaker:
-        case ForceShaker():
-            equations.add_input(drive, "N", {body - 1: 1.0 for body in shaker.bodies})
-        case TableShaker():
-            # The position servo is ideally stiff, so that the spring acts on the body, but not on the table. It is a
-            # critically damped second-order low-pass filter of the drive.
-            table = equations.add_table(table_name, 1.0)
-            body = shaker.body - 1
-            corner_rate = 2.0 * np.pi * shaker.bandwidth
-            equations.stiffness[body, body] += shaker.spring
-            equations.stiffness[body, table] -= shaker.spring
-            equations.stiffness[table, table] = corner_rate**2
-            equations.damping[table, table] = 2.0 * corner_rate
-            equations.add_input(drive, "m", {table: corner_rate**2})
-        case ElectrodynamicShaker():
-            coil, armature, amplifier = shaker.coil, shaker.armature, shaker.amplifier
-            table = equations.add_table(table_name, armature.mass)
-            equations.add_spring(shaker.body - 1, table, shaker.spring)
-            equations.stiffness[table, table] += armature.stiffness
-            equations.damping[table, table] += armature.damping
-            if amplifier.mode == "voltage":
-                equations.coils.append(_Coil(coil, amplifier.gain, table, len(equations.inputs)))
-                equations.add_input(drive, "V", {})
-            else:
-                equations.add_input(drive, "V", {table: amplifier.gain * coil.force_factor})
-        case _ as never:
-            assert_never(never)
+def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> int:
+    """Add a bed in free fall, whose coordinate is its height above the floor of its cavity; return its row."""
+    row = equations.add_coordinate(mass)
+    equations.mass[body, body] += mass
+    equations.mass[body, row] = equations.mass[row, body] = mass
+    equations.weight[[body, row]] -= mass * gravity
+    return row
 
 
 def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
@@ -305,14 +231,12 @@ def _is_singular(stiffness: Array) -> bool:
     return bool(np.linalg.cond(stiffness / scale / scale[:, None]) > MAX_CONDITION)
 
 
-def spring_force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row whose product with the state is the force of the driven shaker's coil spring on its body, N.
+def force_row(scene: Scene, system: HybridSystem) -> Array:
+    """Return the row whose product with the state is the force of the driven shaker on the structure, N.
 
-    The row is zero without a coil spring.
+    The row is zero without a shaker, or if no state gives its force.
     """
-    row = np.zeros(system.states)
-    shaker = scene.driven_shaker
-    if shaker is not None and shaker.spring is not None:
-        row[system.points.index(scene.at_driven("table"))] = shaker.spring
-        row[shaker.bodies[0] - 1] = -shaker.spring
-    return row
+    if scene.driven_shaker is None:
+        return np.zeros(system.states)
+    table = scene.at_driven("table")
+    return scene.driven_shaker.force_row(system.states, system.points.index(table) if table in system.points else None)

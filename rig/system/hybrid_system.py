@@ -26,11 +26,15 @@ class HybridSystem:
     every contact configuration (M + riding damper masses) q'' = F_x x + F_u u + F_1 - (riding dampers' weight) and
     r' = R_x x + R_u u.
 
-    `inputs`, `drive_units`: names and units of the inputs. `gravity`: m/s^2.
+    `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s^2.
     `mass`: M, without the dampers of instant contact that can move.
     `force_state`, `force_drive`, `force_constant`: F_x (coordinates, states), F_u (coordinates, inputs) and F_1
     (coordinates,).
     `rate_state`, `rate_drive`: R_x (further states, states) and R_u (further states, inputs).
+    `state_energy`, `state_loss`, `state_power`: energy, loss and power of the drive of further states r are
+    r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last has the shape (further states, inputs).
+    `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed, states) whose product with the
+    state is the force of their actuator, N.
     `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: coordinate of the body, mass [kg],
     clearance [m], coefficient of restitution and number in the scene (from 1) of each free damper.
     `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m; shape
@@ -46,6 +50,7 @@ class HybridSystem:
     points: tuple[str, ...]
     inputs: tuple[str, ...]
     drive_units: tuple[str, ...]
+    drive_limit: np.ndarray
     gravity: float
     mass: np.ndarray
     force_state: np.ndarray
@@ -53,6 +58,11 @@ class HybridSystem:
     force_constant: np.ndarray
     rate_state: np.ndarray
     rate_drive: np.ndarray
+    state_energy: np.ndarray
+    state_loss: np.ndarray
+    state_power: np.ndarray
+    prescribed: np.ndarray
+    reaction: np.ndarray
     damper_coordinate: np.ndarray
     damper_mass: np.ndarray
     clearance: np.ndarray
@@ -63,6 +73,18 @@ class HybridSystem:
     wall_damping: np.ndarray
     grains: np.ndarray
     initial: np.ndarray = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Check that each array has an element for each input and further state; a part may add inputs."""
+        expected = {
+            "drive_limit": (len(self.inputs),),
+            "force_drive": (self.coordinates, len(self.inputs)),
+            "rate_drive": (len(self.rate_state), len(self.inputs)),
+            "state_power": (len(self.rate_state), len(self.inputs)),
+            "reaction": (len(self.prescribed), self.states),
+        }
+        for name, shape in expected.items():
+            assert getattr(self, name).shape == shape, f"{name}: {getattr(self, name).shape} instead of {shape}"
 
     @property
     def coordinates(self) -> int:

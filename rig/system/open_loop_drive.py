@@ -17,8 +17,8 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError
 from rig.scene.excitation.kind import Chirp, Pulses
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker, TableShaker
-from rig.system.assembly import spring_force_row
+from rig.scene.shaker import ForceShaker, Shaker
+from rig.system.assembly import force_row
 from rig.system.hybrid_system import HybridSystem
 
 # Minimum number of frequencies between which the drive per level of a sweep is interpolated.
@@ -58,7 +58,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     amplitudes = np.zeros(len(system.inputs), dtype=complex)
     amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
     state = system.initial.copy()
-    if isinstance(scene.driven_shaker, TableShaker):
+    if scene.driven_shaker is not None and scene.driven_shaker.prescribed:
         # The table follows the tone from the start, without the transient of its servo.
         position = amplitude / _servo_inverse(scene.driven_shaker, omega)
         table = system.points.index(scene.at_driven("table"))
@@ -89,22 +89,23 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) ->
     """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega."""
     shaker = scene.driven_shaker
     level_is_drive = scene.level_key == "drive"
-    if isinstance(shaker, ForceShaker):
+    assert shaker is not None
+    if shaker.drive_is_force:
         return 1.0
     if level_is_drive:
-        return _servo_inverse(shaker, omega) if isinstance(shaker, TableShaker) else 1.0
+        return _servo_inverse(shaker, omega) if shaker.prescribed else 1.0
     return 1.0 / force_per_drive(scene, system, omega)
 
 
-def _servo_inverse(shaker: TableShaker, omega: float | Array) -> Any:
+def _servo_inverse(shaker: Shaker, omega: float | Array) -> Any:
     """Return the complex drive per unit of table displacement: inverse response of the critically damped servo."""
-    ratio = omega / (2.0 * np.pi * shaker.bandwidth)
+    ratio = omega / (2.0 * np.pi * shaker.corner)
     return (1.0 + 1j * ratio) ** 2
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
     """Return the complex amplitude of the coil spring's force per unit of drive at omega (rad/s), in N."""
-    return spring_force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
+    return force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
@@ -123,7 +124,7 @@ def with_ideal_force(scene: Scene) -> Scene:
     ideal force.
     """
     shaker = scene.driven_shaker
-    if shaker is None or isinstance(shaker, ForceShaker) or scene.level_key != "force":
+    if shaker is None or shaker.drive_is_force or scene.level_key != "force":
         return scene
     force = ForceShaker(body=shaker.bodies[0])
     shakers = [force if number == scene.driven else other for number, other in enumerate(scene.shakers, 1)]

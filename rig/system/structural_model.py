@@ -17,6 +17,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array, ComplexArray
+from rig.equations import Ground
 from rig.errors import SceneError
 from rig.scene.matrices import is_positive_definite
 from rig.scene.scene import Scene
@@ -201,7 +202,7 @@ def driven_bodies(scene: Scene) -> list[int]:
 
     Raises `SceneError` if the scene has neither, or several shakers that are not all of kind force.
     """
-    if len(scene.shakers) > 1 and any(shaker.kind != "force" for shaker in scene.shakers):
+    if len(scene.shakers) > 1 and any(shaker.coil_spring is not None for shaker in scene.shakers):
         raise SceneError(
             f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the "
             "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
@@ -218,9 +219,10 @@ def driven_bodies(scene: Scene) -> list[int]:
 
 def coil_spring(scene: Scene) -> float:
     """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without one."""
-    if scene.driven_shaker is None or scene.driven_shaker.spring is None:
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
+    if spring is None:
         raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
-    return scene.driven_shaker.spring
+    return spring
 
 
 def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
@@ -235,6 +237,17 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
     else:
         stiffness = chain_matrix(structure.springs or ())
     return mass, _damping(structure, mass, stiffness), stiffness
+
+
+def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
+    """Return the connection of the bodies with the ground, exact for the springs and dashpots of a chain."""
+    influence = np.ones(len(model.mass))
+    stiffness, damping = model.stiffness @ influence, model.damping @ influence
+    if structure.springs is not None:
+        stiffness = np.append(structure.springs[0], np.zeros(len(influence) - 1))
+    if isinstance(structure.damping, Dashpots):
+        damping = np.append(structure.damping.dashpots[0], np.zeros(len(influence) - 1))
+    return Ground(influence, damping, stiffness)
 
 
 def mass_matrix(structure: Structure) -> Array:

@@ -22,9 +22,8 @@ from rig.errors import RunError
 from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit import Orbit
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker
 from rig.simulation.simulate import Run
-from rig.system.assembly import assemble, spring_force_row
+from rig.system.assembly import assemble, force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import ToneDrive, level_of, tone_drive
 from rig.work_precision.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, FirstOrderForm, solve
@@ -338,10 +337,10 @@ class _ClosedOrbit:
             n, bodies = self._system.coordinates, self._scene.structure.bodies
             end, first = self._integrate(start), self._motion.form.constant_index + 3
             x_real, x_imag = (2 * np.array(end[k : k + n]) / self._end for k in (first, first + n))
-            if isinstance(self._scene.driven_shaker, ForceShaker):
+            if self._scene.driven_shaker is None or self._scene.driven_shaker.drive_is_force:
                 force_real, force_imag = Decimal(0), Decimal(-level_of(self._scene))
             else:
-                row = np.array([Decimal(float(k)) for k in spring_force_row(self._scene, self._system)[:n]])
+                row = np.array([Decimal(float(k)) for k in force_row(self._scene, self._system)[:n]])
                 force_real, force_imag = np.dot(row, x_real), np.dot(row, x_imag)
             x_real, x_imag = x_real[:bodies], x_imag[:bodies]
             force_squared = force_real * force_real + force_imag * force_imag

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 from pydantic import Field
 
 from rig.arrays import Array
-from rig.scene.shaker import ForceShaker, Shaker, as_tuple
+from rig.scene.shaker import Shaker, as_tuple
 from rig.settings.problems import KeyPath, Problem
 from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, TIME, VOLTAGE
 from rig.settings.quantity_field import Quantity
@@ -170,9 +170,9 @@ class KindOfTest(Settings):
 
     def controlled_at(self, shaker: Shaker, table: str) -> tuple[str, ...]:
         """Return the locations whose readings a controller uses; `table`: name of the table of the driven shaker."""
-        if self.level_key != "force" or isinstance(shaker, ForceShaker):
+        if self.level_key != "force" or shaker.drive_is_force:
             return ()
-        return table, f"body {shaker.bodies[0]}"
+        return tuple(shaker.force_terms("", table))
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
         """Check references to other sections; `valid`: the valid sections before the test, by key."""
@@ -195,8 +195,10 @@ class KindOfTest(Settings):
         elif len({self.driven, *others}) <= len(others):
             message = "a shaker is given twice; expected each number once in the keys shaker and also together"
             yield Problem(("also",), message)
-        elif isinstance(shakers[number - 1], ForceShaker) and self.level_key == "drive":
-            yield Problem(("drive",), "a shaker of kind force is driven by its force. Give force instead.")
+        elif self.level_key in {"force", "drive"} - {*shakers[number - 1].level_keys}:
+            shaker = shakers[number - 1]
+            message = f"a shaker of kind {shaker.kind} {shaker.level_remark}. Give {shaker.level_keys[0]} instead."
+            yield Problem((self.level_key,), message)
 
 
 def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:

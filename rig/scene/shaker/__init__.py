@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, get_args
 
 from rig.scene.shaker.electrodynamic import ElectrodynamicShaker as ElectrodynamicShaker
 from rig.scene.shaker.force import ForceShaker as ForceShaker
+from rig.scene.shaker.kind import KindOfShaker as KindOfShaker
 from rig.scene.shaker.parts import DRIVE_PER_VOLT as DRIVE_PER_VOLT
 from rig.scene.shaker.parts import Body as Body
-from rig.scene.shaker.parts import Coil as Coil
 from rig.scene.shaker.parts import Output as Output
 from rig.scene.shaker.parts import at_shaker as at_shaker
 from rig.scene.shaker.table import TableShaker as TableShaker
 from rig.settings.alternatives import Alternatives, OneOrSeveral, by_kind
 
 Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
+#: Classes of shaker, by the value of their key `kind`.
+KINDS: dict[str, type[KindOfShaker]] = {
+    kind.model_fields["kind"].default: kind for kind in get_args(get_args(Shaker)[0])
+}
 #: Type of `shaker:` in a scene: one shaker or a list.
 Shakers = Annotated[Shaker | tuple[Shaker, ...], OneOrSeveral(Shaker)]
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Iterable
+from typing import Annotated, ClassVar, Literal
 
-from rig.scene.shaker.parts import BodyOrBodies, Output
-from rig.settings.settings import Settings
+from rig.equations import Equations
+from rig.scene.shaker.kind import Glyph, KindOfShaker, ShakerEffect
+from rig.scene.shaker.parts import DRIVE_PER_VOLT, BodyOrBodies, Output
+from rig.settings.quantities import FORCE
 
 
-class ForceShaker(Settings):
+class ForceShaker(KindOfShaker):
     """A force that acts on one body, or the same force on several, with nothing attached to them."""
 
     kind: Literal["force"] = "force"
@@ -17,11 +20,36 @@ class ForceShaker(Settings):
     output: Output = Output()
     """The analog output whose voltage is the drive."""
 
+    drive_quantity: ClassVar = FORCE
+    level_keys: ClassVar = ("force",)
+    level_remark: ClassVar = "is driven by its force"
+    points: ClassVar = ("shaker", "drive")
+    drive_is_force: ClassVar = True
+    references: ClassVar = ("force",)
+    glyph: ClassVar = Glyph("force", "arrow")
+
     @property
     def bodies(self) -> tuple[int, ...]:
         """The driven bodies, from 1."""
         return self.body if isinstance(self.body, tuple) else (self.body,)
 
     @property
-    def spring(self) -> None:
-        """There is no coil spring."""
+    def newtons_per_drive(self) -> float:
+        """The drive is the force."""
+        return 1.0
+
+    def add_to(self, equations: Equations, drive: str, table: str) -> None:
+        """Add an input that is the force on each body."""
+        equations.add_input(drive, self.drive_unit, {body - 1: 1.0 for body in self.bodies})
+
+    def force_terms(self, drive: str, table: str) -> dict[str, float]:
+        """Return the location of a force sensor."""
+        return {drive: 1.0}
+
+    def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
+        """Yield the force."""
+        yield ShakerEffect("force", 0, f"on {bodies}, nothing attached")
+
+    def output_text(self, suffix: str, bodies: str) -> str:
+        """Describe the force."""
+        return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"

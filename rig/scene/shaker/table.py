@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Callable, Iterable
+from typing import Annotated, ClassVar, Literal
 
-from rig.scene.shaker.parts import Body, CoilSpring, Output
-from rig.settings.quantities import FREQUENCY
+import numpy as np
+
+from rig.arrays import ComplexArray
+from rig.equations import Equations
+from rig.scene.shaker.coil_spring import CoilSpringShaker
+from rig.scene.shaker.kind import Glyph, ShakerEffect, servo_inverse
+from rig.scene.shaker.parts import DRIVE_PER_VOLT, Body, CoilSpring, Output
+from rig.settings.quantities import FREQUENCY, LENGTH
 from rig.settings.quantity_field import Quantity
-from rig.settings.settings import Settings
 
 
-class TableShaker(Settings):
+class TableShaker(CoilSpringShaker):
     """A table with prescribed displacement that drives body `body` through the coil spring."""
 
     kind: Literal["table"] = "table"
@@ -24,7 +30,36 @@ class TableShaker(Settings):
     output: Output = Output()
     """The analog output whose voltage is the drive."""
 
+    drive_quantity: ClassVar = LENGTH
+    prescribed: ClassVar = True
+    glyph: ClassVar = Glyph("shaker table", "box")
+
     @property
-    def bodies(self) -> tuple[int, ...]:
-        """The driven body, from 1."""
-        return (self.body,)
+    def corner(self) -> float:
+        """Corner frequency of the position servo, Hz."""
+        return self.bandwidth
+
+    @property
+    def newtons_per_drive(self) -> float:
+        """Force of the coil spring while the body is at rest."""
+        return self.spring
+
+    def add_to(self, equations: Equations, drive: str, table: str) -> None:
+        """Add the spring and the table; the spring acts on the body, but not on the motion of the table."""
+        row = equations.add_point(table, 0.0)
+        equations.add_spring(self.body - 1, row, self.spring)
+        equations.prescribe(row, equations.add_input(drive, self.drive_unit, {}), self.corner)
+
+    def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the command of the servo; the force on the table has no effect."""
+        return servo_inverse(self.corner, s), np.zeros_like(s)
+
+    def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
+        """Yield spring and table; a hammer test excites the modes at rest, because the spring remains attached."""
+        modes = f"with it and the table at rest {modes_at_rest()}"
+        detail = f"spring of {self.spring:.4g} N/m to {bodies}, {modes}; position servo of {self.bandwidth:.4g} Hz"
+        yield ShakerEffect("coil spring and table", 2, detail)
+
+    def output_text(self, suffix: str, bodies: str) -> str:
+        """Describe the position of the table."""
+        return f"table{suffix} position, {1e3 * DRIVE_PER_VOLT['m']:g} mm/V"

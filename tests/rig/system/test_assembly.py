@@ -7,7 +7,7 @@ import pytest
 
 import rig
 from rig.errors import SceneError
-from rig.system.assembly import assemble, spring_force_row
+from rig.system.assembly import assemble, force_row
 from rig.system.hybrid_system import HybridSystem
 from rig.system.landing import duration_and_restitution
 
@@ -78,7 +78,7 @@ def test_electrodynamic_shaker_obeys_its_equations(mode: str) -> None:
         expected = factor * gain / armature_stiffness
     np.testing.assert_allclose(motion["table"], expected, rtol=1e-9)
     np.testing.assert_allclose(motion["body 2"], motion["table"] * spring / (spring + body), rtol=1e-9)
-    row = spring_force_row(scene_of(shaker=shaker), system)
+    row = force_row(scene_of(shaker=shaker), system)
     assert row.tolist() == [0.0, -spring, spring, *[0.0] * (system.states - 3)]
 
 
@@ -94,7 +94,7 @@ def test_each_input_acts_on_its_body() -> None:
     np.testing.assert_allclose(response(system, 1)["body 2"], receptance_22, rtol=1e-9)
     np.testing.assert_allclose(response(system, 0)["body 2"], receptance_22 + receptance_12, rtol=1e-9)
     np.testing.assert_allclose(response(system, 0)["body 1"], receptance_11 + receptance_12, rtol=1e-9)
-    assert not spring_force_row(scene, system).any()
+    assert not force_row(scene, system).any()
 
 
 def test_dampers_of_all_kinds_are_assembled() -> None:

@@ -17,7 +17,7 @@ import threading
 import time
 import weakref
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Container, Hashable, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -36,9 +36,8 @@ if TYPE_CHECKING:
     from daq.instrument.settings.channels import Channel
     from daq.instrument.terminals import Terminals
     from daq.virtual_bench.bench import Bench, Block
+    from rig.arrays import Array
 
-# Maximum number of ticks by which the bench advances at once.
-_MAX_BLOCK_TICKS = 4096
 # More ticks than any run has.
 UNLIMITED_TICKS = 1 << 62
 # The runs stop with the error of an input overflow if the bench is later than the wall clock by this time, s.
@@ -88,6 +87,10 @@ class Chassis:
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         # Called with every block at the sample rate of the bench, for example by a recording.
         self.listeners: list[Callable[[Bench, Block], None]] = []
+        # Called with the name and the task of a call ("start", "read" or "write") before it; may raise its `DaqError`.
+        self.call_listeners: list[Callable[[str, Any], None]] = []
+        # Called with a task, the samples that it has read or written, shape (channels, n), and the error of the call.
+        self.transfer_listeners: list[Callable[[Any, Array, DaqError | None], None]] = []
         # Called with the inputs of a task before they are sampled.
         self.conditioning_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
@@ -276,7 +279,7 @@ class Chassis:
     def _step(self, limit: int) -> None:
         """Advance by at most `limit` ticks, and not beyond the next event that must be processed at its tick."""
         terminals, tick = self.terminals, self.position
-        ticks = terminals.limit_ticks(min(limit, _MAX_BLOCK_TICKS, self._ticks_to_awaited_trigger()))
+        ticks = terminals.limit_ticks(min(limit, self._ticks_to_awaited_trigger()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
         volts = None
@@ -363,7 +366,7 @@ class Chassis:
                 if (source.reference or (not run.has_started and isinstance(run.plan.start, AnalogSource)))
                 and self.event_tick(source) is None
             ),
-            default=_MAX_BLOCK_TICKS,
+            default=UNLIMITED_TICKS,
         )
 
     def report_problem(self, part: str, error: BaseException) -> str:
@@ -382,16 +385,17 @@ class Chassis:
 
     def fail(self, error: BaseException) -> None:
         """Report an error of the simulation, and end all waiting calls."""
-        self._stop_all(DaqError(self.report_problem("the simulation of the scene", error), Code.UNKNOWN))
+        self.stop_runs(DaqError(self.report_problem("the simulation of the scene", error), Code.UNKNOWN))
 
-    def _stop_all(self, error: DaqError) -> None:
+    def stop_runs(self, error: DaqError, devices: Container[str] | None = None) -> None:
+        """Stop runs with an error: of the tasks on some devices (their names in lower case), or of all tasks."""
         with self.changed:
-            for acquisition in self.inputs.values():
-                acquisition.stop(error)
-            for generation in self.outputs.values():
-                generation.stop(error)
+            runs: dict[Runner, Acquisition | Generation] = {**self.inputs, **self.outputs}
+            stopped = [task for task in runs if devices is None or task.device.lower() in devices]
+            for task in stopped:
+                runs[task].stop(error)
             self._wake_all()
-            for task in (*self.inputs, *self.outputs):
+            for task in stopped:
                 task.notify_samples()
 
     def _wake_all(self) -> None:
@@ -403,7 +407,7 @@ class Chassis:
         """Stop all runs if the delay relative to the wall clock, s, exceeds `_MAX_DELAY_S`; return whether it does."""
         if seconds < _MAX_DELAY_S:
             return False
-        self._stop_all(
+        self.stop_runs(
             DaqError(
                 f"input overflow: this machine simulates the scene {seconds:.0f} s behind real time. Lower the rates, "
                 "simplify the scene or use the fast clock.",

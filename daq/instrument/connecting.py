@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from daq.instrument.devices.modules import (
 )
 from daq.instrument.terminals import Terminals
 from daq.instrument.values import Coupling, TerminalConfiguration
+from rig.data_sheets.modules import Inputs, Outputs
 from rig.data_sheets.modules import Module as ModuleSheet
 from rig.data_sheets.modules import module as module_sheet
 from rig.scene.presets import complete_from_preset
@@ -58,14 +60,8 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         _add_output(modules, output, index)
     if not outputs:
         modules.append(_IDEAL_OUTPUTS)
-    separate, in_chassis = ([module for module in modules if module.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
-    separate = [replace(module, name=f"Dev{number}") for number, module in enumerate(separate, 1)]
-    in_chassis = [
-        replace(module, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot) for slot, module in enumerate(in_chassis, 1)
-    ]
-    chassis = [Module("cDAQ1", "cDAQ-9178", category=CHASSIS_CATEGORY, bus=USB_BUS)] if in_chassis else []
     all_channels = replace(
-        (separate or in_chassis)[0],
+        next((module for module in modules if module.bus == USB_BUS), modules[0]),
         name="",
         inputs=tuple(range(len(terminals.bench.channels))),
         outputs=tuple(range(len(terminals.drive_per_volt))),
@@ -74,7 +70,21 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         chassis="",
         slot=0,
     )
-    return [*chassis, *in_chassis, *separate, all_channels]
+    return [*name_devices(modules, "cDAQ-9178"), all_channels]
+
+
+def name_devices(modules: Sequence[Module], chassis_type: str) -> list[Module]:
+    """Return modules with the names that NI's driver assigns, after the chassis of the C Series modules, if any."""
+    separate, in_chassis = ([module for module in modules if module.bus == bus] for bus in (USB_BUS, COMPACT_DAQ_BUS))
+    chassis = [Module("cDAQ1", chassis_type, category=CHASSIS_CATEGORY, bus=USB_BUS)] if in_chassis else []
+    return [
+        *chassis,
+        *(
+            replace(module, name=f"cDAQ1Mod{slot}", chassis="cDAQ1", slot=slot)
+            for slot, module in enumerate(in_chassis, 1)
+        ),
+        *(replace(module, name=f"Dev{number}") for number, module in enumerate(separate, 1)),
+    ]
 
 
 # Module of the outputs whose shakers state no module.
@@ -101,20 +111,35 @@ def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
         return [ideal]
     sheet = module_sheet(preset)
     assert sheet.inputs is not None  # the check of the scene ensures this
-    inputs = sheet.inputs
-    template = replace(
-        _with_product_type(sheet, ideal),
+    template, n_inputs = with_inputs(ideal, sheet, sheet.inputs), sheet.inputs.channels
+    first_indices = range(0, max(1, len(indices)), n_inputs)
+    return [replace(template, inputs=indices[first : first + n_inputs]) for first in first_indices]
+
+
+def with_inputs(template: Module, sheet: ModuleSheet, inputs: Inputs) -> Module:
+    """Return a module with the properties of the inputs of a data sheet, and those couplings of the template it has."""
+    return replace(
+        _with_product_type(sheet, template),
         ranges=inputs.ranges,
         rates=inputs.rates,
-        couplings=tuple(coupling for coupling in couplings if coupling.name in inputs.couplings),
+        couplings=tuple(coupling for coupling in template.couplings if coupling.name in inputs.couplings),
         terminal_configurations=tuple(TerminalConfiguration[name.upper()] for name in inputs.terminals),
         currents=inputs.supply,
         supply_coupling=inputs.supply_coupling,
         on_demand=inputs.on_demand,
         teds=inputs.teds,
     )
-    first_indices = range(0, max(1, len(indices)), inputs.channels)
-    return [replace(template, inputs=indices[first : first + inputs.channels]) for first in first_indices]
+
+
+def with_outputs(template: Module, sheet: ModuleSheet, outputs: Outputs) -> Module:
+    """Return a module with the properties of the outputs of a data sheet."""
+    return replace(
+        _with_product_type(sheet, template),
+        output_range=outputs.ranges[-1],
+        output_bits=sheet.output_bits,
+        output_rates=outputs.rates,
+        output_on_demand=outputs.on_demand,
+    )
 
 
 def _with_product_type(sheet: ModuleSheet, template: Module) -> Module:
@@ -130,13 +155,8 @@ def _add_output(modules: list[Module], output: Output, index: int) -> None:
     outputs = None if sheet is None else sheet.outputs
     template = _IDEAL_OUTPUTS
     if sheet is not None and outputs is not None:
-        template = replace(
-            _with_product_type(sheet, template),
-            output_range=output.range or outputs.ranges[-1],
-            output_bits=output.bits,
-            output_rates=outputs.rates,
-            output_on_demand=outputs.on_demand,
-        )
+        template = with_outputs(template, sheet, outputs)
+        template = replace(template, output_range=output.range or template.output_range, output_bits=output.bits)
     elif output.range is not None:
         template = replace(template, output_range=output.range, output_bits=output.bits)
     # A module without a stated type has any number of outputs.

@@ -75,6 +75,7 @@ class Task:
     def start(self, by_read: bool = False) -> None:
         """Start the task, or arm its start trigger, and keep bench time running; `by_read` if a read starts it."""
         self.check_idle("starting")
+        self._announce("start")
         if not self.settings.channels:
             raise DaqError(
                 "the task has no channels. Add a channel before starting it.",
@@ -296,25 +297,32 @@ class Task:
         with self.chassis.changed:
             self.settings.require("ai")
             self.input.check_readable()
+            self._announce("read")
             if samples < 0:
                 samples = self.default_count()
             check(samples)
-            indices = self.settings.indices_to_read()
-            out = allocate(len(indices), samples, np.int32 if raw else np.float64)
-            if not self.settings.has_sample_clock:
-                with self._on_demand():
-                    return self.input.read_on_demand(indices, out, timeout, raw)
-            self._start_for_read()
-            if timeout == 0:
-                self.note_query("read")
-            try:
-                result = self.input.read(indices, out, timeout, raw)
-                self._was_failure_raised |= result.error is not None and result.error is self.failure
-                return result
-            finally:
-                # A read that started a finite task and read all its samples also stops it.
-                if self._was_started_by_read and self.running and self.finished and self.input.all_read:
-                    self.end()
+            result = self._read(samples, timeout, raw)
+            self._report_transfer(result.samples, result.error)
+            return result
+
+    def _read(self, samples: int, timeout: float, raw: bool) -> ReadResult:
+        """Read a number of samples; see `read`."""
+        indices = self.settings.indices_to_read()
+        out = allocate(len(indices), samples, np.int32 if raw else np.float64)
+        if not self.settings.has_sample_clock:
+            with self._on_demand():
+                return self.input.read_on_demand(indices, out, timeout, raw)
+        self._start_for_read()
+        if timeout == 0:
+            self.note_query("read")
+        try:
+            result = self.input.read(indices, out, timeout, raw)
+            self._was_failure_raised |= result.error is not None and result.error is self.failure
+            return result
+        finally:
+            # A read that started a finite task and read all its samples also stops it.
+            if self._was_started_by_read and self.running and self.finished and self.input.all_read:
+                self.end()
 
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
         """Write samples, V, shape (channels, n); return the number of samples per channel written.
@@ -326,22 +334,42 @@ class Task:
         self.settings.require("ao")
         check_volts(self.settings.channels, volts)
         with self.chassis.changed:
-            if not self.settings.has_sample_clock:
-                if not (auto_start or self.running):
-                    raise DaqError(
-                        "the task is not running, and auto_start is False. Call start() before writing.",
-                        Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
-                    )
-                with self._on_demand():
-                    return self.output.write_on_demand(volts)
+            self._announce("write")
             try:
-                written = self.output.write(volts, timeout)
+                written = self._write(volts, auto_start, timeout)
+            except DaqError as error:
+                self._report_transfer(volts[:, : error.samples_done or 0], error)
+                raise
+            self._report_transfer(volts[:, :written], None)
+            if auto_start and self.settings.has_sample_clock and not self.running:
+                self.start()
+            return written
+
+    def _write(self, volts: Array, auto_start: bool, timeout: float) -> int:
+        """Write samples without starting the task; see `write`."""
+        if self.settings.has_sample_clock:
+            try:
+                return self.output.write(volts, timeout)
             except DaqError:
                 self._was_failure_raised |= self.running and self.failure is not None
                 raise
-            if auto_start and not self.running:
-                self.start()
-            return written
+        if not (auto_start or self.running):
+            raise DaqError(
+                "the task is not running, and auto_start is False. Call start() before writing.",
+                Code.CANNOT_READ_WHEN_AUTO_START_FALSE_AND_TASK_NOT_RUNNING_OR_COMMITTED,
+            )
+        with self._on_demand():
+            return self.output.write_on_demand(volts)
+
+    def _announce(self, call: str) -> None:
+        """Announce a call to the listeners of the chassis; one of them may raise the error of the call."""
+        for listener in self.chassis.call_listeners:
+            listener(call, self)
+
+    def _report_transfer(self, samples: Array, error: DaqError | None) -> None:
+        """Report the samples of a read or write to the listeners of the chassis."""
+        for listener in self.chassis.transfer_listeners:
+            listener(self, samples, error)
 
     @contextmanager
     def _on_demand(self) -> Iterator[None]:

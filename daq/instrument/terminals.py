@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     from rig.scene.scene import Scene
 
 
+# Maximum number of ticks by which the bench advances at once.
+_MAX_BLOCK_TICKS = 4096
+
+
 class Terminals:
     """The interface between a bench and its instrument.
 
@@ -73,8 +77,8 @@ class Terminals:
     # Time
 
     def limit_ticks(self, ticks: int) -> int:
-        """Limit a number of ticks to those for which the drive of the test is already known."""
-        return self._test.limit_ticks(ticks)
+        """Limit a number of ticks to those for which the drive of the test is already known, and to a block."""
+        return self._test.limit_ticks(min(ticks, _MAX_BLOCK_TICKS))
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Block]:
         """Advance the bench and return its samples by rate; see `Bench.advance`.

@@ -15,7 +15,8 @@ import functools
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 # Environment variables of the script's process.
@@ -23,13 +24,27 @@ SERVER = "SHOTRIG_SERVER"  # address of the server
 FAST, LIMITED = "SHOTRIG_FAST", "SHOTRIG_LIMITED"  # set for the fast clock, and for a run with a time limit
 # API key that disables session sharing: a duplicate task name is then an error, as in NI's driver.
 STRICT = "shotrig: no sessions"
-# Connection (gRPC channel) of each process, by process id.
-_connections: dict[int, Any] = {}
+# Folder with the startup code of a script's process.
+STARTUP = Path(__file__).resolve().parent / "startup"
+# Connection (gRPC channel) of each process to each server, by process id and address.
+_connections: dict[tuple[int, str], Any] = {}
+
+
+def environment(address: str, follows_wall_clock: bool) -> dict[str, str]:
+    """Return the environment variables by which child processes use the server at an address.
+
+    `follows_wall_clock`: whether bench time does.
+    """
+    paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
+    # Forked child processes open new connections, which grpc allows only if its variable is set before the fork.
+    variables = {SERVER: address, "PYTHONPATH": os.pathsep.join(paths), "GRPC_ENABLE_FORK_SUPPORT": "1"}
+    return variables if follows_wall_clock else {**variables, FAST: "1"}
 
 
 def prepare() -> None:
     """Connect the client to the rig; let bench time advance while the script sleeps (fast clock) or waits for Enter."""
-    _set_default_connection()
+    for owner, name, value in replacements():
+        setattr(owner, name, value)
     if os.environ.get(FAST):
         time.sleep = functools.partial(_pass_bench_time, "Pass")
     if os.environ.get(FAST) or os.environ.get(LIMITED):
@@ -40,19 +55,20 @@ def prepare() -> None:
         sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else print_traceback(kind, *rest)
 
 
-def _set_default_connection() -> None:
+def replacements() -> Iterator[tuple[Any, str, Any]]:
+    """Yield the public names of the client to replace, each as its owner, its name and its new value."""
     import nidaqmx
     from nidaqmx import Scale, system
     from nidaqmx.system import storage
 
     persisted = (storage.PersistedTask, storage.PersistedChannel, storage.PersistedScale)
     for owner in (nidaqmx.Task, Scale, system.Device, system.PhysicalChannel, *persisted):
-        owner.__init__ = _with_options(owner.__init__)
+        yield owner, "__init__", _with_options(owner.__init__)
     scale_types = ("lin", "map", "polynomial", "table")
     for name in ("calculate_reverse_poly_coeff", *(f"create_{scale_type}_scale" for scale_type in scale_types)):
-        setattr(Scale, name, staticmethod(_with_options(getattr(Scale, name))))
+        yield Scale, name, staticmethod(_with_options(getattr(Scale, name)))
     remote = system.System.remote
-    system.System.local = staticmethod(lambda: remote(_options()))
+    yield system.System, "local", staticmethod(lambda: remote(_options()))
 
 
 def _with_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -76,9 +92,17 @@ def _options() -> Any:
 
 def _connection() -> Any:
     """Return the connection of this process: a connection opened before a fork belongs to the parent process."""
-    if os.getpid() not in _connections:
-        _connections[os.getpid()] = open_channel(os.environ[SERVER])
-    return _connections[os.getpid()]
+    key = os.getpid(), os.environ[SERVER]
+    if key not in _connections:
+        _connections[key] = open_channel(key[1])
+    return _connections[key]
+
+
+def disconnect(address: str) -> None:
+    """Close the connection of this process to a server."""
+    connection = _connections.pop((os.getpid(), address), None)
+    if connection is not None:
+        connection.close()
 
 
 def open_channel(address: str) -> Any:

@@ -10,6 +10,7 @@ from typing import Self
 
 from nidaqmx import GrpcSessionOptions
 
+from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
@@ -27,8 +28,8 @@ class Connection(GrpcSessionOptions):
     processes.
     """
 
-    def __init__(self, scene: Scene | str | Path | None, clock: str | Clock | None, limits: Limits) -> None:
-        self.chassis = connect_scene(scene, clock)
+    def __init__(self, chassis: Chassis, limits: Limits) -> None:
+        self.chassis = chassis
         self._server = Server(self.chassis, limits=limits, other_handlers=(BenchTime(self.chassis),))
         self.address = f"127.0.0.1:{self._server.port}"
         self._open = True
@@ -114,4 +115,4 @@ def connect(
     ...         [len(samples) for samples in task.read(100)]
     [100, 100, 100, 100]
     """
-    return Connection(scene, clock, limits or Limits())
+    return Connection(connect_scene(scene, clock), limits or Limits())

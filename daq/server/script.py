@@ -12,7 +12,7 @@ from pathlib import Path
 
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime, TimeLimit
-from daq.server.client_defaults import FAST, LIMITED, SERVER
+from daq.server.client_defaults import LIMITED, environment
 from daq.server.service import Server
 from daq.server.signal_forwarding import forward_signals
 from daq.server.starter_script import report_missing_excitation
@@ -21,8 +21,6 @@ from rig.scene.scene import Scene
 
 # Exit code of a process after Ctrl-C on Windows.
 CTRL_C_EXIT = 0xC000013A
-# Folder with the startup code of the script's process.
-STARTUP = Path(__file__).resolve().parent / "startup"
 
 
 def run_script(
@@ -92,12 +90,9 @@ def _run(command: list[str], port: int, follows_wall_clock: bool, limit: TimeLim
 
     `follows_wall_clock`: whether bench time does.
     """
-    paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
-    environment = os.environ | {SERVER: f"127.0.0.1:{port}", "PYTHONPATH": os.pathsep.join(paths)}
-    # Forked child processes open new connections, which grpc allows only if this variable is set before the fork.
-    environment |= {"GRPC_ENABLE_FORK_SUPPORT": "1"}
-    environment |= ({} if follows_wall_clock else {FAST: "1"}) | ({} if limit.is_unlimited else {LIMITED: "1"})
-    process = subprocess.Popen([sys.executable, *command], env=environment)
+    variables = os.environ | environment(f"127.0.0.1:{port}", follows_wall_clock)
+    variables |= {} if limit.is_unlimited else {LIMITED: "1"}
+    process = subprocess.Popen([sys.executable, *command], env=variables)
     limit.process = process.pid
     with forward_signals(process):
         code = process.wait()

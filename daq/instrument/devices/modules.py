@@ -215,10 +215,22 @@ class DeviceList:
             Code.INVALID_DEVICE_ID,
         )
 
+    def remove(self, name: str) -> Module:
+        """Remove a device of the bench, and return it."""
+        return self._modules.pop(name.lower())
+
+    def add(self, module: Module) -> None:
+        """Add a device."""
+        self._modules[module.name.lower()] = module
+
+    def all(self) -> list[Module]:
+        """Return the devices on the bench."""
+        return [module for module in self._modules.values() if module.name]
+
     @property
     def names(self) -> list[str]:
         """Names of the devices on the bench."""
-        return [module.name for module in self._modules.values() if module.name]
+        return [module.name for module in self.all()]
 
     def modules_of(self, chassis: str) -> list[str]:
         """Return the names of the modules in a chassis, by slot."""

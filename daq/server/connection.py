@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import threading
 from pathlib import Path
 from types import TracebackType
@@ -32,7 +33,7 @@ class Connection(GrpcSessionOptions):
         self.chassis = chassis
         self._server = Server(self.chassis, limits=limits, other_handlers=(BenchTime(self.chassis),))
         self.address = f"127.0.0.1:{self._server.port}"
-        self._open = True
+        self._open, self._process = True, os.getpid()
         super().__init__(open_channel(self.address), "")
         _open_connections.add(self)
 
@@ -51,8 +52,11 @@ class Connection(GrpcSessionOptions):
         self.chassis.pass_time(seconds)
 
     def close(self, grace: float | None = 0.5) -> None:
-        """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted)."""
-        if self._open:
+        """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted).
+
+        In a forked process, which has no threads of the rig, do nothing.
+        """
+        if self._open and os.getpid() == self._process:
             self._open = False
             _open_connections.discard(self)
             self.grpc_channel.close()

@@ -1,0 +1,291 @@
+"""Benches for tests: wires, sources, modules, transfers and faults, through NI's client."""
+
+from __future__ import annotations
+
+import nidaqmx
+import numpy as np
+import pytest
+from nidaqmx.constants import AcquisitionType, Coupling
+
+import rig
+from daq.pytest_plugin import transfers
+from daq.pytest_plugin.bench import open_bench
+from rig.errors import RecordingError, SceneError
+from tests.daq.client import raises_code
+
+RATE = 5120.0
+TWO_MODULES = ("NI 9234", "NI 9263")
+
+
+@pytest.fixture
+def open_for_test():
+    """Return a function that opens a bench until the end of the test."""
+    opened = []
+
+    def open_and_keep(*arguments, **settings):
+        opened.append(open_bench(*arguments, **settings))
+        return opened[-1]
+
+    yield open_and_keep
+    for bench in opened:
+        bench.close()
+
+
+def task_on(bench):
+    return nidaqmx.Task(grpc_options=bench.grpc_options)
+
+
+def read_finite(bench, channels, samples, rate=RATE, coupling=Coupling.DC):
+    """Return samples of inputs, from the start of a finite task on, shape (channels, samples)."""
+    with task_on(bench) as task:
+        channel = task.ai_channels.add_ai_voltage_chan(channels, min_val=-5.0, max_val=5.0)
+        channel.ai_coupling = coupling
+        task.timing.cfg_samp_clk_timing(rate, samps_per_chan=samples)
+        return np.atleast_2d(task.read(samples))
+
+
+def continuous(bench, channels="cDAQ1Mod1/ai0", **timing):
+    """Return a continuous input task."""
+    task = task_on(bench)
+    task.ai_channels.add_ai_voltage_chan(channels)
+    task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS, **timing)
+    return task
+
+
+@pytest.mark.parametrize("rate", [5120.0, 51200.0, 51200.0 / 7])
+def test_wire_carries_output_to_input(open_for_test, rate):
+    bench = open_for_test(TWO_MODULES, wires=["ao1 -> ai2"])
+    volts = np.random.default_rng(1).uniform(-4.0, 4.0, 500)
+    with task_on(bench) as inputs, task_on(bench) as outputs:
+        inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai1:2").ai_coupling = Coupling.DC
+        outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao1")
+        for task in (inputs, outputs):
+            task.timing.cfg_samp_clk_timing(rate, samps_per_chan=500)
+        outputs.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
+        outputs.write(volts)
+        outputs.start()
+        unconnected, wired = np.array(inputs.read(500))
+    assert not unconnected.any()
+    # The resolution of 24 bits at ±5 V is 0.6 µV.
+    assert wired == pytest.approx(volts, abs=1e-6)
+    bench.assert_written("ao1", volts, tolerance=0.0)
+    assert bench.read("ai2") == pytest.approx(wired, abs=0.0)
+
+
+def test_sources_give_their_voltages(open_for_test):
+    sources = {"ai0": "0.5 V", "ai1": {"offset": 1, "amplitude": "2 V", "frequency": "50 Hz"}, "ai2": np.cos}
+    bench = open_for_test(["NI 9234"], sources=sources)
+    time = np.arange(512) / RATE
+    expected = [np.full(512, 0.5), 1.0 + 2.0 * np.sin(100.0 * np.pi * time), np.cos(time)]
+    assert read_finite(bench, "cDAQ1Mod1/ai0:2", 512) == pytest.approx(np.array(expected), abs=1e-6)
+
+
+def test_ac_coupling_removes_constant_voltage(open_for_test):
+    sources = {"ai0": lambda time: 1.0 + (time >= 1.0)}
+    volts = read_finite(open_for_test(["NI 9234"], sources=sources), "cDAQ1Mod1/ai0", 10240, coupling=Coupling.AC)[0]
+    assert not volts[:5120].any()
+    # The step decays with the time constant of the corner at 0.5 Hz.
+    assert volts[5120:] == pytest.approx(np.exp(-2.0 * np.pi * 0.5 * np.arange(1, 5121) / RATE), abs=1e-6)
+
+
+def test_voltage_beyond_range_is_clipped_and_flagged(open_for_test):
+    bench = open_for_test(["NI 9234"], sources={"ai1": "6 V"})
+    with continuous(bench, "cDAQ1Mod1/ai0:1") as task:
+        task.ai_channels[1].ai_coupling = Coupling.DC
+        assert np.max(task.read(100)) == pytest.approx(5.0, abs=1e-5)
+        assert task.in_stream.overloaded_chans_exist
+        assert task.in_stream.overloaded_chans == ["cDAQ1Mod1/ai1"]
+
+
+def test_limits_choose_range_and_resolution(open_for_test):
+    bench = open_for_test(["USB-6211"], sources={"ai0": "0.123456 V"})
+    readings = []
+    for limit in (0.2, 10.0):
+        with task_on(bench) as task:
+            task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=-limit, max_val=limit)
+            readings.append(task.read())
+    # 16 bits of ±0.2 V, and of ±10 V.
+    assert readings == pytest.approx([round(0.123456 / 0.4 * 2**16) * 0.4 / 2**16, 405 * 20.0 / 2**16], abs=1e-12)
+
+
+def test_names_are_those_of_description(open_for_test):
+    bench = open_for_test(
+        {
+            "chassis": "cDAQ-9174",
+            "modules": {
+                "myMod2": "ni9234",
+                "myMod1": "NI 9263",
+                "Dev7": {"product_type": "USB-6218", "inputs": 32, "ranges": ["5 V", "10 V"]},
+            },
+            "wires": ["ao0 -> myMod2/ai0"],
+        }
+    )
+    system = nidaqmx.system.System.remote(bench.grpc_options)
+    types = {device.name: device.product_type for device in system.devices}
+    assert types == {"my": "cDAQ-9174", "myMod2": "NI 9234", "myMod1": "NI 9263", "Dev7": "USB-6218"}
+    assert [module.name for module in system.devices["my"].chassis_module_devices] == ["myMod1", "myMod2"]
+    assert system.devices["Dev7"].ai_voltage_rngs == [-5.0, 5.0, -10.0, 10.0]
+    with raises_code(-200220), task_on(bench) as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+
+
+@pytest.mark.parametrize(
+    ("bench", "settings", "message"),
+    [
+        (["NI 9235"], {}, r"modules\[1\].product_type: no data sheet for 'NI 9235'.*\{product_type: USB-6211, inputs"),
+        ([], {}, "modules: got .*a list of length 1 or more"),
+        (TWO_MODULES, {"wires": ["ao0 ai0"]}, "'ao0 ai0' is not a wire. Write it as ao0 -> ai0"),
+        (TWO_MODULES, {"wires": ["ao4 -> ai0"]}, "no output 'ao4'. Its outputs are cDAQ1Mod2/ao0, .*ao3"),
+        (["NI 9234", "NI 9234"], {"sources": {"ai1": 1}}, "ambiguous. Choose cDAQ1Mod1/ai1 or cDAQ1Mod2/ai1"),
+        (TWO_MODULES, {"wires": ["ao0 -> ai0"], "sources": {"ai0": "1 V"}}, "ai0 is connected twice"),
+        (TWO_MODULES, {"sources": {"ai0": "1 kg"}}, 'sources.ai0.offset: got "1 kg"; expected a voltage'),
+        ({"modules": {"mine": "NI 9234"}}, {}, "'mine' cannot be in a chassis, as NI 9234 is"),
+        ("bare-structure", {"wires": ["ao0 -> ai0"]}, "cannot be combined with a scene"),
+        ("missing.yaml", {}, "missing.yaml: the file does not exist"),
+        (42, {}, "expected a name, a path, a mapping or a rig.Scene"),
+    ],
+)
+def test_invalid_bench_is_reported(bench, settings, message):
+    with pytest.raises(SceneError, match=message):
+        open_bench(bench, **settings)
+
+
+def test_different_output_is_described(open_for_test):
+    bench = open_for_test()
+    with task_on(bench) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        for volts in (1.0, 2.0, 3.5):
+            task.write(volts)
+    bench.assert_written("ao0", [1.0, 2.0, 3.5])
+    with pytest.raises(AssertionError, match=r"ao0: 1 of 3 .* by up to 0.5 V. Sample 2 is 3.5 V; expected 3 V"):
+        bench.assert_written("ao0", [1.0, 2.0, 3.0])
+    with pytest.raises(AssertionError, match="3 samples were written; expected 2"):
+        bench.assert_written("cDAQ1Mod2/ao0", [1.0, 2.0])
+    with pytest.raises(AssertionError, match="expected nan V"):
+        bench.assert_written("ao0", [1.0, 2.0, np.nan])
+
+
+def test_discarded_samples_are_reported(open_for_test, monkeypatch):
+    monkeypatch.setattr(transfers, "_MAX_BYTES", 1000)
+    bench = open_for_test()
+    with continuous(bench) as task:
+        task.read(100)
+        assert bench.read("ai0").size == 100
+        task.read(100)
+    assert len(bench.transfers.latest) == 1
+    with pytest.raises(RecordingError, match="1 reads and writes were discarded"):
+        bench.read("ai0")
+
+
+# Faults
+
+
+def test_call_fails_once_after_successful_calls(open_for_test):
+    bench = open_for_test()
+    bench.faults.fail("read", -200284, after=2)
+    with continuous(bench) as task:
+        task.read(10)
+        task.read(10)
+        with raises_code(-200284, kind=nidaqmx.errors.DaqReadError, samples=0):
+            task.read(10)
+        task.read(10)
+        assert task.in_stream.total_samp_per_chan_acquired == 30
+    with pytest.raises(SceneError, match="there is no call 'reads'"):
+        bench.faults.fail("reads", -200284)
+
+
+def test_failed_write_transfers_nothing(open_for_test):
+    bench = open_for_test()
+    bench.faults.fail("write", -200292)
+    with task_on(bench) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        with raises_code(-200292, kind=nidaqmx.errors.DaqWriteError, samples=0):
+            task.write(1.0)
+        task.write(2.0)
+    assert bench.written("ao0").tolist() == [2.0]
+
+
+def test_overwritten_samples_are_missing_afterwards(open_for_test):
+    bench = open_for_test(["NI 9234"], sources={"ai0": lambda time: time})
+    bench.faults.fail("read", -200279, after=1)
+    with continuous(bench, samps_per_chan=1000) as task:
+        task.ai_channels[0].ai_coupling = Coupling.DC
+        task.read(1000)
+        with raises_code(-200279):
+            task.read(1000)
+        samples = np.array(task.read(1000))
+        # The buffer has 10 000 samples at this rate: after the overflow by one, the oldest sample has number 1001.
+        assert samples[0] == pytest.approx(1001 / RATE, abs=1e-6)
+
+
+def test_lost_samples_end_acquisition_until_restart(open_for_test):
+    bench = open_for_test()
+    bench.faults.fail("read", -200361, after=1)
+    with continuous(bench) as task:
+        task.read(10)
+        for _ in range(2):
+            with raises_code(-200361):
+                task.read(10)
+        task.stop()
+        assert len(task.read(10)) == 10
+
+
+def test_overload_ends_after_its_time(open_for_test):
+    bench = open_for_test(TWO_MODULES)
+    with continuous(bench, "cDAQ1Mod1/ai0:1") as task:
+        task.read(100)
+        bench.faults.overload("ai1", seconds=100 / RATE)
+        data = np.array(task.read(200))
+        assert task.in_stream.overloaded_chans_exist
+        assert task.in_stream.overloaded_chans == ["cDAQ1Mod1/ai1"]
+        assert (not data[0].any(), np.count_nonzero(data[1])) == (True, 100)
+        assert data[1].max() == pytest.approx(5.0, abs=1e-6)
+
+
+def test_scene_can_be_overloaded(open_for_test):
+    bench = open_for_test(rig.load("bare-structure", {"converter.bits": 16, "converter.range": "10 V"}))
+    bench.faults.overload("ai1", seconds=1.0)
+    with continuous(bench) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai1", min_val=-10.0, max_val=10.0)
+        assert min(task.read(100)[1]) == pytest.approx(10.0, abs=1e-3)
+
+
+def test_reserved_device_is_released(open_for_test):
+    bench = open_for_test()
+    bench.faults.reserve("cDAQ1Mod1")
+    with continuous(bench) as task:
+        with raises_code(-50103, "another client"):
+            task.start()
+        bench.faults.release("cDAQ1Mod1")
+        task.start()
+        with pytest.raises(SceneError, match="there is no device 'cDAQ2Mod1'"):
+            bench.faults.reserve("cDAQ2Mod1")
+
+
+@pytest.mark.parametrize("device", ["cDAQ1Mod1", "cDAQ1"])
+def test_unplugged_device_fails_until_plugged_in(open_for_test, device):
+    bench = open_for_test()
+    system = nidaqmx.system.System.remote(bench.grpc_options)
+    with continuous(bench) as task:
+        task.read(10)
+        bench.faults.unplug(device)
+        assert device not in system.devices.device_names
+        with raises_code(-201003, "cDAQ1Mod1" if device.endswith("Mod1") else ""):
+            task.read(10)
+        with raises_code(-200220), task_on(bench) as other:
+            other.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+        bench.faults.plug_in()
+        assert sorted(system.devices.device_names) == ["cDAQ1", "cDAQ1Mod1", "cDAQ1Mod2"]
+        with raises_code(-201003):
+            task.stop()
+        assert len(task.read(10)) == 10
+
+
+def test_waiting_read_ends_when_device_is_unplugged(open_for_test):
+    bench = open_for_test(clock="real")
+    with continuous(bench) as task:
+        task.triggers.start_trigger.cfg_anlg_edge_start_trig("cDAQ1Mod1/ai0", trigger_level=1.0)
+        task.start()
+        bench.faults.unplug("cDAQ1Mod1")
+        with raises_code(-201003):
+            task.read(10, timeout=60.0)

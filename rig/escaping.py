@@ -13,6 +13,8 @@ import re
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"
 )
+# Text that a spreadsheet computes as a formula, after the apostrophes that prevent this.
+_FORMULA = re.compile(r"'*[=+\-@].")
 _MARKDOWN_SYNTAX = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
 
 
@@ -41,6 +43,30 @@ def escape_html(text: object) -> str:
     '&lt;b&gt; &amp; &#x27;x&#x27;'
     """
     return _html.escape(escape_terminal(text))
+
+
+def escape_cell(text: str) -> str:
+    """Escape text for a cell of a CSV table: a spreadsheet must not compute it as a formula.
+
+    >>> escape_cell("=1+1"), escape_cell("-3.2"), escape_cell("body 1")
+    ("'=1+1", '-3.2', 'body 1')
+    """
+    if _FORMULA.match(text) is None:
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
+def unescape_cell(cell: str) -> str:
+    """Return the text of a cell that `escape_cell` wrote.
+
+    >>> unescape_cell(escape_cell("=1+1")), unescape_cell("'body 1'")
+    ('=1+1', "'body 1'")
+    """
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
 
 
 def escape_markdown(text: object) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
@@ -66,9 +68,30 @@ _STYLE: Any = {
 }
 
 
+def _load_matplotlib() -> Any:
+    """Import matplotlib; figures in files do not need the backend that MPLBACKEND states, which may be unknown."""
+    if "matplotlib" not in sys.modules:
+        backend = os.environ.pop("MPLBACKEND", None)
+        import matplotlib
+
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+            with suppress(ValueError):
+                matplotlib.rcParams["backend"] = backend
+    return sys.modules["matplotlib"]
+
+
+def _own_style() -> AbstractContextManager[None]:
+    """Return a context with the common style, in which the user's matplotlibrc has no effect."""
+    matplotlib = _load_matplotlib()
+    defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+    context: AbstractContextManager[None] = matplotlib.rc_context(defaults | _STYLE)
+    return context
+
+
 def use_style() -> None:
     """Use the common style for all figures that a script draws with matplotlib."""
-    import matplotlib
+    matplotlib = _load_matplotlib()
     from matplotlib.rcsetup import cycler
 
     matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=COLORS)})
@@ -77,11 +100,10 @@ def use_style() -> None:
 @contextmanager
 def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
     """Provide an empty figure in the common style; draw inside the `with` block."""
-    import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    with _own_style():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
         FigureCanvasAgg(figure)
         yield figure
@@ -89,10 +111,8 @@ def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
 
 def save_figure(figure: Figure, stem: Path) -> list[Path]:
     """Write `stem`.png and `stem`.svg without dates or versions, and return their paths."""
-    import matplotlib
-
     png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
-    with matplotlib.rc_context(_STYLE):
+    with _own_style():
         layout_engine = figure.get_layout_engine()
         if layout_engine is not None:
             figure.set_dpi(_DPI)

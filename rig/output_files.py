@@ -19,6 +19,7 @@ from secrets import token_hex
 from tempfile import TemporaryFile
 
 from rig.errors import RunError, SceneError, ShotrigError
+from rig.escaping import escape_cell
 from rig.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
 
 #: Maximum length of a scene's name in a file name.
@@ -195,9 +196,10 @@ def _save_next_to(temporary: Path, file: Path) -> Path:
 
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
-    """Return rows as CSV, with a line feed after each."""
+    """Return rows as CSV, with a line feed after each; text cells are escaped."""
     text = io.StringIO(newline="")
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    escaped = ([escape_cell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(escaped)
     return text.getvalue()
 
 

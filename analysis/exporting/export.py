@@ -21,6 +21,7 @@ from analysis.exporting.uff import write_uff
 from analysis.recordings.names import takes_path
 from analysis.recordings.slices import Slice
 from rig.errors import RunError, SceneError
+from rig.escaping import escape_cell
 from rig.output_files import atomic_write
 from rig.progress import CountProgress
 
@@ -74,7 +75,7 @@ def write_csv(segment: Slice, path: Path) -> None:
     """Write a CSV table: time in s, then the channels, in full precision; lost samples are ``nan``."""
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["time [s]", *(f"{info.name} [{info.unit}]" for info in segment.infos)])
+        writer.writerow(["time [s]", *(escape_cell(f"{info.name} [{info.unit}]") for info in segment.infos)])
         for first, samples in segment.pieces(segment.channels):
             time = np.arange(first, first + samples.shape[1]) / segment.recording.rate
             writer.writerows(zip(time.tolist(), *samples.tolist(), strict=True))

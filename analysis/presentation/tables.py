@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.modal.modes import Modes
-from rig.escaping import escape_terminal
+from rig.escaping import escape_cell, escape_terminal
 from rig.output_files import atomic_write
 from rig.results.response import Response
 
@@ -27,7 +27,7 @@ def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path
     """Write a table with nine significant digits and empty cells for missing values; return its path."""
     with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(heading)
+        writer.writerow(map(escape_cell, heading))
         for row in rows:
             writer.writerow([_cell(value) for value in row])
     return path
@@ -36,7 +36,7 @@ def write_table(path: Path, heading: Sequence[str], rows: Iterable[Row]) -> Path
 def _cell(value: str | float | int) -> str:
     if isinstance(value, str):
         # The label can be a file name, which is not necessarily valid UTF-8.
-        return escape_terminal(value)
+        return escape_cell(escape_terminal(value))
     if isinstance(value, int | np.integer):
         return str(value)
     return "" if np.isnan(value) else f"{value:.9g}"

@@ -18,6 +18,7 @@ from daq.importing.files import signals_of
 from daq.importing.units import quantity_and_scale
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
+from rig.escaping import unescape_cell
 from rig.input_files import as_path
 from rig.results.response import MOTIONS, Response, stack
 from rig.results.uncertainty import SYSTEMATIC
@@ -248,9 +249,9 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
                     f"{path}:{reader.line_num}: a cell is not a number; expected numbers in the columns "
                     f"{columns_text}. Correct this row."
                 ) from None
-            name = f"{row.get('scene') or ''}\0{row['response']}"
+            name = f"{row.get('scene') or ''}\0{unescape_cell(row['response'] or '')}"
             rows.setdefault(name, []).append(point)
-            inputs[name] = (row.get("reference") or "").removeprefix("force at ")
+            inputs[name] = unescape_cell(row.get("reference") or "").removeprefix("force at ")
     scenes = {name.partition("\0")[0] for name in rows}
     if len(scenes) > 1:
         raise SceneError(

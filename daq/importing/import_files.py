@@ -19,7 +19,7 @@ from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads
 from daq.importing.signal import Signal
 from daq.importing.steps import StepDetector
-from daq.recording.layout import require_ordered_times
+from daq.recording.layout import MAX_VOLTS, require_ordered_times
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
 from rig.arrays import Array
@@ -331,7 +331,7 @@ class _RecordingWriter:
         """Return a block in volts, NaN where the file has no number; search it for gaps, clipping and hits."""
         assignment = self._assigned[row]
         volts = assignment.volts(first, stop)
-        volts[~np.isfinite(volts)] = np.nan
+        volts[~(np.abs(volts) < MAX_VOLTS)] = np.nan
         self._lost_ranges[row] += [(first + a, first + b) for a, b in runs_of(np.isnan(volts))]
         if len(self._lost_ranges[row]) > _MAX_LOST_SEGMENTS:
             self._lost_ranges[row] = merge_spans(self._lost_ranges[row], round(_LOST_PAUSE_S * self._rate))

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from daq.importing.clock import rate_of_interval
 from rig.errors import RecordingError
+from rig.escaping import unescape_cell
 
 # Maximum number of lines before the first line of numbers.
 _MAX_HEADING_LINES = 200
@@ -103,7 +104,7 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
 
 def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[list[str], list[str]]:
     """Return names and units of the columns, from the lines above the numbers."""
-    rows = [[cell.strip(" ,;") for cell in row] for row in rows_above[-2:] if len(row) == column_count]
+    rows = [[unescape_cell(cell.strip(" ,;")) for cell in row] for row in rows_above[-2:] if len(row) == column_count]
     if not rows or len(rows_above[-1]) != column_count:
         return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
     names, units = rows[-1], [""] * column_count

@@ -6,7 +6,6 @@ needed are decoded.
 
 from __future__ import annotations
 
-import warnings
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
@@ -17,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.mcap_file.reader import Container
-from daq.recording.layout import WRITER_REMEDY, Timebase, stated_clock
+from daq.recording.layout import MAX_VOLTS, WRITER_REMEDY, Timebase, stated_clock
 from daq.recording.sample_block import SCHEMAS, SampleBlock, check_block, decode, decode_contiguous
 from daq.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.arrays import Array
-from rig.errors import RecordingError, RunWarning
+from rig.errors import RecordingError
 from rig.numerics.runs import runs_of
 
 if TYPE_CHECKING:
@@ -32,8 +31,6 @@ if TYPE_CHECKING:
 _LARGE_RANGE = 1 << 22
 # At most this number of samples may be requested for each sample in the file.
 _MAX_REQUESTED_PER_STORED = 16
-# Upper limit of a voltage, and of a true value in SI; its square and its sums are finite.
-MAX_VOLTS = 1e30
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
 _MAX_CACHE_BYTES = 1 << 27
@@ -71,7 +68,7 @@ class Series:
         self._container, self._channel = container, channel.id
         self._schema = summary.schemas[channel.schema_id].name
         self._chunks = summary.chunks_of_channel.get(channel.id, np.empty(0, np.int64))
-        self._block_cache, self._has_warned = block_cache, False
+        self._block_cache = block_cache
         if self.metadata.get("stored", self.stored) != self.stored:
             raise self._error(
                 f"the metadata state samples of type {self.metadata['stored']!r:.40}, the schema {self.stored!r}. "
@@ -147,22 +144,11 @@ class Series:
         return blocks
 
     def _without_invalid(self, block: SampleBlock) -> SampleBlock:
-        """Replace numbers that no converter outputs by NaN, as lost samples read, and warn at the first."""
+        """Replace numbers that no converter outputs by NaN, as lost samples read."""
         with np.errstate(invalid="ignore"):
             if block.samples.size == 0 or max(block.samples.max(), -block.samples.min()) < MAX_VOLTS:
                 return block
-            is_valid = np.abs(block.samples) < MAX_VOLTS
-            samples = np.where(is_valid, block.samples, np.nan)
-        if not self._has_warned:
-            self._has_warned = True
-            first = int(np.argmin(is_valid))
-            warnings.warn(
-                f"{self._container.path}: {self.topic}: sample {block.first_sample + first} is "
-                f"{block.samples[first]:g}, which is no measured value. Such samples are treated as lost.",
-                RunWarning,
-                stacklevel=2,
-            )
-        return block._replace(samples=samples)
+            return block._replace(samples=np.where(np.abs(block.samples) < MAX_VOLTS, block.samples, np.nan))
 
     def _stored_blocks(self, chunk: int, records: memoryview | None = None) -> Iterator[tuple[SampleBlock, int]]:
         """Yield each block of this topic in a chunk, unchecked, with its log time in ns."""

@@ -37,6 +37,9 @@ SCENE_FILE = "scene.yaml"
 # Remedy for a file whose content contradicts this layout.
 WRITER_REMEDY = "Correct the program that wrote the file, or record again."
 
+# Upper limit of a voltage, and of a true value in SI. Squares and sums of smaller values are finite.
+MAX_VOLTS = 1e30
+
 # Approximate duration of a block, s.
 BLOCK_S = 0.1
 # Shortest full block, samples.

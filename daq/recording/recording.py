@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +20,7 @@ from daq.recording.sample_block import SAMPLE_TYPE
 from daq.signal_chain.channel import UNITS, ChannelInfo
 from daq.signal_chain.field_checks import NAME, check
 from rig.arrays import Array
-from rig.errors import RecordingError, ShotrigError, add_path, suggestion
+from rig.errors import RecordingError, RunWarning, ShotrigError, add_path, suggestion
 from rig.escaping import escape_html
 from rig.input_files import as_path
 from rig.results import Result, complete_style
@@ -306,14 +307,28 @@ class Recording(Result):
         if layout.MARKERS not in self._topics:
             missing_ranges = [(*gap, name) for name, series in self._series.items() for gap in series.missing_ranges()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(missing_ranges)]
-        invalid_ranges = [(*span, name) for name, series in self._series.items() for span in series.invalid_ranges()]
-        invalid = [Gap(first, stop - 1, (name,), "no measured values") for first, stop, name in invalid_ranges]
-        return sorted([*self._marked_gaps, *invalid], key=lambda gap: gap.first_sample)
+        invalid = [
+            Gap(first, stop - 1, (name,), "no measured values")
+            for name, series in self._series.items()
+            for first, stop in unmarked_ranges(series.invalid_ranges(), self._marked_gaps(name))
+        ]
+        if invalid:
+            count = sum(gap.last_sample - gap.first_sample + 1 for gap in invalid)
+            warnings.warn(
+                f"{self.path}: {count} samples are no measured values, the first is sample {invalid[0].first_sample} "
+                f"of {invalid[0].channels[0]}. They are treated as lost.",
+                RunWarning,
+                stacklevel=2,
+            )
+        return sorted([*self._all_marked_gaps, *invalid], key=lambda gap: gap.first_sample)
 
     @cached_property
-    def _marked_gaps(self) -> list[Gap]:
+    def _all_marked_gaps(self) -> list[Gap]:
         with add_path(self.path):
             return gaps_of(self.markers, list(self.channels))
+
+    def _marked_gaps(self, channel: str) -> list[Gap]:
+        return [gap for gap in self._all_marked_gaps if channel in gap.channels]
 
     @property
     def overloads(self) -> list[Marker]:
@@ -426,8 +441,7 @@ class Recording(Result):
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:
-            marked = [gap for gap in self._marked_gaps if name in gap.channels]
-            for first, stop in unmarked_ranges(self._series[name].missing_ranges(), marked):
+            for first, stop in unmarked_ranges(self._series[name].missing_ranges(), self._marked_gaps(name)):
                 if self._has_our_layout:
                     raise RecordingError(
                         f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are no "

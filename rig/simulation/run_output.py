@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
+from rig.escaping import escape_cell
 from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import CountProgress
 from rig.scene.scene import Scene
@@ -124,6 +125,6 @@ def _write_columns(run: Run, path: Path) -> None:
     table = np.column_stack([run.time, *(rows.T for rows in motion.values()), run.gap.T])
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(header)
+        writer.writerow(map(escape_cell, header))
         # Enough digits for identical values after reading.
         writer.writerows([[repr(float(value)) for value in row] for row in table])

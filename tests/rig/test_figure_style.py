@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -31,3 +35,26 @@ def test_axis_labels_do_not_overlap_tick_labels(tmp_path: Path) -> None:
 
         label, *tick_labels = (text.get_window_extent() for text in (bar.ax.yaxis.label, *bar.ax.get_yticklabels()))
         assert not any(label.overlaps(tick_label) for tick_label in tick_labels)
+
+
+def drawn(path: Path) -> bytes:
+    """Return a figure with a curve and text."""
+    with new_figure(2.0) as figure:
+        axes = figure.subplots()
+        axes.plot([1.0, 2.0], [1.0, 3.0], label="5 % _x")
+        axes.legend()
+        save_figure(figure, path / "a")
+    return (path / "a.png").read_bytes() + (path / "a.svg").read_bytes()
+
+
+def test_user_settings_do_not_affect_figures(tmp_path: Path) -> None:
+    expected = drawn(tmp_path)
+    with matplotlib.rc_context({"text.usetex": True, "lines.linewidth": 9.0, "axes.facecolor": "red"}):
+        assert drawn(tmp_path) == expected
+
+
+def test_unknown_backend_does_not_prevent_figures() -> None:
+    code = "import os; from rig.figure_style import new_figure\nwith new_figure(2.0): print(os.environ['MPLBACKEND'])"
+    environment = {**os.environ, "MPLBACKEND": "nonsense"}
+    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert result.stdout == "nonsense\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import RunError, SceneError
-from rig.output_files import atomic_write, create_folder, file_stem, prepare_outputs
+from rig.output_files import atomic_write, create_folder, csv_text, file_stem, prepare_outputs
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
@@ -118,3 +118,8 @@ def test_folder_named_like_a_figure_is_used(tmp_path: Path) -> None:
         create_folder(folder)
     folder.mkdir()
     create_folder(folder)
+
+
+def test_text_of_a_table_is_no_formula() -> None:
+    rows = [["=1+1", "@a", "-b", "+c", "-", "-1.5", -2.0, "'=d"], ["body 1", "", "-inf", "1e-3"]]
+    assert csv_text(rows) == "'=1+1,'@a,'-b,'+c,-,-1.5,-2.0,''=d\nbody 1,,-inf,1e-3\n"

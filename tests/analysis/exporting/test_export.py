@@ -1,5 +1,6 @@
 """`analysis export`: samples and results in files that other programs read back."""
 
+import contextlib
 import csv
 import os
 import shutil
@@ -19,6 +20,7 @@ from analysis.exporting.export import expected_bytes, export
 from analysis.exporting.results import export_results
 from analysis.exporting.uff import write_uff
 from analysis.recordings.slices import Slice
+from daq.importing.files import signals_of
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import RecordingError, RunError, SceneError
@@ -329,3 +331,18 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
         export_results(path, tmp_path / "frfs.mat", "frfs")
     with pytest.raises(SceneError, match="unknown format"):
         export_results(path, tmp_path / "modes.csv", "modes")
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "@SUM(A1)", "-body", "'=1", "'body"])
+def test_csv_has_no_formulas(tmp_path, name):
+    infos = [ChannelInfo(name, "body 1", "displacement", 500.0, RATE), two_channels()[1]]
+    with Recorder(tmp_path / "a.mcap", make_scene(), infos, RATE) as recorder:
+        recorder.write(random_volts(100))
+    with daq.open(tmp_path / "a.mcap") as recording:
+        export(Slice.of(recording), tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as stream:
+        head = next(csv.reader(stream))
+    assert not any(cell.startswith(("=", "+", "-", "@")) for cell in head)
+    # Import reads the original name.
+    with contextlib.ExitStack() as stack:
+        assert [signal.name for signal in signals_of(tmp_path / "a.csv", stack)] == [name, "body2"]

@@ -381,7 +381,8 @@ def map_(
         with count_progress("computing the motion") as progress:
             result = rig.map(loaded_scene, over, *limits, rows, *band, points, cluster, finished_points, progress)
         files = write_map(result, output)
-    finished_points.unlink()
+    # The same command at the same time may have removed it.
+    finished_points.unlink(missing_ok=True)
     print(summarize_map(result))
     report_written(*files)
 

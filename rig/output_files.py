@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import platform
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -115,7 +116,7 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
             raise overwrite_error(path)
     # An existing file that cannot contain a mark is compared with the new file once the new file is complete.
     file = resolve_output(path, overwrite or must_compare)
-    temporary = file.with_name(f".{token_hex(6)}{file.suffix}")
+    temporary = _new_temporary(file)
     try:
         yield temporary
         if needs_mark:
@@ -145,6 +146,28 @@ def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
             f"cannot write {path}: {error.strerror or error}. The result was saved as {_save_next_to(temporary, file)} "
             "instead."
         ) from error
+
+
+def _new_temporary(file: Path) -> Path:
+    """Return the name of a temporary file for an output, and remove those that killed processes have left."""
+    # The name contains a digest of the output, and host and process that write it.
+    prefix = f".{_digest(file.name)}-{_digest(platform.node())}-"
+    for other in file.parent.glob(f"{prefix}*"):
+        process = other.name.removeprefix(prefix).partition("-")[0]
+        if process.isdecimal() and not _is_running(int(process)):
+            with suppress(OSError):
+                other.unlink()
+    return file.with_name(f"{prefix}{os.getpid()}-{token_hex(4)}{file.suffix}")
+
+
+def _digest(text: str) -> str:
+    return sha256(os.fsencode(text)).hexdigest()[:6]
+
+
+def _is_running(process: int) -> bool:
+    import psutil
+
+    return bool(psutil.pid_exists(process))
 
 
 def rename_complete(temporary: Path, file: Path, overwrite: bool) -> None:

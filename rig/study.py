@@ -108,13 +108,14 @@ class StoredValues(Generic[Piece, Value]):
             content = path.read_bytes() if path.exists() else b""
             rows = _parse_rows(path, content, study.columns, study.name) if content else []
             with path.open("ab") as file:
-                file.truncate(_complete_length(content))
+                # Another process may add rows at this moment.
+                if _complete_length(content) < len(content):
+                    file.truncate(_complete_length(content))
         except OSError as error:
             raise RunError(
                 f"{path}: cannot write this table ({error.strerror}). Choose another name or folder with -o."
             ) from None
-        if not content:
-            self._append(study.columns)
+        self._append()
         for row in rows:
             try:
                 key, value = study.decode(row)
@@ -151,11 +152,12 @@ class StoredValues(Generic[Piece, Value]):
         with atomic_write(self._path, overwrite=True) as temporary:
             temporary.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
 
-    def _append(self, row: Sequence[object]) -> None:
+    def _append(self, *rows: Sequence[object]) -> None:
+        """Add rows to the table, which another process may have removed."""
         # A single write: after an interruption the line is complete or missing, unless the disk is full.
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:
-                file.write(csv_text([row]))
+                file.write(csv_text([*([] if file.tell() else [self.study.columns]), *rows]))
 
 
 def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:

@@ -270,7 +270,9 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
     if address == "local":
         with _deferred_signals(), _blocked_sigint():
             try:
-                cluster = LocalCluster(n_workers=cores(), threads_per_worker=1)
+                cluster = LocalCluster(
+                    n_workers=cores(), threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+                )
             except RuntimeError as error:
                 raise RunError(
                     f"--cluster local: the workers did not start ({error}). Leave out --cluster to compute without "

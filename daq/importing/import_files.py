@@ -19,6 +19,7 @@ from daq.importing.force_pulses import ForcePulses
 from daq.importing.overloads import Overloads
 from daq.importing.signal import Signal
 from daq.importing.steps import StepDetector
+from daq.recording.committed_file import locked
 from daq.recording.layout import MAX_VOLTS, require_ordered_times
 from daq.recording.recorder import Recorder
 from daq.recording.recording import open as open_recording
@@ -312,6 +313,7 @@ class _RecordingWriter:
         start_ns = max(assignment.signal.start_ns for assignment in self._assigned)
         start_ns += round(self._assigned[0].signal.start_s * 1e9) if start_ns else 0
         with (
+            locked(path),
             atomic_write(path, overwrite or None) as temporary_path,
             Recorder(temporary_path, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):

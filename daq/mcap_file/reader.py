@@ -67,7 +67,7 @@ class Container:
     def _summary(self) -> Summary:
         tail = FOOTER_RECORD.size + len(MAGIC)
         if self.size == 0:
-            raise RecordingError(f"{self.path}: the file is empty. Record it again.")
+            raise RecordingError(f"{self.path}: the file is empty. Remove it, and record again.")
         if self.read(0, len(MAGIC)) != MAGIC:
             remedy = "Give the path of a recording."
             if self.path.suffix.lower() in (".yaml", ".yml"):

@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 from typing import IO
 
@@ -34,7 +35,8 @@ class LostPathError(DiskError):
 class CommittedFile:
     """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
-    The folder of the file is created. `current_path` differs from `path` while an existing file is being replaced. If
+    The folder of the file is created, and the file itself by the first commit, so that a killed process leaves no empty
+    file. `current_path` differs from `path` while an existing file is being replaced. If
     `failed`, the file ends with the previous commit. Raises `RecordingError` if the file exists or cannot be created.
     """
 
@@ -44,21 +46,28 @@ class CommittedFile:
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
         self._final = self.current_path = resolve_output(path, overwrite, RecordingError)
+        self._old: IO[bytes] | None = None
+        self._file: FileIO | None = None
+
+    def _open(self) -> FileIO:
+        """Create the file and lock it; also lock the file that it will replace."""
+        path = self.path
         with ExitStack() as open_files:
             try:
                 self._old = open_files.enter_context(self._final.open("rb")) if self._final.exists() else None
                 if self._old is not None:
                     _lock(self._old, path)
                     self.current_path = _unused_name(self._final)
-                self._file = open_files.enter_context(self.current_path.open("xb", buffering=0))
+                file = open_files.enter_context(self.current_path.open("xb", buffering=0))
             except FileExistsError:
                 raise RecordingError(
                     f"{path}: another process created it in the meantime. Choose another name."
                 ) from None
             except OSError as error:
                 raise RecordingError(f"{path}: cannot be created ({error.strerror}). Choose another file.") from error
-            _lock(self._file, path)
+            _lock(file, path)
             open_files.pop_all()
+        return file
 
     def write(self, data: bytes) -> None:
         """Collect bytes for the next commit."""
@@ -73,39 +82,37 @@ class CommittedFile:
     def commit(self) -> None:
         """Write the waiting bytes; on `DiskError` the file is truncated to the previous commit."""
         waiting, self._waiting = self._waiting, []
+        file = self._file = self._file or self._open()
         try:
             for first in range(0, len(waiting), _MAX_PARTS_PER_WRITE):
                 unwritten = memoryview(b"".join(waiting[first : first + _MAX_PARTS_PER_WRITE]))
                 while unwritten:
-                    unwritten = unwritten[self._file.write(unwritten) :]
+                    unwritten = unwritten[file.write(unwritten) :]
         except OSError as error:
             self.failed = True
             with suppress(OSError):
-                os.ftruncate(self._file.fileno(), self._committed)
+                os.ftruncate(file.fileno(), self._committed)
             raise DiskError(f"{self.current_path}: cannot be written ({error.strerror})") from error
         self._committed = self._end
-        if not self._status().st_nlink and not self._is_in_place():
+        if not os.fstat(file.fileno()).st_nlink and not self._is_in_place():
             self.failed = True
             raise LostPathError(f"{self.current_path}: the file was deleted while it was written. Write it again.")
 
     def free(self) -> int:
         """Return the free space of the file's disk in bytes; raise `DiskError` if the disk fails."""
-        if sys.platform == "win32":
+        if sys.platform == "win32" or self._file is None:
             # Windows cannot move or delete an open file.
-            return shutil.disk_usage(self.current_path).free
+            return shutil.disk_usage(self.current_path.parent).free
         try:
             disk = os.fstatvfs(self._file.fileno())
         except OSError as error:
             raise DiskError(f"{self.current_path}: its disk fails ({error.strerror})") from error
         return disk.f_bavail * disk.f_frsize
 
-    def _status(self) -> os.stat_result:
-        return os.fstat(self._file.fileno())
-
     def _is_in_place(self) -> bool:
-        """Return whether the file is still at its path."""
+        """Return whether the file has been created and is still at its path."""
         try:
-            return os.path.samestat(self._status(), self.current_path.stat())
+            return self._file is not None and os.path.samestat(os.fstat(self._file.fileno()), self.current_path.stat())
         except OSError:
             return False
 
@@ -154,9 +161,9 @@ class CommittedFile:
 
     def close(self) -> None:
         """Close the file; bytes that were not committed are dropped."""
-        self._file.close()
-        if self._old is not None:
-            self._old.close()
+        for file in (self._file, self._old):
+            if file is not None:
+                file.close()
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
@@ -171,6 +178,18 @@ class CommittedFile:
                 self._remove()
             self.close()
             raise
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Lock an existing file during the body; raise `RecordingError` if another process is recording to it."""
+    # Windows cannot replace a file that a recorder, or this function, has opened.
+    if sys.platform == "win32" or not path.is_file():
+        yield
+        return
+    with path.open("rb") as file:
+        _lock(file, path)
+        yield
 
 
 def _unused_name(path: Path) -> Path:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -123,3 +125,20 @@ def test_folder_named_like_a_figure_is_used(tmp_path: Path) -> None:
 def test_text_of_a_table_is_no_formula() -> None:
     rows = [["=1+1", "@a", "-b", "+c", "-", "-1.5", -2.0, "'=d"], ["body 1", "", "-inf", "1e-3"]]
     assert csv_text(rows) == "'=1+1,'@a,'-b,'+c,-,-1.5,-2.0,''=d\nbody 1,,-inf,1e-3\n"
+
+
+def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    code = (
+        "import os, sys; from pathlib import Path; from rig.output_files import atomic_write\n"
+        "with atomic_write(Path(sys.argv[1]), True) as temporary:\n"
+        "    temporary.write_text('half'); os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code, path], check=False)
+    (left,) = tmp_path.iterdir()
+    with atomic_write(path, True) as temporary, atomic_write(path, True) as other:
+        temporary.write_text("new")
+        other.write_text("other")
+        # The files of running processes stay.
+        assert temporary.exists() and other.exists() and not left.exists()
+    assert list(tmp_path.iterdir()) == [path]

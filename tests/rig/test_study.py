@@ -110,3 +110,14 @@ def test_code_digest_follows_every_source(tmp_path: Path, monkeypatch: pytest.Mo
         digests.add(code_digest.__wrapped__("some_code"))
 
     assert len(digests) == 3
+
+
+def test_removed_table_gets_its_heading_again(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    study: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
+    values = StoredValues(study, path)
+    values.add("123", "123")
+    # Another process with the same study has finished.
+    path.unlink()
+    values.add("456", "456")
+    assert add_rows(path) == [["4", "5", "6"]]

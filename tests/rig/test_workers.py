@@ -12,6 +12,7 @@ from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 import dask
+import psutil
 import pytest
 from distributed import LocalCluster
 
@@ -185,3 +186,17 @@ def test_piece_that_ends_cluster_workers_is_reported(monkeypatch: pytest.MonkeyP
 def test_missing_scheduler_is_reported() -> None:
     with pytest.raises(SceneError, match="no Dask scheduler answers"):
         Workers("tcp://127.0.0.1:9")
+
+
+@pytest.mark.thorough
+def test_local_cluster_listens_on_loopback_only() -> None:
+    with Workers("local") as workers:
+        list(workers.compute(square, [1]))
+        own = psutil.Process()
+        listening = [
+            connection.laddr.ip
+            for process in (own, *own.children(recursive=True))
+            for connection in process.net_connections("tcp")
+            if connection.status == psutil.CONN_LISTEN
+        ]
+    assert {*listening} == {"127.0.0.1"}

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import daq
+from daq.importing.channel_table import Column
 from daq.recording import committed_file
 from daq.recording.committed_file import CommittedFile
 from daq.recording.recorder import Recorder
@@ -155,3 +156,26 @@ def test_another_file_at_the_path_is_kept(path: Path) -> None:
         part.write_bytes(b"precious")
         raise ZeroDivisionError
     assert part.read_bytes() == b"precious"
+
+
+def test_import_does_not_replace_a_file_being_recorded(path: Path) -> None:
+    source = path.with_name("source.csv")
+    time = np.arange(FLUSH_LENGTH) / RATE
+    np.savetxt(source, np.column_stack([time, *OLD]), delimiter=",", header="time [s],body1,body2", comments="")
+    table = {name: Column(name, unit="m/s^2") for name in ("body1", "body2")}
+    target = path.with_name("recorded.mcap")
+    with recorder(target, overwrite=False) as running:
+        running.write(NEW[:, :FLUSH_LENGTH])
+        with pytest.raises(RecordingError, match="another process is recording"):
+            daq.import_files(source, make_scene(converter={"rate": RATE}), target, table=table, overwrite=True)
+        running.write(NEW[:, FLUSH_LENGTH:])
+    assert np.allclose(volts(target), NEW, rtol=1e-15)
+
+
+def test_file_is_created_by_its_first_commit(tmp_path: Path) -> None:
+    file = CommittedFile(tmp_path / "run.mcap", overwrite=False)
+    file.write(b"beginning")
+    assert not names_in_folder_of(file.path)
+    file.commit()
+    assert file.path.read_bytes() == b"beginning"
+    file.close()

@@ -20,7 +20,7 @@ import scipy
 from analysis.fitting.problem import Group, Problem
 from analysis.fitting.start import initial_unknowns
 from rig.arrays import Array, ComplexArray
-from rig.results.uncertainty import standard_of_limit
+from rig.results.uncertainty import expand, standard_of_limit
 
 # Function that is called with the name of each stage of a fit.
 Report = Callable[[str], None]
@@ -72,6 +72,14 @@ class Estimate:
     factor: Array
     # mean square of the residuals in standard deviations; 1 if the stated errors explain them
     variance: float
+    # number of columns of `factor` for random errors; the others have limits: tolerances, and systematic errors
+    n_random: int
+
+    def expanded(self, derivatives: Array | None = None) -> Array:
+        """Return the expanded uncertainties of the unknowns, or of values with these derivatives (values, unknowns)."""
+        columns = self.factor if derivatives is None else derivatives @ self.factor
+        limits = abs(columns[:, self.n_random :].T) / standard_of_limit(1.0)
+        return expand(np.linalg.norm(columns[:, : self.n_random], axis=1), list(limits))
 
     @property
     def deviation(self) -> Array:
@@ -231,8 +239,8 @@ def mean_square(problem: Problem, x: Array, groups: Sequence[Group]) -> float:
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
 
-def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Return a factor of the covariance of the unknowns, as in `Estimate`, and the mean square of the residuals.
+def _covariance(problem: Problem, x: Array) -> tuple[Array, float, int]:
+    """Return `Estimate.factor`, `variance` (the mean square of the residuals) and `n_random`.
 
     The covariance is the sum of a random and a systematic part. Residuals larger than the stated errors enlarge the
     random part by their mean square. Residuals with common causes, between responses and over neighboring
@@ -278,7 +286,8 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float]:
         clustered = errors_of_unknowns(np.concatenate(cluster_scores, axis=1))
         inflation = np.maximum(np.linalg.norm(clustered, axis=1) / np.linalg.norm(stated, axis=1), 1.0)
     systematic = errors_of_unknowns(np.array(systematic_scores).T)
-    return np.concatenate([inflation[:, None] * stated, systematic], axis=1), variance
+    n_random = score_root.shape[1] + len(problem.parameters)
+    return np.concatenate([inflation[:, None] * stated, systematic], axis=1), variance, n_random
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:

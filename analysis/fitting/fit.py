@@ -22,7 +22,6 @@ from rig.errors import RecordingError, SceneError, suggestion
 from rig.input_files import duplicate_files
 from rig.numerics.blas_threads import with_one_blas_thread
 from rig.results import Result, complete_style, format_number, format_percent
-from rig.results.uncertainty import COVERAGE_FACTOR
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.system.structural_model import structural_model
@@ -34,6 +33,8 @@ if TYPE_CHECKING:
 
 # Printed descriptions of statuses (`Fitted.status`); the others are printed as they are.
 STATUS_TEXTS = {"roughly": "roughly determined"}
+# Usual relative tolerance of the quartz of a sample clock.
+_USUAL_CLOCK_TOLERANCE = 20e-6
 # A value is roughly determined if the relative half-width of its 95 % interval is below this.
 _MAX_HALF_WIDTH = 0.5
 # A damper does not reach its ceiling if the clearance (free height above the damper at rest) is at least this multiple
@@ -268,10 +269,11 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.orbits is None else group.orbits.uncovered
         warnings += list_omitted_points(comparison.curves, comparison.is_fitted, uncovered)
-    count, deviation = len(problem.parameters), estimated.deviation
+    count, expanded = len(problem.parameters), estimated.expanded()
+    modes = _modes(problem, estimated)
     is_unexplained = bool(misfit) or estimated.variance > _MAX_NOISE_VARIANCE
     fitted = tuple(
-        _fitted_value(parameter, x[k], deviation[k], is_unexplained) for k, parameter in enumerate(problem.parameters)
+        _fitted_value(parameter, x[k], expanded[k], is_unexplained) for k, parameter in enumerate(problem.parameters)
     )
     if not misfit and all(value.status == "undetermined" for value in fitted):
         misfit = (
@@ -283,33 +285,44 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
         parameters=fitted,
         correlation=estimated.correlation[:count, :count],
         sensitivities={
-            sensor.name: (problem.deviation(x, sensor), COVERAGE_FACTOR * float(deviation[count + k]))
+            sensor.name: (problem.deviation(x, sensor), float(expanded[count + k]))
             for k, sensor in enumerate(problem.sensors)
         },
-        modes=_modes(problem, estimated),
+        modes=modes,
         damping=() if misfit else damping_by_level(problem, estimated),
         compared=compared,
         variance=estimated.variance,
         misfit=misfit,
         together=coupled_values(problem, estimated, [value.status for value in fitted], {} if misfit else largest_gaps),
-        warnings=tuple(warnings),
+        warnings=(*warnings, *_missing_clock_tolerance(problem, modes)),
     )
+
+
+def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[str]:
+    """Return a note if the intervals of frequency are narrower than usual tolerances of clocks, but state none."""
+    smallest = min((mode.frequency_bound / mode.frequency for mode in modes), default=np.inf)
+    if problem.clock_tolerance or smallest > _USUAL_CLOCK_TOLERANCE:
+        return []
+    return [
+        "The recordings state no tolerance of the sample clock: the intervals of frequencies (the narrowest is "
+        f"±{1e6 * smallest:.2g} ppm) do not contain it. State it in the scene (converter.clock_error: 20 ppm)."
+    ]
 
 
 def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
     """Return the largest gaps, m, of dampers in flight with undetermined clearance, by the index of the parameter."""
-    deviation = estimated.deviation
+    expanded = estimated.expanded()
     gaps = {
         k: problem.clearance_lower_bound(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
-        if parameter.quantity == "clearance" and COVERAGE_FACTOR * deviation[k] > _MAX_HALF_WIDTH
+        if parameter.quantity == "clearance" and expanded[k] > _MAX_HALF_WIDTH
     }
     return {k: gap for k, gap in gaps.items() if gap > 0.0}
 
 
-def _fitted_value(parameter: Parameter, unknown: float, deviation: float, is_unexplained: bool) -> Fitted:
-    low, value, high = (parameter.value(unknown + sign * COVERAGE_FACTOR * deviation) for sign in (-1.0, 0.0, 1.0))
-    half_width = COVERAGE_FACTOR * deviation * parameter.slope(value)
+def _fitted_value(parameter: Parameter, unknown: float, expanded: float, is_unexplained: bool) -> Fitted:
+    low, value, high = (parameter.value(unknown + sign * expanded) for sign in (-1.0, 0.0, 1.0))
+    half_width = expanded * parameter.slope(value)
     status = "determined" if half_width <= parameter.max_half_width and not is_unexplained else "roughly"
     if half_width > _MAX_HALF_WIDTH:
         status = "undetermined"
@@ -370,7 +383,7 @@ def _modes(problem: Problem, estimated: Estimate) -> tuple[Mode, ...]:
     values, step = modal_values(estimated.x), 1e-6
     columns = [(modal_values(estimated.x + step * row) - values) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
-    bound = COVERAGE_FACTOR * np.linalg.norm(jacobian @ estimated.factor, axis=1)
+    bound = estimated.expanded(jacobian)
     count = values.size // 2
     rows = np.transpose([values[:count], bound[:count], values[count:], bound[count:]])
     return tuple(Mode(*row) for row in rows.tolist())

@@ -27,7 +27,7 @@ MIN_COVERAGE = 0.90
 MAX_COVERAGE = 0.99
 # The largest fraction applies only to intervals without sensor tolerances. No sensor exceeds its tolerance: intervals
 # with tolerances therefore contain more than 95 %.
-CHECKS_WITHOUT_TOLERANCES = ("responses, as built",)
+CHECKS_WITHOUT_TOLERANCES = ("responses, as built", "magnitudes, as built")
 OUTCOMES = ("correct", "warned", "refused", "wrong")
 
 

@@ -29,6 +29,6 @@ def test_masses_are_as_uncertain_as_the_force_sensor(trial: Trial) -> None:
     channels = draw_scene(SEED, NUMBER).channels
     tolerance = next(channel.hammer.sensitivity_tolerance for channel in channels if channel.hammer is not None)
     assert tolerance is not None
-    uniform_bound = 1.96 * tolerance / 3.0**0.5
     bounds = [value.bound for value in trial.values if value.name in ("masses", "springs")]
-    assert bounds == pytest.approx([uniform_bound] * len(bounds), rel=0.02)
+    # The tolerance is a limit of error, to which the other uncertainties add little.
+    assert bounds and all(tolerance <= bound < 1.05 * tolerance for bound in bounds)

@@ -16,7 +16,7 @@ import rig
 from analysis.fitting.diagnosis import _try_factors, find_cause
 from analysis.fitting.estimate import Estimate
 from analysis.fitting.figure import fit_figure
-from analysis.fitting.fit import Comparison, Fit, Fitted, _misfit
+from analysis.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
 from analysis.fitting.identifiability import LevelDamping, coupled_values
 from analysis.fitting.measured import measured_curves
 from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
@@ -252,12 +252,19 @@ def test_omitted_irregular_points_are_not_a_misfit(irregular, regular, is_misfit
     predicted, is_fitted = np.ones((3, 20), dtype=complex), np.ones(20, dtype=bool)
     predicted[:, :irregular], is_fitted[: irregular + regular] = np.nan, False
     compared = Comparison(curves, predicted, is_fitted, np.zeros((3, 20)), 0.0)
-    misfit = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0), [compared])
+    misfit = _misfit(Estimate(np.zeros(1), np.eye(1), 1.0, 1), [compared])
     assert misfit == (
         f"demo: the scene does not reproduce the measured motion at {irregular + regular} of 20 points."
         if is_misfit
         else ""
     )
+
+
+def test_missing_clock_tolerance_is_reported():
+    modes = [Mode(30.5, 5e-6, 0.006, 1e-6)]
+    [note] = _missing_clock_tolerance(SimpleNamespace(clock_tolerance=0.0), modes)  # type: ignore[arg-type]
+    assert "±0.16 ppm" in note and "converter.clock_error" in note
+    assert not _missing_clock_tolerance(SimpleNamespace(clock_tolerance=2e-5), modes)  # type: ignore[arg-type]
 
 
 def test_omitted_points_are_drawn_as_crosses():

@@ -49,10 +49,17 @@ converter: {{rate: 2048 Hz}}
     assert mass.half_width == pytest.approx(1.96 * FORCE_TOLERANCE / 3**0.5, rel=0.1)
 
 
+def test_expanded_uncertainty_is_within_limits_of_error():
+    # Two unknowns: of random errors alone, and of a tolerance of 1 % with a much smaller random error.
+    factor = np.array([[0.001, 0.0], [1e-5, 0.01 / np.sqrt(3.0)]])
+    expanded = Estimate(np.zeros(2), factor, 1.0, 1).expanded()
+    np.testing.assert_allclose(expanded, [0.002, 0.01 + 2e-5])
+
+
 def test_combination_of_few_parameters_is_reported():
     # The largest singular value belongs to a change of all nine parameters, but of each by less than 2 %.
     common_axis, opposite_axis = np.full(9, 1.0 / 3.0), np.append([0.5**0.5, -(0.5**0.5)], np.zeros(7))
-    estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0)
+    estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0, 2)
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
     problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
     [text] = coupled_values(problem, estimate, ["determined"] * 9, {})  # type: ignore[arg-type]

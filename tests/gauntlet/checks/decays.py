@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import analysis
 import rig
 from rig.arrays import Array
+from rig.results.uncertainty import expand
 from tests.gauntlet.instant_contact import DECAY, GRAVITY
 from tests.gauntlet.result import Case, CheckResult, Outcome
 
@@ -32,12 +33,13 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     cycles = _cycle_amplitudes(case.scene)
     true = np.array([_damping_ratio(level, *cycles, case.scene) for level in mode.amplitude])
     is_known = np.isfinite(true)
-    inside = abs(mode.damping - true)[is_known] <= 1.96 * mode.damping_error[is_known]
+    expanded = expand(mode.damping_error)
+    inside = (abs(mode.damping - true) <= expanded)[is_known]
     worst = float(np.max(abs(mode.damping / true - 1.0)[is_known], initial=0.0))
     outcome: Outcome = "warned" if decay.warnings else "wrong"
     if inside.sum() >= MIN_COVERAGE * inside.size:
         outcome = "correct"
-    bound = float(np.median((1.96 * mode.damping_error / mode.damping)[is_known])) if is_known.any() else np.nan
+    bound = float(np.median((expanded / mode.damping)[is_known])) if is_known.any() else np.nan
     note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(f" [{text}]" for text in decay.warnings)
     return [CheckResult("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
 

@@ -13,12 +13,11 @@ import rig
 from analysis.modal.modes import Modes
 from rig.arrays import Array
 from rig.results.response import Response
+from rig.results.uncertainty import COVERAGE_FACTOR
 from rig.system.structural_model import structure_matrices
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.result import Case, CheckResult, Outcome
 
-# Coverage factor of the 95 % interval.
-COVERAGE_FACTOR = 1.96
 # An error is plausible up to this number of standard uncertainties.
 MAX_ERROR_SIGMAS = 4.5
 # Warning that the points are too far apart to determine the modes.

@@ -1,8 +1,9 @@
 """Check of frequency responses: the exact curve lies within the 95 % interval of each line, or the line is marked.
 
-There are two comparisons. "responses" compares full intervals with the exact response of the structure. "responses, as
-built" compares intervals without sensor tolerances with the exact response as the drawn sensors read it. These sensors
-deviate from their data sheets. The second comparison reveals errors that wide tolerances would hide.
+"responses" compares full intervals with the exact response of the structure. "responses, as built" compares intervals
+without sensor tolerances with the exact response as the drawn sensors read it. These sensors deviate from their data
+sheets. The second comparison reveals errors that wide tolerances would hide. "magnitudes" compares expanded
+uncertainties of magnitudes, at lines and between them, where the response is interpolated or refused.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALIZATION
 from daq.recording.markers import Marker
 from daq.recording.recording import Recording
 from daq.signal_chain.devices import accelerometer, force_sensor
+from rig.errors import SceneError
 from rig.results.response import MOTIONS, Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY
 from rig.scene.measurement_chain import Accelerometer, Hammer
@@ -70,6 +72,8 @@ _MIN_DIFFERENCE_OF_MOTIONS = 0.01
 _MAX_DIFFERENCE_OF_METHODS = 1e-3
 # Number of parts of a measurement, each of whole periods, whose amplitudes are compared.
 _COMPARED_PARTS = 10
+# Number of steps between lines at which a curve is interpolated.
+_BETWEEN_LINES = 20
 # The first-order correction is accurate to about 1e-5 up to this relative deviation of the force.
 _MAX_FORCE_DEVIATION = 2e-3
 
@@ -168,16 +172,55 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     truth = _truth_at_actual_forces(case, regular_truth, np.inf)
     truth_near_nominal_force = _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION)
     sensitivity = _IMAGE_SENSITIVITY if any(damper.moves for damper in case.scene.dampers) else 0.0
+    magnitudes: dict[str, list[tuple[Response, NDArray[np.complex128]]]] = {
+        "magnitudes": [],
+        "magnitudes, as built": [],
+    }
     for group in analysis.frequency_responses(case.recording):
         for frf in group:
             warnings += frf.warnings
             body = case.recording.channels[frf.response].body - 1
+            if not case.scene.dampers:
+                for selected in (frf, *_between_lines(frf)):
+                    magnitudes["magnitudes"].append((selected, truth(selected.frequency)[body]))
+                    exact = _curve_of_actual_sensors(case, selected, truth_near_nominal_force)
+                    magnitudes["magnitudes, as built"].append((selected.without(SENSITIVITY, CLOCK), exact))
             truth_error = sensitivity * (frf.frequency / case.recording.rate) ** 2
             full_bound.add(frf, truth(frf.frequency)[body], truth_error)
             frf_without_tolerances = replace(frf, uncertainty=frf.uncertainty.without(SENSITIVITY, CLOCK))
             curve = _curve_of_actual_sensors(case, frf, truth_near_nominal_force)
             without_tolerances.add(frf_without_tolerances, curve, truth_error)
-    return [tally.result(kind, warnings) for tally in (full_bound, without_tolerances)]
+    results = [tally.result(kind, warnings) for tally in (full_bound, without_tolerances)]
+    if results[1].outcome == "correct":
+        results += [_magnitude_result(name, kind, compared) for name, compared in magnitudes.items() if compared]
+    return results
+
+
+def _between_lines(frf: Response) -> list[Response]:
+    """Return values between lines, at frequencies that the analysis does not refuse."""
+    ordered, values = frf.sorted(), []
+    steps = np.linspace(0, frf.frequency.size - 2, _BETWEEN_LINES).astype(int)
+    for step in np.unique(steps[steps >= 0]):
+        try:
+            values.append(frf.interpolated(ordered.frequency[step : step + 2].mean()))
+        except SceneError:
+            continue
+    return values
+
+
+def _magnitude_result(name: str, kind: str, compared: list[tuple[Response, NDArray[np.complex128]]]) -> CheckResult:
+    """Return the numbers of magnitudes within their expanded uncertainty."""
+    inside, relative = [], []
+    for frf, exact in compared:
+        expanded, truth = frf.expanded(), np.maximum(abs(exact), 1e-300)
+        is_known = np.isfinite(exact) & np.isfinite(frf.value) & np.isfinite(expanded)
+        if frf.unsteady is not None:
+            is_known &= ~frf.unsteady
+        inside.append((abs(abs(frf.value) - truth) <= expanded + _ROUNDING * truth)[is_known])
+        relative.append((expanded / truth)[is_known])
+    all_inside = np.concatenate(inside)
+    median = float(np.median(np.concatenate(relative))) if all_inside.size else np.nan
+    return CheckResult(name, kind, "correct", int(all_inside.sum()), all_inside.size, median)
 
 
 def _check_several_shakers(case: Case, kind: str) -> list[CheckResult]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
 import socket
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from daq.bench_page.live_bench import LiveBench
 from daq.instrument.connecting import connect_scene
 from daq.server.bench_time import BenchTime
-from daq.server.serve import parse_address, wait_for_signal
+from daq.server.serve import collect_garbage_often, parse_address, wait_for_signal
 from daq.server.service import Server
 from rig.errors import RunError, SceneError
 
@@ -78,8 +77,7 @@ def bench(
         live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
         stack.callback(live_bench.close)
         address = stack.enter_context(_serve_page(live_bench, host, port))
-        gc.collect()
-        gc.freeze()
+        collect_garbage_often()
         print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends the bench.", flush=True)
         if browser:
             _open_browser(address, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="shotrig-bench-"))))

@@ -1,8 +1,10 @@
 """A served rig: live display, live recording, network addresses, and access by certificates."""
 
 import contextlib
+import gc
 import socket
 import subprocess
+import weakref
 
 import grpc
 import nidaqmx
@@ -16,7 +18,8 @@ from daq.instrument.engines.log import MarkedRecording
 from daq.recording.committed_file import RESERVE, CommittedFile
 from daq.server.client_defaults import open_channel
 from daq.server.live import LiveRecording
-from daq.server.serve import Certificates, _endpoint, _is_loopback, parse_address
+from daq.server.serve import Certificates, _endpoint, _is_loopback, collect_garbage_often, parse_address
+from daq.server.served_instrument import Limits, ServedInstrument
 from daq.server.service import Server
 from rig.errors import RunError, SceneError
 from tests.daq.recording.recordings import file_size_limit
@@ -166,3 +169,21 @@ def test_unexpected_error_of_recording_is_reported(recorded_bench, monkeypatch):
 def test_recording_without_samples_is_reported(tmp_path, capsys):
     LiveRecording(connect_scene("bare-structure", "fast"), tmp_path / "run.mcap").close()
     assert "run.mcap: nothing was recorded" in capsys.readouterr().err
+
+
+def test_closed_tasks_do_not_accumulate():
+    sessions = ServedInstrument(connect_scene("bare-structure", "fast"), Limits()).sessions
+    tasks = weakref.WeakSet()
+    previous = gc.get_threshold()
+    # The threshold of the command line.
+    gc.set_threshold(500_000)
+    try:
+        collect_garbage_often()
+        for _ in range(3000):
+            name, _ = sessions.open("", 0, "peer")
+            tasks.add(sessions.find(name, "peer"))
+            sessions.close(name, "peer")
+        assert len(tasks) < 1000
+    finally:
+        gc.set_threshold(*previous)
+        gc.unfreeze()

@@ -20,14 +20,15 @@ def describe_unexpected(error: BaseException) -> str:
 
     name = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     summary = f"error: unexpected error ({name[:300]}); this is a fault of shotrig"
-    details = "\n".join(
-        [
-            f"shotrig {version()}, Python {platform.python_version()}, {platform.platform()}",
-            f"command: {sys.argv}",
-            "".join(traceback.format_exception(error)),
-        ]
-    )
     try:
+        # On a full disk, or without free file descriptors, the version cannot be read either.
+        details = "\n".join(
+            [
+                f"shotrig {version()}, Python {platform.python_version()}, {platform.platform()}",
+                f"command: {sys.argv}",
+                "".join(traceback.format_exception(error)),
+            ]
+        )
         descriptor, path = tempfile.mkstemp(prefix="shotrig-error-", suffix=".txt")
         with open(descriptor, "w", encoding="utf-8", errors="backslashreplace") as file:  # noqa: PTH123
             file.write(details)

@@ -371,7 +371,7 @@ class Chassis:
 
     def report_problem(self, part: str, error: BaseException) -> str:
         """Report on stderr that a part of the instrument has ended early, and add this to `problems`; return it."""
-        reason = str(error) if isinstance(error, ShotrigError) else describe_unexpected(error)
+        reason = describe_unexpected(error) if not isinstance(error, ShotrigError | OSError) else str(error)
         self.problems.append(f"{part} has ended: {reason}")
         # The terminal may be closed already.
         with suppress(OSError):

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 
 # Default port of the protocol.
 PORT = 31763
+# Maximum number of connections, and maximum time for the first exchange on a connection, ms.
+_MAX_CONNECTIONS = 200
+_MAX_HANDSHAKE_MS = 5000
 # Interval at which Python switches threads. A response waits several times for the simulation to release the
 # interpreter lock: Python's default of 5 ms is too long.
 _SWITCH_INTERVAL_S = 0.0005
@@ -86,6 +89,9 @@ class Server:
                 ("grpc.max_receive_message_length", self.limits.max_message_bytes),
                 ("grpc.max_send_message_length", self.limits.max_message_bytes),
                 ("grpc.so_reuseport", 0),
+                # Idle connections must not take all file descriptors of the process.
+                ("grpc.max_allowed_incoming_connections", _MAX_CONNECTIONS),
+                ("grpc.server_handshake_timeout_ms", _MAX_HANDSHAKE_MS),
             ],
         )
         self._discovery = Discovery()

@@ -3,7 +3,9 @@
 The *witness* is a task of another client, whose samples must not depend on these calls.
 """
 
+import contextlib
 import random
+import socket
 import threading
 
 import grpc
@@ -277,3 +279,18 @@ def test_too_many_scales_are_rejected(monkeypatch):
             Scale.create_lin_scale(name, 2.0, grpc_options=rig)
         with pytest.raises(DaqError, match="the maximum"):
             Scale.create_lin_scale("c", 2.0, grpc_options=rig)
+
+
+def test_idle_connections_are_limited(monkeypatch):
+    monkeypatch.setattr("daq.server.service._MAX_CONNECTIONS", 5)
+    with daq.connect("bare-structure", clock="fast") as rig, contextlib.ExitStack() as idle:
+        host, _, port = rig.address.rpartition(":")
+        connections = [idle.enter_context(socket.create_connection((host, int(port)), timeout=60.0)) for _ in range(20)]
+        n_closed = 0
+        for connection in connections:
+            # The server sends its settings to an accepted client, and closes the connections of others.
+            with contextlib.suppress(ConnectionResetError):
+                n_closed += 0 if connection.recv(1) else 1
+                continue
+            n_closed += 1
+        assert n_closed >= 15

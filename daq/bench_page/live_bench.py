@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from daq.bench_page.hits import HitDetector
 from daq.bench_page.live_frf import LiveFrf
 from daq.bench_page.monitor import Monitor
 from daq.bench_page.recordings import BenchRecordings
-from daq.excitation import Excitation, Station, excitation
+from daq.excitation import Excitation, Station, excitation, procedure_of
 from daq.excitation.manual_tone import ManualTone, ToneControls
-from daq.recording.recorded_test import TestKind, kind_of_settings
+from daq.excitation.procedure import FormValues, Procedure
+from daq.recording.recorded_test import kind_of_settings
 from rig.errors import SceneError, ShotrigError
+from rig.scene.excitation import KINDS
 
 if TYPE_CHECKING:
     from daq.instrument.background_test import BackgroundTest
     from daq.instrument.chassis import Chassis
     from rig.scene.scene import Scene
 
-Kind = Literal["sine", "sweep", "random", "hammer"]
-
+# The test that is selected first, if the scene has a shaker.
+_DEFAULT_FORM = "sweep"
+# Band of the tests, Hz, if the scene's test has none.
+_DEFAULT_BAND = 5.0, 100.0
 # Minimum number of samples per period of a sine; it limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of the block length of the live frequency response, s. Within these limits, it is a tenth of the test.
@@ -34,26 +38,28 @@ _MIN_PAUSE_S = 0.1
 _MIN_PEAK_RATIO = 0.5
 
 
-@dataclass
-class Settings:
-    """Values of the controls on the page."""
-
-    kind: Kind
-    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of a hit, N
-    frequency: float  # of a sine, Hz
-    low: float  # lower limit of a sweep or random test, Hz
-    high: float  # upper limit of a sweep or random test, Hz
-    duration: float  # of a sweep or random test, s
-    interval: float  # between hits, s
-    hits: int  # number of hits
+def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
+    """Return the procedures that the page offers, by the titles of their forms."""
+    kinds = [kind for kind in KINDS if kind.uses_shaker] if scene.shakers else []
+    if scene.test is not None and scene.hammer is not None:
+        # Only a scene with a hammer test has a channel for the hammer.
+        kinds = [type(scene.test)]
+    forms: dict[str, Procedure[Any]] = {}
+    for kind in kinds:
+        # A kind without a procedure can only be simulated.
+        with suppress(SceneError):
+            procedure = procedure_of(kind)
+            if procedure.form is not None:
+                forms[procedure.form.title] = procedure
+    return forms
 
 
 class TestController:
     """Starts and stops tests on the bench of a chassis, which is the instrument with its modules.
 
-    The initial `settings` are those of the scene's test. `kinds` are the tests for which the scene has a shaker or a
-    hammer. `message` is the state of the test, or the reason why it did not start. `frf_unavailable_reason` is the
-    reason why there is no live frequency response.
+    The initial `settings` are those of the scene's test. `forms` are the procedures of the tests for which the scene
+    has a shaker or a hammer, by title. `message` is the state of the test, or the reason why it did not start.
+    `frf_unavailable_reason` is the reason why there is no live frequency response.
     """
 
     # Name of this client in the chassis' list; the client keeps the clock of the bench running.
@@ -65,30 +71,32 @@ class TestController:
         self._terminals: Any = chassis.terminals
         self._scene: Scene = chassis.bench.scene
         test = self._scene.test
-        # Only a scene with a hammer test has a channel for the hammer.
-        self.kinds: list[Kind] = ["sine", "sweep", "random"] if self._scene.shakers else []
-        if test is not None and test.kind == "impulse":
-            self.kinds = ["hammer"]
+        self.forms = offered_forms(self._scene)
         # The settings of the scene's test.
-        low = getattr(test, "from_", None) or min(getattr(test, "frequencies", None) or [5.0])
-        high = getattr(test, "to", None) or max(getattr(test, "frequencies", None) or [100.0])
-        level = getattr(test, "peak", None) or getattr(test, "force", None) or 1.0
-        self.settings = Settings(
-            kind="hammer" if self.kinds[-1:] == ["hammer"] else "sweep",
-            level=float(level[0] if isinstance(level, tuple) else level),
-            frequency=float(getattr(test, "frequency", None) or low),
-            low=float(min(low, high)),
-            high=float(max(low, high)),
+        band = None if test is None else test.band
+        low, high = band if band is not None and band[0] < band[1] else _DEFAULT_BAND
+        has_force = test is not None and test.level_key not in ("", "drive")
+        self.settings = FormValues(
+            kind=_DEFAULT_FORM if _DEFAULT_FORM in self.forms else next(iter(self.forms), _DEFAULT_FORM),
+            level=float(test.levels[0]) if test is not None and has_force else 1.0,
+            frequency=min(test.dwells, default=low) if test is not None else low,
+            low=low,
+            high=high,
             duration=60.0,
-            interval=float(test.interval) if test is not None and test.kind == "impulse" else 0.0,
+            interval=float(getattr(test, "interval", 0.0)),
             hits=int(getattr(test, "repeats", 1)),
         )
-        self.message = "ready" if self.kinds else "the scene has neither a shaker nor a hammer"
+        self.message = "ready" if self.forms else "the scene has neither a shaker nor a hammer"
         self.frf_unavailable_reason = ""
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
         # First sample, stop and marker fields of each hit of the test.
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
+
+    @property
+    def has_hammer(self) -> bool:
+        """Whether the tests are hammer hits."""
+        return self._scene.hammer is not None
 
     @property
     def running(self) -> bool:
@@ -115,12 +123,11 @@ class TestController:
         try:
             self._require_numbers()
             scene, excite, self._controls = self._build_test()
-            kind = TestKind.TONES if self._controls is not None else kind_of_settings(scene.test)
-            frf, detector = self._build_estimate(scene, kind)
+            frf, detector = self._build_estimate(scene)
             with chassis.changed:
                 chassis.return_outputs()
                 self._hits = []
-                self._recordings.begin_test(scene, kind)
+                self._recordings.begin_test(scene, kind_of_settings(scene.test))
                 self.message = f"{self.settings.kind} runs"
                 self._background_test = self._terminals.run_test(
                     scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
@@ -152,27 +159,15 @@ class TestController:
 
     def _build_test(self) -> tuple[Scene, Any, ToneControls | None]:
         """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""
-        settings = self.settings
-        test = self._scene.test
-        if settings.kind == "hammer" and test is not None and test.kind == "impulse":
-            double_hit = test.double_hit
-            if double_hit is not None and double_hit.hits is not None:
-                numbers = tuple(number for number in double_hit.hits if number <= settings.hits)
-                double_hit = double_hit.replace(hits=numbers) if numbers else None
-            test = test.replace(
-                peak=settings.level, repeats=int(settings.hits), interval=settings.interval, double_hit=double_hit
-            )
-            return self._scene.replace(test=test), excitation, None
-        if settings.kind == "sine":
-            test_settings = {"kind": "sine", "frequency": settings.frequency, "force": settings.level}
-            controls = ToneControls(settings.frequency, settings.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
-            return self._scene.replace(test=test_settings), ManualTone(controls).excite, controls
-        kind = "swept_sine" if settings.kind == "sweep" else "random"
-        band = {"from": settings.low, "to": settings.high}
-        test_settings = {"kind": kind, **band, "duration": settings.duration, "force": settings.level}
-        return self._scene.replace(test=test_settings), excitation, None
+        values, procedure = self.settings, self.forms[self.settings.kind]
+        controls, excite = None, excitation
+        assert procedure.form is not None
+        if procedure.form.adjustable:
+            controls = ToneControls(values.frequency, values.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
+            excite = ManualTone(controls).excite
+        return self._scene.replace(test=procedure.from_form(values, self._scene.test)), excite, controls
 
-    def _build_estimate(self, scene: Scene, kind: TestKind) -> tuple[LiveFrf | None, HitDetector | None]:
+    def _build_estimate(self, scene: Scene) -> tuple[LiveFrf | None, HitDetector | None]:
         """Return the live estimate and the detector of hits; each is None if its channel is missing.
 
         Without an estimate, `frf_unavailable_reason` is set.
@@ -180,13 +175,13 @@ class TestController:
         settings, monitor, detector = self.settings, self._monitor, None
         band = sorted((settings.low, settings.high))
         block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
-        if kind is TestKind.HITS:
+        if scene.hammer is not None:
             block = min(settings.interval - _MIN_PAUSE_S, _MAX_HIT_S)
             band = [0.0, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
                 detector = HitDetector(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
-        elif kind is TestKind.TONES:
+        elif self._controls is not None:
             band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:
             frf = LiveFrf(scene, monitor.channels, monitor.rate, block, (band[0], band[1]))

@@ -183,21 +183,22 @@ class Page:
     def _add_controls(self) -> None:
         controller, settings = self._controller, self._controller.settings
 
-        def field(label: str, name: str, *kinds: str) -> None:
-            """Add a number field for the setting `name`, visible for these kinds of tests."""
+        def field(label: str, name: str) -> None:
+            """Add a number field for the setting `name`, visible for the tests whose form has it."""
+            titles = {title for title, each in controller.forms.items() if each.form and name in each.form.fields}
             number = ui.number(label, on_change=controller.apply_settings).bind_value(settings, name)
             number.classes("w-full").props(f"dense data-testid={name}")
-            number.bind_visibility_from(settings, "kind", lambda kind: kind in kinds)
+            number.bind_visibility_from(settings, "kind", lambda kind: kind in titles)
 
-        tests = ui.select(list(controller.kinds), label="Test").bind_value(settings, "kind")
+        tests = ui.select(list(controller.forms), label="Test").bind_value(settings, "kind")
         tests.classes("w-full").props("dense")
-        field("Level / N (random: rms, hammer: peak)", "level", "sine", "sweep", "random", "hammer")
-        field("Frequency / Hz", "frequency", "sine")
-        field("From / Hz", "low", "sweep", "random")
-        field("To / Hz", "high", "sweep", "random")
-        field("Duration / s", "duration", "sweep", "random")
-        field("Time between hits / s", "interval", "hammer")
-        field("Number of hits", "hits", "hammer")
+        field("Level / N (random: rms, hammer: peak)", "level")
+        field("Frequency / Hz", "frequency")
+        field("From / Hz", "low")
+        field("To / Hz", "high")
+        field("Duration / s", "duration")
+        field("Time between hits / s", "interval")
+        field("Number of hits", "hits")
         with ui.row():
             ui.button("Start", on_click=controller.start).props("data-testid=start")
             ui.button("Stop", on_click=controller.stop, color="gray").props("data-testid=stop")
@@ -228,12 +229,12 @@ class Page:
             if info.body and info.quantity != "force"
         ]
         # A hammer excites all modes, a sweep or random test a band.
-        frequency_axis = {"name": "frequency / Hz", "type": "log" if "hammer" in self._controller.kinds else "value"}
+        frequency_axis = {"name": "frequency / Hz", "type": "log" if self._controller.has_hammer else "value"}
         # Its title is set by `_refresh_frf`.
         self._frf = Chart("", frequency_axis, bodies, log_axis)
         self._coherence = Chart("Coherence", frequency_axis, [(n, "", c) for n, _, c in bodies], {"min": 0, "max": 1})
         self._coherence.element.classes(replace="w-full h-40")
-        if "hammer" in self._controller.kinds:
+        if self._controller.has_hammer:
             self._hit_chart = Chart("Last hits", {"name": "time / ms"}, [("force", "N", "#f0f0f0")], {})
             self._hit_list = ui.column().classes("w-full")
         # Number of detected hits, and of accepted hits in the list, at the last update of the list.
@@ -252,7 +253,7 @@ class Page:
         self._output_label.text = "\n".join(self._bench.outputs())
         self._file_label.text = recordings.problem or _recording_line(recordings)
         self._clients_label.text = self._bench.clients()
-        if "hammer" in controller.kinds:
+        if controller.has_hammer:
             self._show_hits()
 
     def _refresh_frf(self) -> None:

@@ -1,22 +1,23 @@
 """Excitations: drive signals of tests, computed from the scene and from the channels, as on a real bench.
 
-Each kind of test has a module of its name with the generator `excite`. `station` is the interface to the bench.
-`steady_tone` and `sweep_control` control the force. `settling` detects the steady state. Start with `sine`.
+Each kind of test has a module of its name with a `Procedure`. `station` is the interface to the bench. `steady_tone`
+and `sweep_control` control the force. `settling` detects the steady state. Start with `sine`.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
 
 if TYPE_CHECKING:
-    from rig.scene.excitation import Test
+    from daq.excitation.procedure import Procedure
+    from rig.scene.excitation import KindOfTest, Test
     from rig.scene.scene import Scene
 
-__all__ = ["Excitation", "Station", "excitation", "test_of"]
+__all__ = ["Excitation", "Station", "excitation", "procedure_of", "test_of"]
 
 
 def test_of(scene: Scene) -> Test:
@@ -34,4 +35,18 @@ def excitation(station: Station) -> Excitation:
     test = test_of(station.scene)
     if station.is_force_controlled:
         station.force_weights(1.0)
-    return import_module(f"daq.excitation.{test.kind}").excite(station, test)
+    return procedure_of(test).excite(station, test)
+
+
+def procedure_of(test: KindOfTest | type[KindOfTest]) -> Procedure[Any]:
+    """Return the procedure of a kind of test; raise `SceneError` if tests of this kind can only be simulated."""
+    module = f"daq.excitation.{test.kind_name()}"
+    try:
+        procedure: Procedure[Any] = import_module(module).PROCEDURE
+    except ModuleNotFoundError as error:
+        if error.name != module:
+            raise
+        raise SceneError(
+            f"test: kind {test.kind_name()} can be simulated but not recorded: there is no {module}. Use rig.simulate."
+        ) from None
+    return procedure

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from daq.excitation.procedure import Procedure
 from daq.excitation.station import Excitation, Station
 
 if TYPE_CHECKING:
@@ -21,3 +22,16 @@ def excite(station: Station, test: Free) -> Excitation:
         elapsed = station.now - first
         station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
     station.mark("free", first, first + total)
+
+
+class FreeProcedure(Procedure["Free"]):
+    """A free decay."""
+
+    detection = "start"
+
+    def excite(self, station: Station, test: Free) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+
+PROCEDURE = FreeProcedure()

@@ -7,14 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 from rig.errors import SceneError
+from rig.scene.excitation.impulse import Impulse
 from rig.settings.quantities import TIME, parse
 
 if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
-    from rig.scene.excitation import Impulse
+    from rig.scene.excitation.kind import KindOfTest
+    from rig.scene.scene import Scene
 
 
 # Recording time before the first hit, s, which shows offsets and noise.
@@ -107,6 +110,15 @@ def _is_drifting(readings: Array) -> bool:
     return bool(np.any(change > _DRIFT_SIGMAS * noise * np.sqrt(2.0 / middle)))
 
 
+def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
+    """Return the test with another number of hits and another interval between them, s; missing hits do not bounce."""
+    double_hit = test.double_hit
+    if double_hit is not None and double_hit.hits is not None:
+        hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
+        double_hit = double_hit.replace(hits=hits) if hits else None
+    return test.replace(repeats=repeats, interval=interval, double_hit=double_hit)
+
+
 def half_sine(peak: float, width: float, rate: float) -> Array:
     """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and impulse.
 
@@ -134,3 +146,28 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
 
     length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
     return peak * pulse(length)
+
+
+class ImpulseProcedure(Procedure["Impulse"]):
+    """Hammer hits."""
+
+    detection = "hits"
+    form = Form("hammer", ("level", "interval", "hits"))
+
+    def excite(self, station: Station, test: Impulse) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
+        """Return the test with the first hits, as many as fit into `seconds`, at least one; later hits are equal."""
+        delay = 0.0 if test.double_hit is None else test.double_hit.after
+        interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
+        return _with_hits(test, max(1, int(seconds / test.interval)), interval)
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> Impulse:
+        """Return hits of the given peak at the point of the scene's test."""
+        assert isinstance(test, Impulse)
+        return _with_hits(test, int(values.hits), values.interval).at_level(values.level)
+
+
+PROCEDURE = ImpulseProcedure()

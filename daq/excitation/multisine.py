@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.excitation.procedure import Procedure
 from daq.excitation.spectrum_shaping import (
     crossfade,
     equal_amplitudes,
@@ -24,6 +25,7 @@ from rig.results import format_percent
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Multisine
+    from rig.scene.scene import Scene
 
 
 # The motion is in steady state if successive periods differ by at most this fraction.
@@ -31,6 +33,8 @@ _TOLERANCE = 1e-4
 # Maximum wait for the steady state, s and periods; the longer of the two applies.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
+# Expected duration of the iterations that shape the drive of a controlled force, s.
+_EQUALIZING_S = 8.0
 # If the difference of successive periods exceeds this multiple of the smallest earlier difference, the difference is
 # noise, not a transient.
 _MIN_NOISE_RATIO = 0.9
@@ -118,3 +122,44 @@ def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
 def _max_wait(station: Station, period: int) -> int:
     """Return the maximum number of samples to wait for a periodic response; `period` is in samples."""
     return max(station.samples(_MAX_WAIT_S), _MAX_WAIT_PERIODS * period)
+
+
+class MultisineProcedure(Procedure["Multisine"]):
+    """A periodic sum of tones."""
+
+    # The extremes in a part of the test vary by 10 % from part to part.
+    budget = 4.0
+
+    def excite(self, station: Station, test: Multisine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: Multisine, frequency: Array) -> Array:
+        """Return the gain of a line over the measured periods of a realization."""
+        period, band = test.period_s, test.to - test.from_
+        amplitude = np.sqrt(2.0 / max(1.0, band * period))
+        return np.full(frequency.size, amplitude * np.sqrt(period * test.periods / 2.0))
+
+    def waits(self, test: Multisine, scene: Scene) -> float:
+        """Return the expected time of crossfades and waits for periodic responses, s."""
+        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree.
+        return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_at else 0.0)
+
+    def stored(self, test: Multisine) -> float:
+        """Return the period, s."""
+        return test.period_s
+
+    def part(self, test: Multisine, seconds: float, scene: Scene) -> Multisine:
+        """Return realizations of one period, as many as take `seconds`, at least one."""
+        part = test.replace(periods=1)
+        fraction = seconds / (part.shortest + self.waits(part, scene))
+        return part.replace(realisations=max(1, min(test.realisations, int(fraction * test.realisations))))
+
+    def seconds(self, test: Multisine, part: Multisine, part_seconds: float) -> float:
+        """Return the expected duration of the test, s, if a part of it takes `part_seconds`."""
+        # Each realization takes about the same time to settle; the duration of the measurement is known.
+        remaining_periods = test.realisations * (test.periods - part.periods)
+        return test.realisations / part.realisations * part_seconds + remaining_periods * test.period_s
+
+
+PROCEDURE = MultisineProcedure()

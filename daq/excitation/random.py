@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Random
+    from rig.scene.excitation.kind import KindOfTest
 
 
 # Length of the shaping filter, s; its frequency resolution is therefore 0.25 Hz.
@@ -108,3 +110,34 @@ def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
     envelope = np.zeros(block)
     envelope[:n_samples] = np.minimum(1.0, samples_to_end / edge)
     return envelope
+
+
+class RandomProcedure(Procedure["Random"]):
+    """Gaussian noise in a band."""
+
+    # The extremes in a part of the test vary by 10 % from part to part.
+    budget = 4.0
+    form = Form("random", ("level", "low", "high", "duration"))
+
+    def excite(self, station: Station, test: Random) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: Random, frequency: Array) -> Array:
+        """Return the gain of the density of the drive."""
+        return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
+
+    def extension(self, test: Random, seconds: float) -> float:
+        """Return the growth of the expected maximum of a Gaussian process from a part to the whole test."""
+        # The expected maximum grows with sqrt(log(number of zero crossings)).
+        crossings_per_s = test.from_ + test.to
+        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
+        return float(max(np.sqrt(log_whole / log_part), 1.0))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return noise in the band, with the given rms force."""
+        band = {"from": values.low, "to": values.high}
+        return {"kind": "random", **band, "duration": values.duration, "force": values.level}
+
+
+PROCEDURE = RandomProcedure()

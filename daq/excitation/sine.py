@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from daq.excitation.lock_in import whole_periods
+from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.settling import Settling
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import WINDOW_S, SteadyTone
+from rig.arrays import Array
 from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.scene.excitation import Sine
+    from rig.scene.excitation.kind import KindOfTest
 
 # The steady state is reached when the transient is at most this fraction of the amplitude.
 _TOLERANCE = 1e-3
@@ -55,3 +60,25 @@ def excite(station: Station, test: Sine) -> Excitation:
     # Without a steady state, the second half of the test is measured.
     begin = steady_from if settled else first + total // 2
     station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
+
+
+class SineProcedure(Procedure["Sine"]):
+    """A tone of constant frequency."""
+
+    detection = "steps"
+    form = Form("sine", ("level", "frequency"), adjustable=True)
+
+    def excite(self, station: Station, test: Sine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: Sine, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the duration."""
+        return np.full(frequency.size, np.sqrt(test.duration / 2.0))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return a tone of the given frequency and force."""
+        return {"kind": "sine", "frequency": values.frequency, "force": values.level}
+
+
+PROCEDURE = SineProcedure()

@@ -53,8 +53,8 @@ class Station:
     @property
     def level(self) -> float:
         """Level of the test: its force in N, or its drive in the shaker's unit (V, m or N)."""
-        test = self.scene.test
-        return getattr(test, "force", None) or getattr(test, "drive", None) or 0.0
+        levels = () if self.scene.test is None else self.scene.test.levels
+        return levels[0] if levels else 0.0
 
     @property
     def force_is_drive(self) -> bool:
@@ -64,7 +64,7 @@ class Station:
     @property
     def is_force_controlled(self) -> bool:
         """Whether the test prescribes a spring force, which is controlled from the channels."""
-        return getattr(self.scene.test, "force", None) is not None and not self.force_is_drive
+        return bool(self.scene.controlled_at)
 
     def drive(self, wave: Array, name: str | None = None) -> Array:
         """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
@@ -82,7 +82,7 @@ class Station:
     @property
     def shakers(self) -> tuple[int, ...]:
         """Numbers of the shakers that the test drives, the main shaker first."""
-        return (self.scene.driven or 1, *(getattr(self.scene.test, "also", None) or ()))
+        return (self.scene.driven or 1, *(() if self.scene.test is None else self.scene.test.also_driven))
 
     def drives(self, waves: Array) -> Array:
         """Return a drive with waves, shape (shakers, samples), at the driven shakers, and zeros elsewhere."""

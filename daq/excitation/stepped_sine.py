@@ -10,15 +10,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.excitation.procedure import Procedure
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
+from rig.arrays import Array
 from rig.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SteppedSine
+    from rig.scene.scene import Scene
 
 # The drive is extrapolated by at most this, as the natural logarithm of its ratio.
 _MAX_LOG_CHANGE = 0.2
+# The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
+_FIXED_WAIT_S = 1.4
+# In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
+_STEP_TIME_CONSTANTS = 2.0
 # Maximum number of frequencies that a warning lists.
 _MAX_LISTED = 8
 
@@ -60,6 +67,15 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
     station.report(1.0, "done")
 
 
+def expected_wait(scene: Scene, longest: float) -> float:
+    """Return the expected time from one measurement to the next, s, from the slowest mode; `longest`: limit, s."""
+    from rig.system.structural_model import structural_model
+
+    modes = structural_model(scene).modes
+    longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
+    return _FIXED_WAIT_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, longest)
+
+
 def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: float) -> float:
     """Extrapolate the drive to a frequency in Hz by a parabola through the logarithms of the last three drives.
 
@@ -80,3 +96,29 @@ def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: flo
     ]
     change = float(np.dot(weights, drives) - drives[-1])
     return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))
+
+
+class SteppedSineProcedure(Procedure["SteppedSine"]):
+    """A series of tones in steady state."""
+
+    detection = "steps"
+    rehearsal = "peaks"
+
+    def excite(self, station: Station, test: SteppedSine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: SteppedSine, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the measured periods."""
+        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+
+    def waits(self, test: SteppedSine, scene: Scene) -> float:
+        """Return the expected time of the waits before all measurements, s."""
+        return len(test.levels) * len(test.order) * expected_wait(scene, test.settle.longest)
+
+    def periods_of_step(self, test: SteppedSine) -> int:
+        """Return the number of measured periods of each step."""
+        return test.measure.periods
+
+
+PROCEDURE = SteppedSineProcedure()

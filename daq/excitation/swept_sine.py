@@ -11,11 +11,12 @@ then contains fewer periods than the identification of its mode requires.
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from daq.excitation.pretest import pretest
+from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
 from daq.excitation.sweep_control import Observation, SweepControl, estimate_amplitudes, observation_samples
@@ -24,6 +25,7 @@ from rig.results.text import format_decimals, format_percent
 
 if TYPE_CHECKING:
     from rig.scene.excitation import SweptSine
+    from rig.scene.excitation.kind import KindOfTest
 
 
 # The drive of a controlled force is updated after this number of periods.
@@ -40,6 +42,8 @@ _MAX_WAIT_S = 60.0
 ALLOWED_DEVIATION = 0.1
 # Two intervals of excessive deviation are merged if the gap between them is shorter than this, s.
 _MIN_GAP_S = 0.5
+# CPU time of each period of a sweep with controlled force, s, measured on one core of 2 GHz.
+_CONTROLLED_PERIOD_CPU_S = 1.2e-3
 # Remedy if the channels do not measure the force.
 _SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."
 
@@ -222,3 +226,38 @@ def sweep_periods(test: SweptSine, fractions: Array) -> Array:
         return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)
     log_ratio = np.log(test.to / test.from_)
     return test.duration * test.from_ * np.expm1(log_ratio * fractions) / log_ratio
+
+
+class SweptSineProcedure(Procedure["SweptSine"]):
+    """A sine whose frequency sweeps."""
+
+    rehearsal = "peaks"
+    form = Form("sweep", ("level", "low", "high", "duration"))
+
+    def excite(self, station: Station, test: SweptSine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: SweptSine, frequency: Array) -> Array:
+        """Return the gain for the time in which the sweep stays within its resolution bandwidth."""
+        # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
+        rate = np.full(frequency.size, abs(test.to - test.from_) / test.duration)
+        if test.spacing == "log":
+            rate = frequency * abs(np.log(test.to / test.from_)) / test.duration
+        return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))
+
+    def control_seconds(self, test: SweptSine) -> float:
+        """Return the CPU time of the controller, s, which works in each period."""
+        return _CONTROLLED_PERIOD_CPU_S * (test.from_ + test.to) / 2 * test.duration
+
+    def frequency_at(self, test: SweptSine, fraction: float) -> float:
+        """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
+        return sweep_frequency(test, fraction)
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return a sweep over the band, with the given force."""
+        band = {"from": values.low, "to": values.high}
+        return {"kind": "swept_sine", **band, "duration": values.duration, "force": values.level}
+
+
+PROCEDURE = SweptSineProcedure()

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.foresight.linear import test_band, test_frequencies
+from daq.foresight.linear import test_frequencies
 from daq.foresight.rehearsal import Rehearsal
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.results import format_frequencies, format_number
-from rig.scene.excitation import Sine, SteppedSine, SweptSine
+from rig.scene.excitation import Sine
 from rig.scene.scene import Scene
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import accelerations_per_level
@@ -40,7 +40,7 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
 
     All dampers are on their floors. Without dampers, or for other tests than tones and sweeps, the array is empty.
     """
-    if not system.dampers or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
+    if not system.dampers or scene.test is None or not scene.test.single_tone:
         return np.zeros((0, 0))
     try:
         return accelerations_per_level(scene, system, 2.0 * np.pi * frequencies)[system.damper_coordinate]
@@ -78,7 +78,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
 
 def outside_band(scene: Scene) -> tuple[str, ...]:
     """Return a line with the natural frequencies outside the band of the test, or nothing."""
-    band = test_band(scene.test)
+    band = None if scene.test is None else scene.test.band
     if band is None or isinstance(scene.test, Sine):
         return ()
     modes = structural_model(scene).modes.frequency

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.excitation import test_of
+from daq.excitation import procedure_of, test_of
 from daq.excitation.impulse import settling_time
 from daq.foresight.chain_limits import reading_limit, without_limits
 from daq.foresight.flights import flight_lines, onset_level, outside_band
@@ -30,9 +30,7 @@ from daq.foresight.rehearsal_plan import (
     with_level,
 )
 from daq.measurement.estimate import estimate
-from daq.measurement.limits import controlled_places
 from daq.virtual_bench.bench import Bench
-from rig.scene.excitation import Multisine, Random, SteppedSine, SweptSine
 from rig.scene.loading import load
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
@@ -95,7 +93,7 @@ class RehearsedTest:
     parts: tuple[Rehearsal, ...]
     is_complete: bool  # the parts are the complete test
     rehearsed: str = ""  # description of the rehearsed part; "" for the complete test
-    extension: float = 1.0  # factor on the extremes of a random test that was rehearsed in part
+    extension: float = 1.0  # factor on the extremes of a test that was rehearsed in part
 
     @property
     def aborted(self) -> str | None:
@@ -125,22 +123,19 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
     test = scene.test
     if plan.is_complete and (parts[0].complete or parts[0].aborted is not None):
         return RehearsedTest(parts, True)
-    if isinstance(test, SteppedSine | SweptSine):
+    assert test is not None
+    procedure = procedure_of(test)
+    if procedure.rehearsal == "peaks":
         if plan.is_complete:
             # The rehearsal took longer than expected. Therefore only the peaks of the test are rehearsed.
-            plan = plan_about_peaks(scene, test, bench.channels, seconds)
+            plan = plan_about_peaks(scene, bench.channels, seconds)
             parts += _rehearse_parts(plan, _MAX_TIME_RATIO * seconds)
         steps = sum(len(part.steps) // 2 for part in parts)
         return RehearsedTest(parts, False, f"{steps} steps about the peaks of the linear response")
     if parts[0].aborted is not None:
         # The test ends here.
         return RehearsedTest(parts, True)
-    extension = 1.0
-    if not plan.is_complete and isinstance(test, Random):
-        # The expected maximum of a Gaussian process grows with sqrt(log(number of zero crossings)).
-        crossings_per_s = test.from_ + test.to
-        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, parts[0].seconds))
-        extension = float(max(np.sqrt(log_whole / log_part), 1.0))
+    extension = 1.0 if plan.is_complete else procedure.extension(test, parts[0].seconds)
     return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
 
 
@@ -219,7 +214,7 @@ class _Assessment:
     def _below_resolution(self, expectations: Iterable[Expectation]) -> Iterable[str]:
         """Yield a warning for each channel whose signal is below the resolution of the converter."""
         maxima = {row.name: row.largest for row in expectations}
-        controlled_positions = controlled_places(self.scene)
+        controlled_positions = self.scene.controlled_at
         for info in self.bench.channels:
             count = info.unit_per_count
             if info.volts_per_count is not None and maxima[info.name] < 2.0 * count:
@@ -340,23 +335,15 @@ class _Assessment:
         rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
             return rehearsed_seconds
-        if isinstance(test, Multisine):
-            # Each realization takes about the same time to settle; the duration of the measurement is known.
-            rehearsed = rehearsed_test.parts[0].scene.test
-            assert isinstance(rehearsed, Multisine)
-            period = estimate(self.scene).seconds / (test.realisations * test.periods)
-            realisation_ratio = test.realisations / rehearsed.realisations
-            return (
-                realisation_ratio * rehearsed_seconds + test.realisations * (test.periods - rehearsed.periods) * period
-            )
-        if not isinstance(test, SteppedSine):
-            parts_seconds = sum(estimate(part.scene).seconds for part in rehearsed_test.parts)
-            if isinstance(test, SweptSine):
-                return estimate(self.scene).seconds
-            return rehearsed_seconds + max(estimate(self.scene).seconds - parts_seconds, 0.0)
+        assert test is not None
+        procedure = procedure_of(test)
+        if procedure.rehearsal == "part":
+            return procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
+        if not test.dwells:
+            return test.shortest
         # A step between the peaks is assumed to settle in the 25 % quantile of the settling times about the peaks.
-        settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part, test)] or [1.0]
-        steps = len(test.levels) * len(test.order)
+        settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part)] or [1.0]
+        steps = len(test.levels) * len(test.dwells)
         typical_time = float(np.percentile(settling_times, 25))
         # Time by which the steps about the peaks take longer than the typical step, s.
         excess = sum(wait - typical_time for wait in settling_times)
@@ -366,17 +353,19 @@ class _Assessment:
         # The test aborts near the last rehearsed tone.
         last_part = rehearsed_test.parts[-1]
         last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
-        order = np.array(test.order)
+        order = np.array(test.dwells)
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
         return max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
 
-    def _settling_times(self, part: Rehearsal, test: SteppedSine) -> Iterable[float]:
+    def _settling_times(self, part: Rehearsal) -> Iterable[float]:
         """Yield the times until the tones of a part are steady, s.
 
         If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
         The geometric mean of both times is assumed.
         """
+        assert self.scene.test is not None
+        longest = self.scene.test.steady_state.longest
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate
             is_irregular = not measure.settled and any(part.impact_times)
-            yield float(np.sqrt(wait * max(test.settle.longest, wait))) if is_irregular else wait
+            yield float(np.sqrt(wait * max(longest, wait))) if is_irregular else wait

@@ -7,43 +7,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.excitation import procedure_of
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
-from rig.scene.excitation import Multisine, Random, Sine, SteppedSine, SweptSine, Test, spaced_frequencies
+from rig.scene.excitation import Test
 from rig.scene.measurement_chain import Channel
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 from rig.scene.shaker import DRIVE_PER_VOLT
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem
-from rig.system.open_loop_drive import drive_per_level, level_of, riding_response
+from rig.system.open_loop_drive import drive_per_level, riding_response
 
 # Number of frequencies at which the required drive and the signal-to-noise ratio are computed.
 _N_FREQUENCIES = 400
 
 
-def test_band(test: Test | None) -> tuple[float, float] | None:
-    """Return the frequency band of a test that drives a shaker, Hz; None for other tests."""
-    if isinstance(test, Sine):
-        return test.frequency, test.frequency
-    if isinstance(test, SteppedSine):
-        return min(test.order), max(test.order)
-    if isinstance(test, SweptSine | Random | Multisine):
-        return min(test.from_, test.to), max(test.from_, test.to)
-    return None
-
-
 def test_frequencies(test: Test | None, points: int) -> Array:
     """Return the tones of a test, or `points` frequencies over its band, ascending, Hz; empty without a band."""
-    if isinstance(test, Sine):
-        return np.array([test.frequency])
-    if isinstance(test, SteppedSine):
-        return np.unique(test.order)
-    band = test_band(test)
-    if band is None:
-        return np.zeros(0)
-    return np.array(spaced_frequencies(*band, points, "log"))
+    return np.array(() if test is None else test.tones(points))
 
 
 def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -81,7 +64,7 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
 def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
     """Return the largest drive per unit of the test's level and its frequency; None for tests without tone or sweep."""
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
-    if not frequencies.size or not isinstance(scene.test, Sine | SteppedSine | SweptSine):
+    if not frequencies.size or scene.test is None or not scene.test.single_tone:
         return None
     drive_gain = abs(states_per_level(scene, system, frequencies)[1])
     index = int(np.argmax(drive_gain))
@@ -110,49 +93,25 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     The noise is the noise of a measured tone or of a spectral line: for a noise density S and a lock-in measurement
     over the time T, it is sqrt(2 S / T). The ratio is not defined for hits and free decays.
     """
-    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
+    test, frequencies = scene.test, test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}
-    if not frequencies.size or scene.driven is None:
+    if test is None or not frequencies.size or scene.driven is None:
+        return {}
+    noise_gain = procedure_of(test).noise_gain(test, frequencies)
+    if noise_gain is None:
         return {}
     try:
         amplitudes = channel_readings(scene, channels, frequencies)
     except SceneError:
         return {}
-    signal_to_noise_gain = _signal_to_noise_gain(scene, frequencies)
     lowest = {}
     for info, amplitude in zip(channels, amplitudes, strict=True):
         density = _noise_density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
-            ratio = amplitude * signal_to_noise_gain / np.maximum(density, np.finfo(float).tiny)
+            ratio = amplitude * min(test.levels) * noise_gain / np.maximum(density, np.finfo(float).tiny)
             index = int(np.argmin(ratio))
             lowest[info.name] = LowestSignalToNoise(float(ratio[index]), float(frequencies[index]))
     return lowest
-
-
-def _signal_to_noise_gain(scene: Scene, frequencies: Array) -> Array:
-    """Return the signal-to-noise ratio of a measurement of a channel with unit response and unit noise density.
-
-    Unit response is an amplitude of 1 per unit of the level; unit noise density is 1 per sqrt(Hz). Shape
-    (frequencies,).
-    """
-    test = scene.test
-    level = min(test.levels) if isinstance(test, SteppedSine) else level_of(scene)
-    if isinstance(test, Random):
-        return np.full(frequencies.size, level / np.sqrt(test.to - test.from_))
-    if isinstance(test, Multisine):
-        period, band = test.period_s, test.to - test.from_
-        amplitude = level * np.sqrt(2.0 / max(1.0, band * period))
-        return np.full(frequencies.size, amplitude * np.sqrt(period * test.periods / 2.0))
-    if isinstance(test, Sine):
-        return np.full(frequencies.size, level * np.sqrt(test.duration / 2.0))
-    if isinstance(test, SteppedSine):
-        return np.asarray(level * np.sqrt(test.measure.periods / frequencies / 2.0))
-    assert isinstance(test, SweptSine)
-    # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
-    rate = np.full(frequencies.size, abs(test.to - test.from_) / test.duration)
-    if test.spacing == "log":
-        rate = frequencies * abs(np.log(test.to / test.from_)) / test.duration
-    return np.asarray(level * np.sqrt(1.0 / np.sqrt(rate) / 2.0))
 
 
 def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:

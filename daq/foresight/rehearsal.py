@@ -15,14 +15,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.excitation import excitation
+from daq.excitation import excitation, procedure_of
 from daq.excitation.impulse import settling_time
-from daq.excitation.swept_sine import sweep_frequency
 from daq.measurement.bench_loop import BenchLoop, LimitReached
 from daq.recording.recorder import Recorder
 from daq.virtual_bench.bench import Bench, Block
 from rig.arrays import Array
-from rig.scene.excitation import SweptSine
 from rig.scene.scene import Scene
 
 #: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
@@ -108,9 +106,11 @@ class Rehearsal(BenchLoop):
     def frequency_at(self, sample: int) -> float | None:
         """Return the frequency of the tone at a sample, Hz; None if there is no single tone."""
         test = self.scene.test
-        if self.sweep is not None and isinstance(test, SweptSine) and sample >= self.sweep[0]:
+        if self.sweep is not None and test is not None and sample >= self.sweep[0]:
             fraction = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
-            return float(sweep_frequency(test, min(fraction, 1.0)))
+            frequency = procedure_of(test).frequency_at(test, min(fraction, 1.0))
+            if frequency is not None:
+                return frequency
         earlier = [step for step in self.steps if step.first <= sample]
         return earlier[-1].frequency if earlier else None
 

@@ -14,39 +14,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.excitation import procedure_of
+from daq.excitation.stepped_sine import expected_wait
 from daq.foresight.linear import channel_readings, test_frequencies
 from daq.measurement.estimate import estimate
-from daq.measurement.limits import controlled_places
 from daq.signal_chain.channel import ChannelInfo
 from daq.signal_chain.oversampling import choose_oversampling
 from rig.arrays import Array
-from rig.scene.excitation import Free, Impulse, Multisine, Random, Settle, Sine, SteppedSine, SweptSine, Test
+from rig.scene.excitation import Test
 from rig.scene.presets import complete_from_preset, input_settings
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
-from rig.system.structural_model import structural_model
 
 # A rehearsal takes about this CPU time, s.
 _CPU_BUDGET_S = 0.7
-# CPU time for a random test or multisine, as a multiple of `_CPU_BUDGET_S`, because the extremes in a part of such a
-# test vary by 10 % from part to part.
-_RANDOM_BUDGET_RATIO = 4.0
 # CPU time of a sample, to which states and channels add, s. All CPU times here were measured on one core of 2 GHz.
 _SAMPLE_CPU_S = 130e-9
 # CPU time of each state in a sample, s.
 _STATE_CPU_S = 6e-9
 # CPU time of each channel in a sample, s.
 _CHANNEL_CPU_S = 130e-9
-# CPU time of each period of a sweep with controlled force, s.
-_CONTROLLED_PERIOD_CPU_S = 1.2e-3
 # A channel with a decimation filter needs this multiple of the CPU time of a channel without.
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_CPU_S = 0.6e-9
-# The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
-_FIXED_WAIT_S = 1.4
-# In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
-_STEP_TIME_CONSTANTS = 2.0
 # A rehearsal of parts waits at most this time for the steady state, s.
 _LONGEST_WAIT_S = 10.0
 # Peaks of a channel's linear response below this ratio to its largest peak are omitted.
@@ -84,80 +75,34 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
     # Affordable duration of the rehearsed parts, s.
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
-    if isinstance(test, Random | Multisine):
-        seconds *= _RANDOM_BUDGET_RATIO
-    control_cpu_s = 0.0
-    if isinstance(test, SweptSine) and controlled_places(scene):
-        control_cpu_s = _CONTROLLED_PERIOD_CPU_S * (test.from_ + test.to) / 2 * test.duration
+    procedure = procedure_of(test)
+    seconds *= procedure.budget
+    control_cpu_s = procedure.control_seconds(test) if scene.controlled_at else 0.0
     if expected_seconds(scene) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
         return RehearsalPlan(((scene, 0),), is_complete=True)
-    if isinstance(test, SteppedSine | SweptSine):
-        return plan_about_peaks(scene, test, channels, seconds)
-    if isinstance(test, Random):
-        part: Test = test.replace(duration=seconds)
-    elif isinstance(test, Sine | Free):
-        part = test.replace(duration=min(test.duration, seconds))
-    elif isinstance(test, Multisine):
-        single_period = test.replace(periods=1)
-        fraction = seconds / expected_seconds(scene.replace(test=single_period))
-        part = single_period.replace(realisations=max(1, min(test.realisations, int(fraction * test.realisations))))
-    else:
-        part = _with_first_hits(test, seconds)
-    return RehearsalPlan(((scene.replace(test=part), 0),))
+    if procedure.rehearsal == "peaks":
+        return plan_about_peaks(scene, channels, seconds)
+    return RehearsalPlan(((scene.replace(test=procedure.part(test, seconds, scene)), 0),))
 
 
 def expected_seconds(scene: Scene) -> float:
     """Return the expected duration of a test with its waits for steady state, s."""
-    min_duration, test = estimate(scene).seconds, scene.test
-    if isinstance(test, Multisine):
-        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree. With
-        # force control, the iterations of the drive take about 8 s.
-        return min_duration * (1.0 + 3.0 / test.periods) + (8.0 if controlled_places(scene) else 0.0)
-    if not isinstance(test, SteppedSine):
-        return min_duration
-    return min_duration + len(test.levels) * len(test.order) * _expected_wait(scene)
+    test = scene.test
+    assert test is not None
+    return test.shortest + procedure_of(test).waits(test, scene)
 
 
-def _expected_wait(scene: Scene) -> float:
-    """Return the expected time from one measurement of a stepped sine to the next, s, from the slowest mode."""
-    assert isinstance(scene.test, SteppedSine)
-    modes = structural_model(scene).modes
-    longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
-    return _FIXED_WAIT_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, scene.test.settle.longest)
-
-
-def _with_first_hits(test: Impulse, seconds: float) -> Impulse:
-    """Return the test with only the first hits, as many as fit into `seconds`, at least one; later hits are equal."""
-    double_hit, repeats, interval = test.double_hit, max(1, int(seconds / test.interval)), test.interval
-    if test.interval >= seconds:
-        interval = max(seconds, 2.0 * (test.width + (0.0 if double_hit is None else double_hit.after)))
-    if double_hit is not None and double_hit.hits is not None:
-        hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
-        double_hit = double_hit.replace(hits=hits) if hits else None
-    return test.replace(repeats=repeats, interval=interval, double_hit=double_hit)
-
-
-def plan_about_peaks(
-    scene: Scene, test: SteppedSine | SweptSine, channels: tuple[ChannelInfo, ...], seconds: float
-) -> RehearsalPlan:
+def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:
     """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest.
 
     `seconds` is the affordable duration of all groups, s.
     """
-    if isinstance(test, SteppedSine):
-        frequencies, direction = np.unique(test.order), test.direction
-        settle, periods = test.settle, test.measure.periods
-        level = max(test.levels)
-    else:
-        frequencies, direction = (test_frequencies(test, _SWEEP_POINTS), "up" if test.from_ < test.to else "down")
-        settle, periods = SteppedSine.model_fields["settle"].default, 5
-        level = test.force or test.drive or 0.0
-    settings = _stepped_sine_settings(test, direction, level, settle, {"periods": periods})
+    test = scene.test
+    assert test is not None
+    frequencies, direction = test_frequencies(test, _SWEEP_POINTS), test.sweep_direction
+    settings, periods = _stepped_sine_settings(test, direction), procedure_of(test).periods_of_step(test)
     n_directions = 2 if direction == "both" else 1
-    step_s = (
-        _expected_wait(scene.replace(test={**settings, "frequencies": frequencies.tolist()}))
-        + periods / frequencies.mean()
-    )
+    step_s = expected_wait(scene, settings["settle"].longest) + periods / frequencies.mean()
     indices = _peak_indices(scene, channels, frequencies, max(2, int(seconds / step_s / n_directions)))
     groups = np.split(indices, np.flatnonzero(np.diff(indices) > _MAX_INDEX_GAP) + 1)
     if direction == "down":
@@ -230,57 +175,47 @@ def level_key(scene: Scene) -> tuple[str, float, str]:
     Without a level, the result is ("", nan, "").
     """
     test = scene.test
-    if isinstance(test, Impulse):
-        return "test.peak", test.peak, "N"
-    for name in ("force", "drive"):
-        levels = getattr(test, name, None)
-        if levels is not None:
-            unit = "N"
-            if name == "drive":
-                assert scene.driven_shaker is not None
-                unit = scene.driven_shaker.drive_unit
-            return f"test.{name}", float(max(levels) if isinstance(levels, tuple) else levels), unit
-    return "", np.nan, ""
+    if test is None or not test.levels:
+        return "", np.nan, ""
+    unit = "N"
+    if test.level_key == "drive":
+        assert scene.driven_shaker is not None
+        unit = scene.driven_shaker.drive_unit
+    return f"test.{test.level_key}", float(max(test.levels)), unit
 
 
 def with_level(scene: Scene, level: float) -> Scene:
     """Return the scene with another level of its test, in the unit of `level_key`."""
-    key = level_key(scene)[0].removeprefix("test.")
     assert scene.test is not None
-    return scene.replace(test=scene.test.replace(**{key: level}))
+    return scene.replace(test=scene.test.at_level(level))
 
 
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
     """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
 
-    Only a stepped sine is shortened; its first step is evaluated only if it is also the first step of the test. Another
-    test is not changed if it takes at most `seconds`; otherwise the scene is None.
+    Only a series of tones is shortened; its first step is evaluated only if it is also the first step of the test.
+    Another test is not changed if it takes at most `seconds`; otherwise the scene is None.
     """
     test = scene.test
-    if isinstance(test, SteppedSine) and frequency is not None:
-        order = list(test.order)
-        index = int(np.argmin(np.abs(np.array(order) - frequency)))
-        first = max(index - 2, 0)
-        direction = "up" if len(order) < 2 or order[max(index, 1)] >= order[max(index - 1, 0)] else "down"
-        settings = _stepped_sine_settings(test, direction, max(test.levels), test.settle, test.measure)
-        settings["frequencies"] = sorted(set(order[first : index + 2]))
-        return scene.replace(test=settings), min(index - first, 1)
-    return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
+    if test is None or frequency is None or not test.dwells or procedure_of(test).rehearsal != "peaks":
+        return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
+    order = list(test.dwells)
+    index = int(np.argmin(np.abs(np.array(order) - frequency)))
+    first = max(index - 2, 0)
+    direction = "up" if len(order) < 2 or order[max(index, 1)] >= order[max(index - 1, 0)] else "down"
+    settings = _stepped_sine_settings(test, direction) | {"frequencies": sorted(set(order[first : index + 2]))}
+    return scene.replace(test=settings), min(index - first, 1)
 
 
-def _stepped_sine_settings(
-    test: SteppedSine | SweptSine, direction: str, level: float, settle: Settle, measure: object
-) -> dict[str, Any]:
-    """Return the settings of a stepped sine that replaces a test, without its frequencies.
-
-    `measure`: setting of the measured periods; `level`: in the unit of the test.
-    """
+def _stepped_sine_settings(test: Test, direction: str) -> dict[str, Any]:
+    """Return the settings of a stepped sine that replaces a test at its highest level, without its frequencies."""
+    steady_state = test.steady_state
     return {
         "kind": "stepped_sine",
         "start": test.start,
         "direction": direction,
-        "shaker": test.shaker,
-        "settle": settle.replace(longest=min(settle.longest, _LONGEST_WAIT_S)),
-        "measure": measure,
-        "drive" if test.force is None else "force": level,
+        "shaker": test.driven,
+        "settle": steady_state.replace(longest=min(steady_state.longest, _LONGEST_WAIT_S)),
+        "measure": {"periods": procedure_of(test).periods_of_step(test)},
+        test.level_key: max(test.levels),
     }

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.excitation import procedure_of
 from daq.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
 from daq.importing.channel_table import Column, read_table
 from daq.importing.driving_power import MOTION_INTEGRATIONS, DrivingPower
@@ -29,7 +30,6 @@ from rig.input_files import as_path, duplicate_files
 from rig.numerics.runs import merge_spans, runs_of
 from rig.output_files import atomic_write, resolve_output
 from rig.progress import FractionProgress
-from rig.scene.excitation import Free, Impulse, Multisine, Random, Sine, SteppedSine, SweptSine
 from rig.scene.loading import SceneLike, load
 from rig.scene.scene import Scene
 
@@ -294,7 +294,9 @@ class _RecordingWriter:
         offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
         self._overloads = list(map(Overloads, full_scales, offsets))
         force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
-        self._force_pulses = {row: ForcePulses() for row in force_rows if isinstance(scene.test, Impulse | None)}
+        # What is searched in the samples; without a test, hits.
+        self._detection = "hits" if scene.test is None else procedure_of(scene.test).detection
+        self._force_pulses = {row: ForcePulses() for row in force_rows if self._detection == "hits"}
         # The power at the driving point is known if there is one force channel and a motion channel where it acts.
         driven_points = [f"body {number}" for number in scene.force_on]
         motion_rows = [
@@ -304,8 +306,7 @@ class _RecordingWriter:
         ]
         self._power_rows = [force_rows[0], motion_rows[0]] if len(force_rows) == 1 and motion_rows else []
         self._power = DrivingPower(*(self._infos[row] for row in self._power_rows)) if self._power_rows else None
-        is_tone_test = isinstance(scene.test, Sine | SteppedSine)
-        self._steps = StepDetector(scene, self._infos, rate) if is_tone_test else None
+        self._steps = StepDetector(scene, self._infos, rate) if self._detection == "steps" else None
 
     def run(self, path: Path, overwrite: bool, progress: FractionProgress | None) -> list[str]:
         """Write the recording; return the warnings about it."""
@@ -365,7 +366,7 @@ class _RecordingWriter:
     def _mark_test(self, recorder: Recorder) -> Iterator[str]:
         """Mark hits, steps, or the whole recording as measured, as the test of the scene requires; yield warnings."""
         test = self._scene.test
-        if isinstance(test, Free):
+        if self._detection == "start":
             motion_peaks = [
                 (overloads.peak_sample, assignment.channel.name)
                 for assignment, overloads in zip(self._assigned, self._overloads, strict=True)
@@ -386,7 +387,7 @@ class _RecordingWriter:
             recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak)
         if hits:
             return
-        if isinstance(test, Impulse):
+        if test is not None and self._detection == "hits":
             yield (
                 "no hit was detected: the scene's test is an impulse, but no channel contains a force pulse. "
                 "Check whether columns are swapped, or whether the scene has another test."
@@ -398,8 +399,8 @@ class _RecordingWriter:
             )
         else:
             low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate
-            if isinstance(test, SweptSine | Random | Multisine):
-                low, high = sorted((test.from_, test.to))
+            if test is not None and test.band is not None:
+                low, high = test.band
             recorder.mark("measure", 0, self._n_samples - 1, **{"from": low, "to": high})
 
 

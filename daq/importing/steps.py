@@ -14,7 +14,6 @@ from daq.importing.tone_track import ToneTracker
 from daq.recording.recorder import Recorder
 from daq.signal_chain.channel import ChannelInfo
 from rig.arrays import Array
-from rig.scene.excitation import Sine, SteppedSine
 from rig.scene.scene import Scene
 
 # The searched frequency band extends beyond the band of the scene's test by this factor at either end.
@@ -31,7 +30,7 @@ class StepDetector:
     """Detects steps in the reference, the channel that shows the excitation best; takes samples block by block."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
-        assert isinstance(scene.test, Sine | SteppedSine)
+        assert scene.test is not None
         self._test, self._rate = scene.test, rate
         # The reference is a force, the drive, the motion of the table, otherwise the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
@@ -46,7 +45,7 @@ class StepDetector:
         ]
         self.reference_row = reference_rows[0] if reference_rows else 0
         self._reference = channels[self.reference_row]
-        test_hz = (scene.test.frequency,) if isinstance(scene.test, Sine) else scene.test.order
+        test_hz = scene.test.dwells
         self._tracker = ToneTracker(rate, min(test_hz) / _BAND_RATIO, max(test_hz) * _BAND_RATIO, self.reference_row)
 
     def add(self, volts: Array) -> None:
@@ -55,7 +54,7 @@ class StepDetector:
 
     def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
         """Mark the settled part of each step; return a warning if no step is detected."""
-        tolerance = self._test.settle.tolerance if isinstance(self._test, SteppedSine) else 1e-3
+        tolerance = self._test.steady_state.tolerance
         tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), reference.volts, self._rate)
         if not tones:
             return [
@@ -81,14 +80,12 @@ class StepDetector:
     def _level(self, tones: Sequence[HeldTone], pass_number: int) -> float:
         """Return the level of a pass: the nearest to the measured force or, without a force channel, the next one."""
         test = self._test
-        if isinstance(test, Sine):
-            return float(test.force if test.force is not None else test.drive or 0.0)
-        if self._reference.quantity == "force" and test.force is not None:
+        if self._reference.quantity == "force" and test.level_key == "force":
             frequency = np.array([tone.frequency for tone in tones]) * self._rate
             gain = abs(self._reference.response(frequency)) * self._reference.sensitivity
             force = float(np.median([tone.amplitude for tone in tones] / gain))
             return min(test.levels, key=lambda level: abs(np.log(level / force)))
-        passes_per_level = 2 if test.direction == "both" else 1
+        passes_per_level = 2 if test.sweep_direction == "both" else 1
         return test.levels[min(pass_number // passes_per_level, len(test.levels) - 1)]
 
 

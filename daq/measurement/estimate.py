@@ -6,11 +6,11 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.excitation import procedure_of
 from daq.recording.committed_file import RESERVE
 from daq.recording.layout import block_length, flush_length
 from rig.errors import SceneError
 from rig.numerics.memory import require_memory
-from rig.scene.excitation import Impulse, Multisine, SteppedSine
 from rig.scene.presets import complete_from_preset
 from rig.scene.scene import Scene
 
@@ -33,8 +33,8 @@ FILTERED_CHANNEL_BYTES = 0.4e6
 CHANNEL_COPIES = 5.0
 MOTION_COPIES = 2.0
 TRUTH_COPIES = 7.0
-# Number of copies of a multisine's period in memory.
-PERIOD_COPIES = 12.0
+# Number of copies of a stored drive in memory.
+DRIVE_COPIES = 12.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ def estimate(scene: Scene) -> Estimate:
     rate = scene.converter.sample_rate
     # A scene without channels has an ideal channel on every body and on the table.
     channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
-    seconds = _min_duration(scene)
+    test = scene.test
+    seconds, stored = (0.0, 0.0) if test is None else (test.shortest, procedure_of(test).stored(test))
     samples = seconds * rate
     buffer_length = flush_length(rate) + 2 * block_length(rate)
     filtered = complete_from_preset(scene.converter).filter is not None
@@ -68,8 +69,7 @@ def estimate(scene: Scene) -> Estimate:
     memory = (
         PROGRAM_BYTES + channels * channel_bytes + 8.0 * buffer_length * (CHANNEL_COPIES * channels + motion_copies)
     )
-    if isinstance(scene.test, Multisine):
-        memory += 8.0 * PERIOD_COPIES * scene.test.period_s * rate
+    memory += 8.0 * DRIVE_COPIES * stored * rate
     points = scene.structure.bodies + len(scene.tables)
     n_true_quantities = 3 * points + len(scene.dampers) if scene.recording.truth else 0
     storage_type = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
@@ -92,20 +92,6 @@ def check_resources(resources: Estimate, path: Path) -> None:
             f"{path}: the test requires about {_bytes_text(resources.disk)}, but only {_bytes_text(free)} are free. "
             "Choose another disk (-o FILE.mcap), a shorter test, or a lower rate."
         )
-
-
-def _min_duration(scene: Scene) -> float:
-    """Return the lower bound of the duration of the test, s."""
-    test = scene.test
-    if test is None:
-        return 0.0
-    if isinstance(test, SteppedSine):
-        return len(test.levels) * test.measure.periods * sum(1.0 / frequency for frequency in test.order)
-    if isinstance(test, Multisine):
-        return test.realisations * test.periods * test.period_s
-    if isinstance(test, Impulse):
-        return test.repeats * test.interval
-    return test.duration
 
 
 def duration_text(seconds: float) -> str:

@@ -136,19 +136,11 @@ class Limits:
         self._alarms.close()
 
 
-def controlled_places(scene: Scene) -> tuple[str, ...]:
-    """Return the locations of the channels for the controlled spring force; empty if no force is controlled."""
-    shaker = scene.driven_shaker
-    if scene.test is None or shaker is None:
-        return ()
-    return scene.test.controlled_at(shaker, scene.at_driven("table"))
-
-
 class ControlLoss:
     """Monitors the channels that measure a controlled spring force: a clipped channel does not measure the force."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
-        self._rows = [row for row, info in enumerate(channels) if info.at in controlled_places(scene)]
+        self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_at]
         self._scene, self._channels = scene, channels
         self._overload_start: int | None = None  # first sample of the present overload
 

@@ -127,7 +127,7 @@ def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
         if not is_steady:
             break
         compliances.append(float(abs(response.compliance[peak.body - 1, -1])))
-    tolerance = test.steady_tolerance
+    tolerance = test.steady_state.tolerance
     limits = None
     if is_steady:
         limits = min(compliances) * (1.0 - tolerance), compliances[0], max(compliances) * (1.0 + tolerance)

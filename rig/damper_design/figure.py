@@ -153,7 +153,7 @@ def describe_check(design: Design, scene: Path) -> str:
             "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
             f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to "
             f"{format_percent(FORCE_TOLERANCE)} and the motion is measured when it is steady within "
-            f"{format_percent(test.steady_tolerance)}.",
+            f"{format_percent(test.steady_state.tolerance)}.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
             f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *map(_expected_line, design.expected),

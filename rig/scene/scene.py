@@ -97,6 +97,13 @@ class Scene(Settings):
         return "" if self.test is None else self.test.level_key
 
     @property
+    def controlled_at(self) -> tuple[str, ...]:
+        """Locations whose readings a controller uses; empty if the test is not controlled."""
+        if self.test is None or self.driven_shaker is None:
+            return ()
+        return self.test.controlled_at(self.driven_shaker, self.at_driven("table"))
+
+    @property
     def hammer(self) -> int | None:
         """Number of the body that the test hits with a hammer, from 1; None without a hammer."""
         return None if self.test is None else self.test.hammer

@@ -35,7 +35,7 @@ def sweep_frequencies(
             raise SceneError(f"frequencies: --from {first:g} Hz is not between 0 and --to {last:g} Hz. Change --from.")
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if test is not None and test.dwells:
-        return tuple(sorted(set(test.dwells))), direction or test.direction_of_dwells
+        return tuple(sorted(set(test.dwells))), direction or test.sweep_direction
     raise SceneError(f"scene {scene.name!r}: the test has no frequencies. Give --from and --to.")
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, get_args
 
 from rig.scene.excitation.free import Free as Free
 from rig.scene.excitation.impulse import DoubleHit as DoubleHit
 from rig.scene.excitation.impulse import Impulse as Impulse
 from rig.scene.excitation.kind import FORCE_TOLERANCE as FORCE_TOLERANCE
+from rig.scene.excitation.kind import KindOfTest as KindOfTest
+from rig.scene.excitation.kind import Settle as Settle
 from rig.scene.excitation.kind import spaced_frequencies as spaced_frequencies
 from rig.scene.excitation.multisine import Multisine as Multisine
 from rig.scene.excitation.random import Random as Random
 from rig.scene.excitation.sine import Sine as Sine
 from rig.scene.excitation.stepped_sine import Measure as Measure
-from rig.scene.excitation.stepped_sine import Settle as Settle
 from rig.scene.excitation.stepped_sine import SteppedSine as SteppedSine
 from rig.scene.excitation.swept_sine import SweptSine as SweptSine
 from rig.settings.alternatives import Alternatives, by_kind
 
 Test = Annotated[Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free, Alternatives(by_kind)]
+#: The classes of all kinds.
+KINDS: tuple[type[KindOfTest], ...] = get_args(get_args(Test)[0])

@@ -13,7 +13,7 @@ from pydantic import Field
 from rig.arrays import Array
 from rig.scene.shaker import Shaker, as_tuple
 from rig.settings.problems import KeyPath, Problem
-from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, TIME, VOLTAGE
+from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
 from rig.settings.quantity_field import Quantity
 from rig.settings.settings import Settings
 
@@ -39,8 +39,6 @@ Spacing = Literal["linear", "log"]
 MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
 FORCE_TOLERANCE = 0.005
-# Default of `KindOfTest.steady_tolerance`.
-STEADY_TOLERANCE = 1e-3
 
 
 class Chirp(NamedTuple):
@@ -61,16 +59,32 @@ class Rest(NamedTuple):
     """Open-loop drive: none."""
 
 
+class Settle(Settings):
+    """Criterion for the steady state of a step."""
+
+    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
+    """Largest relative change of any channel's first harmonic between successive time windows."""
+    longest: Duration = 60.0
+    """Longest time to wait for the steady state [s]."""
+
+
 class KindOfTest(Settings):
     """A kind of test. Subclasses are the sections `test` of a scene; this class has no keys.
 
     `recorded_as`: how recordings of this kind are evaluated, a value of `daq.recording.recorded_test.TestKind`.
-    `level_keys`: keys of which one is the level of the test. `uses_shaker`: whether a shaker is driven.
+    `level_keys`: keys of which one is the level of the test. `uses_shaker`: whether a shaker is driven. `single_tone`:
+    whether the drive is one tone at a time.
     """
 
     recorded_as: ClassVar[str]
     level_keys: ClassVar[tuple[str, ...]] = ("force", "drive")
     uses_shaker: ClassVar[bool] = True
+    single_tone: ClassVar[bool] = False
+
+    @classmethod
+    def kind_name(cls) -> str:
+        """Return the value of `kind`, which is also the name of the kind's modules."""
+        return str(cls.model_fields["kind"].default)
 
     @property
     def level_key(self) -> str:
@@ -109,8 +123,8 @@ class KindOfTest(Settings):
         return ()
 
     @property
-    def direction_of_dwells(self) -> Literal["up", "down", "both"]:
-        """Order of the frequencies of the dwells."""
+    def sweep_direction(self) -> Literal["up", "down", "both"]:
+        """Order in which the frequencies are visited."""
         return "up"
 
     @property
@@ -119,9 +133,9 @@ class KindOfTest(Settings):
         return None, None, None
 
     @property
-    def steady_tolerance(self) -> float:
-        """Largest relative change of a channel from one time window to the next in steady state."""
-        return STEADY_TOLERANCE
+    def steady_state(self) -> Settle:
+        """Criterion for the steady state of a tone."""
+        return Settle()
 
     def tones(self, points: int) -> tuple[float, ...]:
         """Return the tones of the test, or `points` frequencies over its band, ascending, Hz; () without a band."""
@@ -183,7 +197,7 @@ class KindOfTest(Settings):
         """Check the numbers of the driven shakers, and that the first has the key of the level."""
         n_shakers, number, others = len(shakers), self.driven or 1, self.also_driven
         if not shakers:
-            message = f"{type(self).model_fields['kind'].default} requires a shaker. Add a shaker to the scene."
+            message = f"{self.kind_name()} requires a shaker. Add a shaker to the scene."
             yield Problem(("kind",), message, absent="shaker")
         elif n_shakers > 1 and self.driven is None:
             message = f"the scene has {n_shakers} shakers, but the test does not name the driven one."

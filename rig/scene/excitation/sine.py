@@ -14,6 +14,7 @@ class Sine(KindOfTest):
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["sine"] = "sine"
     recorded_as: ClassVar = "tones"
+    single_tone: ClassVar = True
     start: Start = "settled"
     frequency: Frequency
     """Frequency [Hz]."""

@@ -9,31 +9,19 @@ from pydantic import Field
 
 from rig.scene.excitation.kind import (
     MAX_STEPS,
-    STEADY_TOLERANCE,
     Count,
     Drives,
-    Duration,
     Forces,
     Frequency,
     KindOfTest,
+    Settle,
     ShakerNumber,
     Spacing,
     Start,
     spaced_frequencies,
 )
 from rig.settings.problems import KeyPath, Problem
-from rig.settings.quantities import RATIO
-from rig.settings.quantity_field import Quantity
 from rig.settings.settings import Settings
-
-
-class Settle(Settings):
-    """Criterion for the steady state of a step."""
-
-    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = STEADY_TOLERANCE
-    """Largest relative change of any channel's first harmonic between successive time windows."""
-    longest: Duration = 60.0
-    """Longest time to wait for the steady state [s]."""
 
 
 class Measure(Settings):
@@ -49,6 +37,7 @@ class SteppedSine(KindOfTest):
     one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
     kind: Literal["stepped_sine"] = "stepped_sine"
     recorded_as: ClassVar = "tones"
+    single_tone: ClassVar = True
     start: Start = "settled"
     from_: Frequency | None = Field(None, alias="from")
     """First frequency [Hz]."""
@@ -118,7 +107,7 @@ class SteppedSine(KindOfTest):
         return self.order
 
     @property
-    def direction_of_dwells(self) -> Literal["up", "down", "both"]:
+    def sweep_direction(self) -> Literal["up", "down", "both"]:
         """Order of the frequencies of one level."""
         return self.direction
 
@@ -128,9 +117,9 @@ class SteppedSine(KindOfTest):
         return self.from_, self.to, self.points
 
     @property
-    def steady_tolerance(self) -> float:
-        """Largest relative change of a channel from one time window to the next in steady state."""
-        return self.settle.tolerance
+    def steady_state(self) -> Settle:
+        """Criterion for the steady state of a step."""
+        return self.settle
 
     @property
     def shortest(self) -> float:

@@ -19,6 +19,7 @@ class SweptSine(KindOfTest):
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["swept_sine"] = "swept_sine"
     recorded_as: ClassVar = "sweep"
+    single_tone: ClassVar = True
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """First frequency [Hz]."""
@@ -39,6 +40,11 @@ class SweptSine(KindOfTest):
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
             yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
+
+    @property
+    def sweep_direction(self) -> Literal["up", "down"]:
+        """Direction of the sweep."""
+        return "up" if self.from_ < self.to else "down"
 
     def wave(self, time: Array) -> Chirp:
         """Return the tone at its momentary frequency; after the sweep, the last phase."""

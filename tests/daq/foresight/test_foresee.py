@@ -88,7 +88,7 @@ def test_peaks_with_dampers_are_ranked_first(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(rehearsal_plan, "channel_readings", constant_readings)
     names = ("fig5-single-damper", "fig5-three-dampers", "fig8-two-dampers", "fig8-three-dampers", "fig9", "fig10a")
     for scene in map(rig.load, names):
-        rehearsal_plan.plan_about_peaks(scene, scene.test, (), 10.0)
+        rehearsal_plan.plan_about_peaks(scene, (), 10.0)
     assert has_dampers == [True, False] * len(names)
 
 

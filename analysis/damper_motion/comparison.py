@@ -13,6 +13,7 @@ import numpy as np
 
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
+from rig.results.resonances import Resonance, find_resonances
 from rig.results.response import Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, expand
 
@@ -177,6 +178,34 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
         return estimate
     scaled = replace(independent, tolerances=(tolerance,))
     return replace(scaled, bound=independent.bound + scaled.common_bound - independent.common_bound)
+
+
+def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
+    """Return every resonance of a receptance with its `resonance_peak`, or its rational interpolation if better."""
+    receptance = frf.without(SENSITIVITY, SYSTEMATIC, CLOCK).to("displacement")
+    resonances = sorted(find_resonances(receptance), key=lambda resonance: resonance.frequency)
+    frequency = np.array([resonance.frequency for resonance in resonances])
+    between = np.sqrt(frequency[1:] * frequency[:-1])
+    # A band has at least three lines on either side of a resonance, so that lines far apart are enough for a bound.
+    lines = np.sort(frf.frequency)
+    position = np.searchsorted(lines, frequency)
+    near = lines[np.maximum(position - 3, 0)], lines[np.minimum(position + 2, lines.size - 1)]
+    low = np.maximum(np.minimum(frequency * (1.0 - _BAND_BELOW_RATIO), near[0]), np.append(0.0, between))
+    high = np.minimum(np.maximum(frequency * (1.0 + _BAND_BELOW_RATIO), near[1]), np.append(between, inf))
+    found = [resonance_peak(frf, *band) for band in zip(low.tolist(), high.tolist(), strict=True)]
+    peaks = zip(resonances, found, strict=True)
+    return [(resonance, _better(frf, resonance, estimate)) for resonance, estimate in peaks if estimate is not None]
+
+
+def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
+    """Return the interpolated resonance as a peak if its uncertainty is smaller than that of an estimate."""
+    is_known = resonance.is_interpolated and not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
+    if not is_known or estimate.bound - estimate.common_bound <= resonance.expanded:
+        return estimate
+    better = replace(
+        estimate, value=resonance.value, frequency=resonance.frequency, interpolation_bound=0.0, at_end=False
+    )
+    return replace(better, bound=resonance.expanded + better.common_bound)
 
 
 def _common_tolerances(frf: Response) -> tuple[float, ...]:

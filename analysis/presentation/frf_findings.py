@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.damper_motion.comparison import is_next_to_omitted, resonance_peak
+from analysis.damper_motion.comparison import is_next_to_omitted, resonance_peaks
 from analysis.presentation.inputs import check_inputs, labels, read_curves
 from analysis.presentation.outputs import (
     CommandOutput,
@@ -28,6 +28,7 @@ from analysis.responses.systematic import tolerance
 from daq.recording.recorded_test import TestKind
 from rig.progress import CountProgress
 from rig.results import format_interval, format_percent, format_quantity
+from rig.results.resonances import MIN_LINES, Resonance
 from rig.results.response import MOTIONS, Response
 from rig.results.text import table_lines
 from rig.results.uncertainty import SENSITIVITY, SYSTEMATIC
@@ -36,8 +37,8 @@ from rig.scene.presets import preset_note
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
 
-# The peak at the highest point is interpolated in the band between these multiples of the frequency of the point.
-_PEAK_BAND = (0.85, 1.15)
+# Maximum number of resonances that are listed individually.
+_MAX_LISTED = 8
 # A relative deviation of the highest point from the interpolated peak up to this value is not reported.
 _MAX_PEAK_DEVIATION = 0.01
 # An interpolated peak is reported if its relative bound is at most this.
@@ -117,46 +118,65 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
             rows.append(
                 (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
             )
-            for text in (*frf.uncertain_peak(), *_peak_between_points(frf)):
+            for text in (*frf.uncertain_peak(), *_peaks_between_points(frf)):
                 remarks.setdefault(text, []).append(frf.response)
         notes = [f"{', '.join(names)}: {text}" for text, names in remarks.items()]
         lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *notes))]
     return lines
 
 
-def _peak_between_points(frf: Response) -> list[str]:
-    """Report the interpolated peak of a response if it may be higher than the highest point."""
+def _peaks_between_points(frf: Response) -> list[str]:
+    """Report the highest interpolated peak of a response, and resonances whose points are too far apart."""
     line = frf.peak_line()
-    frequency, height, bound = frf.frequency[line], float(abs(frf.value[line])), float(frf.bound()[line])
-    if not np.isfinite(bound) or frf.resolution > 0.0:
-        return []
-    highest = resonance_peak(frf, *(limit * frequency for limit in _PEAK_BAND))
-    if highest is None:
+    frequency, height = float(frf.frequency[line]), float(abs(frf.value[line]))
+    if not np.isfinite(frf.expanded()[line]) or frf.resolution > 0.0:
         return []
     if is_next_to_omitted(frf, frequency):
         return [
             f"highest next to frequencies that were left out, {frequency:.4g} Hz: the peak may be among them. Remove "
             "the cause, and measure again"
         ]
-    if highest.at_end:
-        return [f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"]
-    if highest.bound - highest.common_bound > _MAX_PEAK_UNCERTAINTY * highest.value:
-        remedy = "Measure with a smaller frequency step around this point"
-        if frf.test == TestKind.HITS.value:
-            remedy = "Record longer after each hit (test.interval)"
-        return [f"the peak may be higher than the highest point, at {frequency:.4g} Hz. {remedy}"]
-    # `peak` estimates displacement.
-    scale = (2.0 * np.pi * highest.frequency) ** MOTIONS.index(frf.motion)
-    value = scale * highest.value
+    # `resonance_peaks` estimates displacement.
+    n_derivatives = MOTIONS.index(frf.motion)
+    peaks = [(r, p, (2.0 * np.pi * p.frequency) ** n_derivatives) for r, p in resonance_peaks(frf)]
+    uncertain = {r for r, p, _ in peaks if not p.bound - p.common_bound <= _MAX_PEAK_UNCERTAINTY * p.value}
+    value, scale, highest = max(
+        ((scale * p.value, scale, None if r in uncertain else p) for r, p, scale in peaks),
+        default=(0.0, 1.0, None),
+        key=lambda peak: peak[0],
+    )
     # The tolerances of the sensors scale the peak and the highest point alike.
-    point_bound = float(frf.without(SENSITIVITY, SYSTEMATIC).bound()[line])
-    if value + scale * highest.interpolation_bound <= (1.0 + _MAX_PEAK_DEVIATION) * height + point_bound:
-        return []
-    unit, factor = frf.shown_in
-    return [
-        f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
-        f"at {highest.frequency:.2f} Hz"
-    ]
+    point = (1.0 + _MAX_PEAK_DEVIATION) * height + float(frf.without(SENSITIVITY, SYSTEMATIC).expanded()[line])
+    remarks = []
+    if highest is not None and value + scale * highest.interpolation_bound > point:
+        unit, factor = frf.shown_in
+        remarks.append(
+            f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
+            f"at {highest.frequency:.2f} Hz"
+        )
+    elif frequency in (frf.frequency.min(), frf.frequency.max()):
+        remarks.append(
+            f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"
+        )
+    coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
+    return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
+
+
+def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
+    """Return the advice on resonances whose half-power width has too few points."""
+    *frequencies, last = (f"{resonance.frequency:.4g}" for resonance in coarse[:_MAX_LISTED])
+    where = f"{', '.join(frequencies)} and {last}" if frequencies else last
+    more = f", and {len(coarse) - _MAX_LISTED} others" if len(coarse) > _MAX_LISTED else ""
+    needed = min(resonance.needed_spacing for resonance in coarse)
+    remedy = "Measure for longer"
+    if frf.test in ("", TestKind.TONES.value):
+        remedy = f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
+    if frf.test == TestKind.HITS.value:
+        remedy = "Record longer after each hit (test.interval)"
+    return (
+        f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: the height of the peak relies on "
+        f"interpolation. {remedy}"
+    )
 
 
 def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:

@@ -11,7 +11,14 @@ from typing import ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from analysis.damper_motion.comparison import Peak, PeakChange, peak_bands, peak_changes, resonance_peak
+from analysis.damper_motion.comparison import (
+    Peak,
+    PeakChange,
+    peak_bands,
+    peak_changes,
+    resonance_peak,
+    resonance_peaks,
+)
 from analysis.damper_motion.dampers import Dampers, dampers_in
 from analysis.decays.free_decay import Decay, decay
 from analysis.modal.identification import identify
@@ -170,22 +177,16 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest compliance peak, near a mode or at another frequency.
 
-    `peaks`: the highest peak near each mode. A peak at another frequency replaces them if its lower bound exceeds them.
+    `peaks`: the highest peak near each mode.
     """
-    highest = max(filter(None, peaks), key=lambda pair: pair[1].value, default=None)
-    height = 0.0 if highest is None else highest[1].value
-    for frf in frfs:
-        if frf.reference != "force":
-            continue
-        compliance = frf.to("displacement")
-        lower_bound = np.nan_to_num(abs(compliance.value) - compliance.bound())
-        largest = int(np.argmax(lower_bound))
-        if lower_bound[largest] > height:
-            frequency = float(compliance.frequency[largest])
-            interpolated = resonance_peak(frf, frequency / _PEAK_BAND_FACTOR, frequency * _PEAK_BAND_FACTOR)
-            if interpolated is not None and not interpolated.at_end:
-                highest, height = (frf, interpolated), interpolated.value
-    return highest
+    others = [
+        (frf, found)
+        for frf in frfs
+        if frf.reference == "force"
+        for _, found in resonance_peaks(frf)
+        if not found.at_end
+    ]
+    return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
 
 
 def _peak_changes(first: Measurement, other: Measurement) -> list[PeakChange]:

@@ -131,7 +131,12 @@ def test_file_that_is_not_a_recording_is_rejected(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("natural", "remarks"), [(20.8, ["body1: the peak between"]), (21.0, []), (40.0, ["body1: highest at"])]
+    ("natural", "remarks"),
+    [
+        (20.8, ["body1: the peak between", "body1: the half-power width at 20.8 Hz"]),
+        (21.0, ["body1: the half-power width at 21 Hz"]),
+        (40.0, ["body1: highest at the end of the band, 29.5 Hz"]),
+    ],
 )
 @pytest.mark.parametrize("motion", ["displacement", "acceleration"])
 def test_peak_between_points_is_reported(natural, motion, remarks):
@@ -145,6 +150,21 @@ def test_peak_between_points_is_reported(natural, motion, remarks):
         exact = 1e-6 / (2.0 * ratio) * (1e6 if motion == "displacement" else (2.0 * np.pi * natural) ** 2)
         assert peak == pytest.approx(exact, abs=bound + 1e-3 * exact)
         assert lines[0].endswith("at 20.80 Hz")
+
+
+def test_highest_of_all_resonances_is_reported():
+    # The highest peak lies between two points; the highest point is at another resonance.
+    f = np.arange(20.4, 60.0, 0.8)
+    value = sum(
+        height * 2j * ratio / (1.0 - (f / fn) ** 2 + 2j * ratio * f / fn)
+        for fn, ratio, height in ((30.4, 0.003, 72e-6), (48.0, 0.01, 55e-6))
+    )
+    curve = Response.curve(f, value, "board", error=1e-5 * abs(value), degrees=100.0 * np.ones(f.size))
+    assert abs(curve.frequency[curve.peak_line()] - 48.0) < 0.5
+    peak, spacing = describe_frfs([curve])[3:]
+    height = float(re.search(r"between the points is \(([\d.]+) ±", peak).group(1))
+    assert height == pytest.approx(72.0, rel=0.01) and peak.endswith("at 30.40 Hz")
+    assert "30.4 and 48 Hz has fewer than 3 points" in spacing and "Measure every 0.05 Hz there" in spacing
 
 
 def test_highest_point_next_to_omitted_frequencies_is_reported():

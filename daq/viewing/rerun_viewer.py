@@ -1,7 +1,8 @@
 """Start the viewer of rerun-sdk, which draws replays: in a window, in a browser, or without a display for a picture.
 
-The viewer is a child process that receives data and commands on a port of 127.0.0.1. Its binary is started, not the
-script `rerun` around it, because ending the script would leave the viewer running.
+The viewer receives data and commands on a port of 127.0.0.1. Its parent is a guard, a process that ends the viewer when
+the pipe from this process is closed: this process may be killed. The guard starts the viewer's binary, not the script
+`rerun` around it, because ending the script would leave the viewer running.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
@@ -31,6 +32,33 @@ T = TypeVar("T")
 LOOPBACK = "127.0.0.1"
 # Maximum time for the start of the viewer, s.
 _MAX_START_S = 30.0
+# Time that the viewer has to end, s, before it is killed.
+_MAX_END_S = 5.0
+# Script of the guard. Its arguments are the folder of the viewer's files and the command of the viewer. A regular end
+# sends a byte; after a kill, the guard removes the folder.
+_GUARD = f"""
+import shutil, signal, subprocess, sys, threading
+folder, *command = sys.argv[1:]
+viewer = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+is_ending = threading.Event()
+def end():
+    was_killed = not sys.stdin.buffer.read()
+    is_ending.set()
+    viewer.terminate()
+    try:
+        viewer.wait({_MAX_END_S})
+    except subprocess.TimeoutExpired:
+        viewer.kill()
+    if was_killed:
+        shutil.rmtree(folder, ignore_errors=True)
+end_thread = threading.Thread(target=end, daemon=True)
+end_thread.start()
+code = viewer.wait()
+if is_ending.is_set():
+    end_thread.join()
+sys.exit(code)
+"""
 # Maximum time for loading and drawing, s.
 _MAX_LOAD_S = 300.0
 # Interval between checks of the viewer's state, s.
@@ -111,7 +139,7 @@ class Viewer:
 def viewer(*options: str) -> Iterator[Viewer]:
     """Start a viewer on a free loopback port and end it on leaving; raise `RunError` if it cannot start."""
     port = free_port()
-    command = [str(binary()), "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen", *options]
+    viewer_command = [str(binary()), "--bind", LOOPBACK, "--port", str(port), "--hide-welcome-screen", *options]
     # The viewer sends usage data to its makers unless it runs under CI.
     environment = {**os.environ, "CI": "true", "NO_COLOR": "1"}
     with (
@@ -119,18 +147,18 @@ def viewer(*options: str) -> Iterator[Viewer]:
         tempfile.TemporaryDirectory(prefix="shotrig-viewer-") as folder,
         (Path(folder) / "log").open("w", encoding="utf-8") as log,
     ):
-        process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL, env=environment)
+        # The viewer leaves temporary files behind.
+        environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder)
+        command = [sys.executable, "-I", "-S", "-c", _GUARD, folder, *viewer_command]
+        process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.PIPE, env=environment)
         running = Viewer(process, port, log)
         try:
             running.wait_until_ready()
             yield running
         finally:
-            process.terminate()
-            try:
-                process.wait(timeout=5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            # Writing fails if the viewer has ended.
+            with suppress(OSError, subprocess.TimeoutExpired):
+                process.communicate(b"end", timeout=2.0 * _MAX_END_S)
 
 
 @contextmanager

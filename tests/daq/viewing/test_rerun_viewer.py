@@ -12,6 +12,7 @@ import sys
 import urllib.request
 from pathlib import Path
 
+import psutil
 import pytest
 
 import daq
@@ -168,3 +169,22 @@ def test_two_outputs_at_once_are_rejected(run_daq, recording_path, tmp_path):
 def test_instant_outside_the_recording_is_rejected(recording_path, tmp_path):
     with daq.open(recording_path) as recording, pytest.raises(SceneError, match=r"outside the replay.*0\.5 s"):
         draw_picture(Replay(recording), tmp_path / "x.png", at_s=9.0)
+
+
+def test_viewer_ends_with_a_killed_command(tmp_path):
+    code = (
+        "from daq.viewing.rerun_viewer import viewer\n"
+        "with viewer('--serve-web', '--web-viewer-port', '0') as session:\n"
+        "    print(session.port, flush=True); input()"
+    )
+    environment = without_display({"TMPDIR": str(tmp_path)})
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
+        port = int(process.stdout.readline())
+        (guard,) = psutil.Process(process.pid).children()
+        (shown,) = guard.children()
+        process.kill()
+    psutil.wait_procs([guard, shown], timeout=60.0)
+    assert not guard.is_running() and not shown.is_running() and not list(tmp_path.iterdir())
+    with socket.socket() as client:
+        assert client.connect_ex((LOOPBACK, port)) != 0

@@ -15,6 +15,7 @@ from analysis.responses.measurands import (
     location_of,
     required_channels,
     select_channels,
+    weak_force_warnings,
 )
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -230,7 +231,8 @@ def frequency_responses(
     else:
         used = required_channels(rec, names, reference)
         computed = BY_KIND[kind].estimate(Request(rec, names, reference, motion, blocks, progress, used, measured))
-    warnings = [
+    warnings = weak_force_warnings(rec) if reference == "force" else []
+    warnings += [
         f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
         for marker in rec.markers
         if marker.kind == "abort"

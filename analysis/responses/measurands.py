@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from daq.signal_chain.channel import ChannelInfo
 
 
-# A shaker is driven if its mean-square force is at least this fraction of the largest.
-_MIN_FORCE_POWER_RATIO = 1e-4
+# A shaker is driven if the level of its force is above this level relative to the largest, dB.
+_MIN_FORCE_LEVEL_DB = -40.0
 
 
 def find_channel(rec: Recording, name: str) -> ChannelInfo:
@@ -191,9 +191,26 @@ def _places(rec: Recording) -> str:
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
     """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
+    return tuple(force for force, level in _simultaneous_forces(rec) if level > _MIN_FORCE_LEVEL_DB)
+
+
+def weak_force_warnings(rec: Recording) -> list[str]:
+    """Return a warning for each shaker of the test whose force is too weak to be an input."""
+    forces = _simultaneous_forces(rec)
+    used = ", ".join(force.name for force, level in forces if level > _MIN_FORCE_LEVEL_DB)
+    return [
+        f"{force.name} at {force.place} is {'zero' if np.isinf(level) else f'{-level:.0f} dB below the largest'}. "
+        f"It is neglected as an input, so that the responses are those to {used} alone. Check its amplifier and sensor."
+        for force, level in forces
+        if level <= _MIN_FORCE_LEVEL_DB
+    ]
+
+
+def _simultaneous_forces(rec: Recording) -> list[tuple[Point, float]]:
+    """Return the force channel of each shaker of a test with several, and its level relative to the largest, dB."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
-        return ()
+        return []
     forces: list[Point] = []
     for number in marker.fields["shakers"]:
         at = f"shaker {number}"
@@ -207,5 +224,6 @@ def driven_forces(rec: Recording) -> tuple[Point, ...]:
         forces.append(Point(name, "force", " and ".join(bodies)))
     stop = min(marker.stop, rec.samples)
     power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    min_power = _MIN_FORCE_POWER_RATIO * max(power)
-    return tuple(force for force, force_power in zip(forces, power, strict=True) if force_power > min_power)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        levels = 10.0 * np.log10(np.array(power) / max(power))
+    return list(zip(forces, np.nan_to_num(levels, nan=-np.inf, neginf=-np.inf).tolist(), strict=True))

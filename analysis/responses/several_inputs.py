@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from analysis.responses import random
 from analysis.responses.budget import assemble_budget
@@ -326,10 +327,21 @@ def _from_local_fits(
     budget = _matrix_budget(
         rec, frequency, value, points, error, degrees_of_freedom, bounds, covariance, spectra.shared
     )
+    value[_local_condition(forces, spectra.lines, half_width) > MAX_CONDITION_NUMBER] = np.nan
     warnings = (*fits.warnings, *notes)
     return _add_warnings(
         Response(frequency, value, *points, budget, coherence, label=rec.scene.name, warnings=warnings)
     )
+
+
+def _local_condition(forces: ComplexArray, lines: NDArray[np.int64], half_width: int) -> Array:
+    """Compute the condition number of the spectra of forces at unit power, each averaged over the bins of a fit.
+
+    `forces`: shape (inputs, segments, bins). Returns the shape (lines,).
+    """
+    products = np.mean(forces[:, None] * forces[None].conj(), axis=2)
+    averages = scipy.ndimage.uniform_filter1d(products, 2 * half_width + 1, axis=-1)
+    return np.asarray(np.linalg.cond(_unit_power(np.moveaxis(averages[..., lines], -1, 0))[0]))
 
 
 def _from_experiments(
@@ -446,8 +458,10 @@ def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
 
 
 def _add_warnings(response: Response) -> Response:
-    """Warn of coherent inputs and of responses that are not reciprocal."""
+    """Warn of coherent inputs and of responses that are not reciprocal; reject inputs coherent at all lines."""
     n_coherent = int(np.sum(~np.isfinite(response.value).all(axis=(1, 2))))
+    if n_coherent == response.frequency.size:
+        raise RecordingError(COHERENT_INPUTS.format(lines=n_coherent, all=n_coherent))
     notes = [COHERENT_INPUTS.format(lines=n_coherent, all=response.frequency.size)] if n_coherent else []
     notes += [
         f"Not reciprocal: the responses between {pair.pair[0]} and {pair.pair[1]} differ by "

@@ -401,7 +401,10 @@ class _RecordingWriter:
             low, high = _LOWEST_RATIO * self._rate, _HIGHEST_RATIO * self._rate
             if test is not None and test.band is not None:
                 low, high = test.band
-            recorder.mark("measure", 0, self._n_samples - 1, **{"from": low, "to": high})
+            fields: dict[str, object] = {"from": low, "to": high}
+            if test is not None and test.also_driven:
+                fields["shakers"] = [self._scene.driven or 1, *test.also_driven]
+            recorder.mark("measure", 0, self._n_samples - 1, **fields)
 
 
 def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Overloads) -> Iterator[str]:

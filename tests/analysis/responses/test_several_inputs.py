@@ -17,6 +17,7 @@ from analysis.presentation.comparison import compare_peaks
 from analysis.presentation.mode_findings import present_modes
 from analysis.responses.measurands import driven_forces
 from analysis.responses.several_inputs import input_output_spectra, reciprocity
+from daq.excitation.station import Station
 from daq.recording.markers import Marker
 from rig.errors import RecordingError, SceneError
 from rig.system.structural_model import structure_matrices
@@ -200,6 +201,16 @@ def test_shaker_that_is_off_leaves_one_input(tmp_path):
         (response,) = analysis.frequency_responses(rec)
     np.testing.assert_array_equal(response.value, expected.value)
     np.testing.assert_array_equal(response.bound(), expected.bound())
+    assert "f3 at body 3 is zero" in " ".join(response.warnings)
+
+
+@pytest.mark.parametrize("estimator", [None, "H1", "Hv"])
+def test_coherent_inputs_are_rejected(estimator, tmp_path, monkeypatch):
+    original = Station.generator
+    monkeypatch.setattr(Station, "generator", lambda self, name: original(self, name.partition(" ")[0]))
+    path = record_scene(tmp_path / "coherent.mcap", RANDOM)
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="The inputs are coherent at"):
+        analysis.frequency_responses(rec, estimator=estimator)
 
 
 def test_uncorrelated_inputs_are_coherent_with_outputs(random_path):
@@ -259,3 +270,15 @@ def test_modes_and_changes_belong_to_one_input(random_path, tmp_path):
     assert all(abs(change.decibel[0]) < 1e-9 for change in changes)
     with pytest.raises(RecordingError, match="several shakers were driven"):
         analysis.fit(random_path, "bare-structure")
+
+
+def test_imported_test_of_two_shakers_has_two_inputs(random_path, tmp_path):
+    with daq.open(random_path) as rec:
+        scene, names = rec.scene, list(rec.channels)
+        rows = np.array([rec.read(name) for name in names])
+        time = np.arange(rows.shape[1]) / rec.rate
+    units = [f"{name} [{'N' if name.startswith('f') else 'm/s^2'}]" for name in names]
+    header = ",".join(["time [s]", *units])
+    np.savetxt(tmp_path / "a.csv", np.vstack([time, rows]).T, delimiter=",", header=header, comments="", fmt="%.12g")
+    response, share = response_and_coverage(daq.import_files(tmp_path / "a.csv", scene, tmp_path / "a.mcap"))
+    assert [point.name for point in response.inputs] == ["f1", "f3"] and share > 0.9

@@ -53,8 +53,7 @@ DRIVER_TEXTS: Mapping[int, str] = {
     Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK: "Specified operation cannot be performed when there are no channels "
     "in the task.",
     Code.CAN_NOT_PERFORM_OP_WHILE_TASK_RUNNING: "Specified operation cannot be performed while the task is running.",
-    Code.CHAN_ALREADY_IN_TASK: "Specified channel cannot be added to the task, because a channel with the same name is "
-    "already in the task.",
+    Code.REPEATED_PHYSICAL_CHAN: "Physical channel included in a task more than once.",
     Code.INVALID_RANGE_OF_OBJECTS_SYNTAX_IN_STRING: "Syntax for a range of objects in the input string is invalid.",
     Code.WRITE_NUM_CHANS_MISMATCH: "Write cannot be performed because the number of channels in the data does not "
     "match the number of channels in the task.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,6 +16,9 @@ from daq.instrument.chassis import Chassis
 from daq.instrument.clock import Clock
 from daq.instrument.clock import clock as make_clock
 from daq.instrument.connecting import connect_scene
+from daq.instrument.errors import DaqError
+from daq.instrument.settings.task_settings import TaskSettings
+from daq.instrument.task import Task
 from daq.pytest_plugin.description import find_channel, wired_bench
 from daq.pytest_plugin.faults import Faults
 from daq.pytest_plugin.transfers import Transfers
@@ -30,6 +33,8 @@ from rig.scene.yaml_reader import Document, read_yaml
 
 #: Modules of a bench that is not described.
 DEFAULT_MODULES = ("NI 9234", "NI 9263")
+# Wall-clock time of a sleep while the bench is in use, s: other threads of the program can finish a call meanwhile.
+_YIELD_S = 0.002
 BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
 
 
@@ -73,10 +78,10 @@ class NidaqmxBench:
 
     def sleep(self, seconds: float) -> None:
         """Pass time on the bench while it is in use, otherwise on the wall clock; replaces `time.sleep`."""
-        if self._chassis.is_in_use:
+        is_in_use = self._chassis.is_in_use
+        threading.Event().wait(min(seconds, _YIELD_S) if is_in_use else seconds)
+        if is_in_use:
             self._chassis.pass_time(seconds)
-        else:
-            threading.Event().wait(seconds)
 
     def read(self, channel: str) -> Array:
         """Return all samples that tasks have read from an input, such as "ai0" or "cDAQ1Mod1/ai0"."""
@@ -100,6 +105,16 @@ class NidaqmxBench:
                 f"{channel}: {different.size} of {written.size} samples differ by more than {tolerance:g} V, by up to "
                 f"{deviation.max():g} V. Sample {first} is {written[first]:g} V; expected {wanted[first]:g} V."
             )
+
+    def save_task(self, name: str, configure: Callable[[TaskSettings], None]) -> None:
+        """Save a task under a name, as in NI MAX; `configure` sets its channels and timing."""
+        storage = self.grpc_options.storage
+        task = Task(self._chassis, "", storage.scales)
+        try:
+            configure(task.settings)
+            storage.save_task(task.settings, name, "")
+        finally:
+            task.close()
 
     def close(self) -> None:
         """Close the bench and all its tasks."""
@@ -151,7 +166,14 @@ def open_bench(
         return NidaqmxBench(connect_scene(scene, clock))
     wired = wired_bench({**document.content, **connections}, where, document.line if document.lines else None)
     terminals: Any = WiredTerminals(wired)
-    return NidaqmxBench(Chassis(wired.modules, terminals, make_clock(clock)))
+    opened = NidaqmxBench(Chassis(wired.modules, terminals, make_clock(clock)))
+    try:
+        for name, saved in wired.tasks.items():
+            opened.save_task(name, saved.configure)
+    except DaqError as error:
+        opened.close()
+        raise SceneError(f"{where}: tasks.{name}: {error}") from None
+    return opened
 
 
 def _read_description(bench: BenchLike) -> tuple[Document | None, str]:

@@ -15,8 +15,18 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from daq.instrument.connecting import name_devices, with_inputs, with_outputs
-from daq.instrument.devices.modules import CHASSIS_CATEGORY, COMPACT_DAQ_BUS, USB_BUS, Module
-from daq.instrument.values import Coupling, TerminalConfiguration
+from daq.instrument.devices.measurements import MEASUREMENTS
+from daq.instrument.devices.modules import (
+    CHASSIS_CATEGORY,
+    COMPACT_DAQ_BUS,
+    MODULE_CATEGORY,
+    MULTIFUNCTION_CATEGORY,
+    USB_BUS,
+    Module,
+)
+from daq.instrument.devices.names import parse_port, unflatten
+from daq.instrument.settings.task_settings import TaskSettings
+from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration, TimingType
 from rig.data_sheets.data_sheets import data_sheets
 from rig.data_sheets.modules import Rates, module
 from rig.errors import SceneError
@@ -85,6 +95,7 @@ class ModuleDescription(Settings):
             device = Module(
                 "",
                 self.product_type,
+                category=MODULE_CATEGORY if self.family == "c_series" else MULTIFUNCTION_CATEGORY,
                 bus=COMPACT_DAQ_BUS if self.family == "c_series" else USB_BUS,
                 ranges=tuple(np.sort(np.atleast_1d(self.ranges)).tolist()),
                 bits=self.bits,
@@ -135,6 +146,26 @@ class Source(Settings):
         return self.offset + self.amplitude * np.sin(2.0 * np.pi * self.frequency * time)
 
 
+class SavedTask(Settings):
+    """A voltage task that the program loads by its name, as from NI MAX."""
+
+    channels: Annotated[str, Field(min_length=1)]
+    """Physical channels, such as cDAQ1Mod1/ai0:3."""
+    rate: SampleRate = 1000.0
+    """Sample rate [Hz]."""
+    samples: Annotated[int, Field(ge=2)] | None = None
+    """Samples per channel of a finite task; None: continuous."""
+
+    def configure(self, task: TaskSettings) -> None:
+        """Add channels and timing to a task."""
+        is_output = parse_port(unflatten(self.channels)[0]).direction == "ao"
+        task.add(self.channels, "", None if is_output else MEASUREMENTS["Voltage"], {})
+        timing = task.groups["timing"]
+        timing["samp_timing_type"], timing["samp_clk_rate"] = TimingType.SAMPLE_CLOCK, self.rate
+        timing["samp_quant_samp_mode"] = SampleMode.CONTINUOUS if self.samples is None else SampleMode.FINITE
+        timing["samp_quant_samp_per_chan"] = self.samples or 1000
+
+
 class BenchDescription(Settings):
     """A bench without mechanics."""
 
@@ -146,6 +177,8 @@ class BenchDescription(Settings):
     """Connections of outputs to inputs, such as ao0 -> ai0."""
     sources: dict[str, Source] = Field(default_factory=dict)
     """Voltage sources at inputs: a voltage, or the keys offset, amplitude and frequency."""
+    tasks: dict[str, SavedTask] = Field(default_factory=dict)
+    """Saved tasks by name."""
 
     @classmethod
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
@@ -184,6 +217,7 @@ class WiredBench:
     modules: tuple[Module, ...]
     wires: Mapping[int, int]  # output at each wired input
     sources: Mapping[int, VoltageFunction]
+    tasks: Mapping[str, SavedTask]
 
 
 def wired_bench(
@@ -216,7 +250,7 @@ def wired_bench(
         index = find_channel(modules, name, "ai", where)[1]
         _check_unconnected(index, name, (wires, voltages), where)
         voltages[index] = source.voltage if isinstance(source, Source) else source
-    return WiredBench(tuple(modules), wires, voltages)
+    return WiredBench(tuple(modules), wires, voltages, description.tasks)
 
 
 def _check_unconnected(index: int, name: str, connected: Sequence[Mapping[int, Any]], where: str) -> None:

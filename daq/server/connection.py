@@ -25,13 +25,14 @@ from rig.scene.scene import Scene
 class Connection(GrpcSessionOptions):
     """A rig in this process, as session options of NI's client: ``nidaqmx.Task(grpc_options=connection)``.
 
-    Close it, or use it in a `with` block. `chassis` is the instrument, `address` the address of the server for other
-    processes.
+    Close it, or use it in a `with` block. `chassis` is the instrument, `storage` has its saved tasks, and `address` is
+    the address of the server for other processes.
     """
 
     def __init__(self, chassis: Chassis, limits: Limits) -> None:
         self.chassis = chassis
         self._server = Server(self.chassis, limits=limits, other_handlers=(BenchTime(self.chassis),))
+        self.storage = self._server.instrument.storage
         self.address = f"127.0.0.1:{self._server.port}"
         self._open, self._process = True, os.getpid()
         super().__init__(open_channel(self.address), "")

@@ -142,7 +142,7 @@ class TaskSettings:
             used_indices = [other.bench_index for other in (*self.channels, *added)]
             if direction == "ao" and channel.bench_index in used_indices:
                 raise DaqError(
-                    f"{port.name} is already in the task. Add each output only once.", Code.CHAN_ALREADY_IN_TASK
+                    f"{port.name} is already in the task. Add each output only once.", Code.REPEATED_PHYSICAL_CHAN
                 )
             self.scale_of(channel)
             added.append(channel)

@@ -150,6 +150,37 @@ def test_invalid_bench_is_reported(bench, settings, message):
         open_bench(bench, **settings)
 
 
+def test_saved_task_is_loaded(open_for_test):
+    tasks = {
+        "finite": {"channels": "cDAQ1Mod1/ai0:1", "rate": "5120 Hz", "samples": 100},
+        "drive": {"channels": "cDAQ1Mod2/ao0"},
+    }
+    bench = open_for_test({"modules": list(TWO_MODULES), "tasks": tasks})
+    saved = nidaqmx.system.System.remote(bench.grpc_options).tasks
+    assert sorted(saved.task_names) == ["drive", "finite"]
+    with saved["finite"].load() as task:
+        assert np.shape(task.read(nidaqmx.constants.READ_ALL_AVAILABLE)) == (2, 100)
+    with pytest.raises(SceneError, match=r"tasks\.wrong: there is no device 'Dev1'"):
+        open_bench({"modules": ["NI 9234"], "tasks": {"wrong": {"channels": "Dev1/ai0"}}})
+
+
+def test_separate_device_is_not_a_module(open_for_test):
+    system = nidaqmx.system.System.remote(open_for_test(["USB-6001", "NI 9215"]).grpc_options)
+    categories = {device.name: device.product_category for device in system.devices}
+    assert categories["Dev1"] == nidaqmx.constants.ProductCategory.USBDAQ
+    assert categories["cDAQ1Mod1"] == nidaqmx.constants.ProductCategory.C_SERIES_MODULE
+
+
+def test_sleep_passes_bench_time_during_use(open_for_test):
+    bench = open_for_test()
+    bench.sleep(0.001)
+    assert bench.elapsed == 0.0
+    with continuous(bench) as task:
+        task.start()
+        bench.sleep(1.0)
+        assert bench.elapsed == pytest.approx(1.0, abs=1e-4)
+
+
 def test_different_output_is_described(open_for_test):
     bench = open_for_test()
     with task_on(bench) as task:

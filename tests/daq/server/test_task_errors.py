@@ -157,6 +157,13 @@ def test_error_of_missing_channel_names_existing_channels(chassis, name, code, h
         task.ai_channels.add_ai_voltage_chan(name, min_val=-1.0, max_val=1.0)
 
 
+def test_repeated_output_has_code_of_hardware(chassis):
+    with Task() as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0", "one")
+        with raises_code(Code.REPEATED_PHYSICAL_CHAN, "Add each output only once"):
+            task.ao_channels.add_ao_voltage_chan("Dev1/ao0", "two")
+
+
 def test_channel_limits_are_rejected_or_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:

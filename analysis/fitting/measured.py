@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.responses.frequency_responses import annotate, frequency_responses
+from analysis.responses.estimator import annotate
+from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.measurands import driven_forces, reference_of, required_channels, response_channels
 from analysis.responses.stepped_sine import sweep_name, sweeps
 from analysis.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
-from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.results.response import Response, stack
@@ -110,8 +110,8 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
         )
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
-    reference = "force" if spring is None or rec.test.kind is TestKind.HITS else "table"
-    has_tones = rec.test.kind is TestKind.TONES
+    reference = "force" if spring is None or rec.test.kind.hammered else "table"
+    has_tones = rec.test.kind.steady
     if any(damper.moves for damper in scene.dampers) and not has_tones:
         raise RecordingError(
             f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "

@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.modal.pole_errors import LEAKAGE_FACTOR
-from daq.recording.recorded_test import TestKind
+from analysis.responses.estimator import estimator_of
 from rig.arrays import Array
 from rig.results import format_percent
 from rig.results.response import Response
@@ -90,15 +90,12 @@ def mode_warnings(
     # Lines within the half-power bandwidth on either side of the resonance.
     n_points = np.sum(abs(line_frequency - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
     undersampled = (n_points < 2) & ~widened
-    has_hits = curves[0].test == TestKind.HITS.value
-    if has_hits:
-        # The lines are values of local models of a much finer spectrum, so that few lines may suffice.
+    estimator = estimator_of(curves[0].test)
+    if estimator.resolves_between_lines:
         undersampled &= zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta
     if undersampled.any():
         narrowest = half_widths[undersampled].min()
-        remedy = f"Measure every {narrowest / 2.0:.2g} Hz there."
-        if has_hits:
-            remedy = f"Record longer after each hit (test.interval: {2.0 / narrowest:.2g} s or more)."
+        remedy = estimator.line_remedy(narrowest / 2.0)
         yield (
             f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power bandwidth of "
             f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "

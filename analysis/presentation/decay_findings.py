@@ -12,7 +12,6 @@ from analysis.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.presentation.inputs import check_recording, duplicate_warnings
 from analysis.presentation.outputs import CommandOutput, check_outputs, output_stem, with_recording_name
 from analysis.recordings.names import open_existing, relabel, scene_labels
-from daq.recording.recorded_test import TestKind
 from rig.results.text import format_interval, table_lines
 from rig.results.uncertainty import expand
 
@@ -51,7 +50,7 @@ def present_decay(
         with open_existing(path) as rec:
             check_recording(rec, path, "decay")
             decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
-            has_hits = rec.test.kind is not TestKind.FREE
+            has_hits = rec.test.drives
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"

@@ -22,10 +22,10 @@ from analysis.presentation.outputs import (
 )
 from analysis.recordings.names import open_existing, relabel
 from analysis.responses.curve_checks import find_jumps
-from analysis.responses.frequency_responses import Blocks, frequency_responses
+from analysis.responses.estimator import Blocks, estimator_of
+from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from analysis.responses.systematic import tolerance
-from daq.recording.recorded_test import TestKind
 from rig.progress import CountProgress
 from rig.results import format_interval, format_percent, format_quantity
 from rig.results.resonances import MIN_LINES, Resonance
@@ -168,11 +168,7 @@ def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
     where = f"{', '.join(frequencies)} and {last}" if frequencies else last
     more = f", and {len(coarse) - _MAX_LISTED} others" if len(coarse) > _MAX_LISTED else ""
     needed = min(resonance.needed_spacing for resonance in coarse)
-    remedy = "Measure for longer"
-    if frf.test in ("", TestKind.TONES.value):
-        remedy = f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
-    if frf.test == TestKind.HITS.value:
-        remedy = "Record longer after each hit (test.interval)"
+    remedy = estimator_of(frf.test).peak_remedy(needed)
     return (
         f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: the height of the peak relies on "
         f"interpolation. {remedy}"
@@ -222,7 +218,7 @@ def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     In other tests, the level does not depend on the frequency, so that dampers do not change to another branch at one
     frequency.
     """
-    jumping = [curve for curve in curves if curve.test in ("", TestKind.TONES.value, TestKind.SWEEP.value)]
+    jumping = [curve for curve in curves if estimator_of(curve.test).jumps]
     return sorted({(round(frequency, 6), text) for curve in jumping for frequency, text in find_jumps(curve)})
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from analysis.recordings.names import open_existing, scene_labels
-from analysis.responses.frequency_responses import BY_KIND, Blocks
+from analysis.responses.estimator import Blocks, estimator_of
 from analysis.responses.frf_files import is_frf_file, read_frfs
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
@@ -62,7 +62,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
     if command == "dampers":
         if not rec.scene.dampers:
             raise RecordingError(f"{path}: its scene has no dampers. Use `analysis frf {file}` for its responses.")
-        if test.kind not in (TestKind.TONES, TestKind.NONE):
+        if not test.kind.steady and test.kind is not TestKind.NONE:
             suitable = "decay" if test.decays else "frf"
             raise RecordingError(
                 f"{path}: the motion of dampers is estimated from steady tones, not from {test.name}. Record test: "
@@ -96,7 +96,8 @@ def check_inputs(
             with open_existing(path) as rec:
                 check_recording(rec, path, command)
                 kind = rec.test.kind
-            effective, reason = ("theory", *BY_KIND[kind].options), BY_KIND[kind].method
+            own_estimator = estimator_of(kind)
+            effective, reason = ("theory", *own_estimator.options), own_estimator.method
         for name in without_effect.keys() - {*effective}:
             without_effect[name].append(f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}")
     for name, files in without_effect.items():

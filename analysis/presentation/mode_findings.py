@@ -23,7 +23,8 @@ from analysis.presentation.outputs import (
     with_sweep_name,
 )
 from analysis.recordings.names import open_existing, relabel
-from analysis.responses.frequency_responses import Blocks, frequency_responses
+from analysis.responses.estimator import Blocks
+from analysis.responses.frequency_responses import frequency_responses
 from analysis.responses.frf_files import is_frf_file
 from rig.progress import CountProgress
 from rig.results import format_interval

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from analysis.modal.modes import Modes
 from analysis.responses.measurands import driven_forces
-from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import SceneError
 from rig.results.response import Response
@@ -77,7 +76,7 @@ def _without_moving_dampers(scene: Scene) -> Scene:
 def _scene_under_force(rec: Recording) -> Scene:
     """Return the scene on which the measured force acts: an ideal force instead of each driven shaker."""
     scene = _without_moving_dampers(rec.scene)
-    if rec.test.kind is TestKind.HITS or not scene.shakers:
+    if rec.test.kind.hammered or not scene.shakers:
         return scene
     driven = {rec.channels[point.name].at for point in driven_forces(rec)} or {scene.at_driven("shaker")}
     shakers = [
@@ -92,7 +91,7 @@ def _force_input(rec: Recording, frf: Response) -> str:
     scene = rec.scene
     if scene.hammer is not None:
         return "hammer"
-    if not scene.shakers or rec.test.kind is TestKind.HITS:
+    if not scene.shakers or rec.test.kind.hammered:
         raise SceneError(
             f"scene {scene.name!r} does not give the location of the force, so there is no theory. Add a shaker, or a "
             "test of kind impulse for a hammer."

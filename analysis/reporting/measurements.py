@@ -27,7 +27,6 @@ from analysis.presentation.comparison import MeasurementPoints
 from analysis.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.recordings.names import open_existing, relabel, scene_labels
 from analysis.responses.frequency_responses import frequency_responses
-from daq.recording.recorded_test import TestKind
 from daq.recording.recording import Recording
 from rig.errors import ShotrigError
 from rig.progress import CountProgress
@@ -115,7 +114,7 @@ class Measurements:
                 path, "Frequency responses", frequency_responses, rec, progress=self.progress
             )
         sweeps = tuple(self._evaluate_sweep(path, label, rec, frfs) for frfs in frfs_of_sweeps or ())
-        has_damper_results = rec.test.kind is TestKind.TONES and rec.scene.dampers
+        has_damper_results = rec.test.kind.steady and rec.scene.dampers
         dampers = None
         if has_damper_results:
             dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress)

@@ -103,7 +103,7 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
         curve = Curve("dampers", frequency[order], percent[order], low, high)
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
     level = f"drive level {result.sweep.level:.4g}"
-    if getattr(measurement.rec.scene.test, "force", None) is not None:
+    if measurement.rec.scene.level_key == "force":
         level = f"force {result.sweep.level:.4g} N"
     return Chart(
         f"{measurement.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "

@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from analysis.recordings.names import takes_path
-from analysis.responses.curve_checks import reversed_force
-from analysis.responses.estimators import ESTIMATORS
-from analysis.responses.measurands import (
-    driven_forces,
-    input_location,
-    location_of,
-    required_channels,
-    select_channels,
-    weak_force_warnings,
-)
+from analysis.responses.estimator import Blocks, Request, annotate, estimator_of
+from analysis.responses.measurands import driven_forces, required_channels, select_channels, weak_force_warnings
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.numerics.blas_threads import with_one_blas_thread
@@ -26,138 +18,7 @@ from rig.results.response import Response as Response
 from rig.settings.quantities import FORCE, number
 
 if TYPE_CHECKING:
-    from daq.recording.markers import Marker
     from daq.recording.recording import Recording
-
-# Kinds of tests that require markers of the measured intervals.
-_MARKED_KINDS = (TestKind.MULTISINE, TestKind.SWEEP, TestKind.RANDOM)
-# Kinds of tests without an estimator of their own.
-_KINDS_WITHOUT_ESTIMATOR = (TestKind.NONE, TestKind.FREE)
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """User options for block averaging; None selects the default of the kind of test."""
-
-    estimator: str | None = None  # H1, H2 or Hv
-    block: float | None = None  # length of a block, s
-    overlap: float | None = None  # share of a block
-    window: str | None = None  # name in `scipy.signal.get_window`
-
-    def __post_init__(self) -> None:
-        if self.estimator not in (None, *ESTIMATORS):
-            raise SceneError(f"estimator: got {self.estimator!r}; expected {', '.join(ESTIMATORS)}")
-
-    def for_kind(self, kind: TestKind) -> Blocks:
-        """Return the options without those that have no effect on a kind of test."""
-        return Blocks(**{name: getattr(self, name) for name in BY_KIND[kind].options})
-
-
-@dataclass(frozen=True)
-class Request:
-    """Requested responses of a recording."""
-
-    rec: Recording
-    names: Sequence[str]  # response channels
-    reference: str  # force or table
-    motion: str  # quantity of the responses
-    blocks: Blocks
-    progress: CountProgress | None
-    channels: Sequence[str]  # channels of the responses and of their reference
-    measured: Sequence[Marker]  # markers of the measured intervals
-
-    def compute(self, sources: Iterable[Source]) -> list[Response]:
-        """Compute the response of each source, with all outputs."""
-        computed = []
-        for source in sources:
-            curves = []
-            for n_completed, name in enumerate(self.names, 1):
-                curves.append(source.frf(self.rec, name, self.reference, self.motion))
-                if self.progress is not None:
-                    self.progress(n_completed, len(self.names))
-            computed.append(stack(annotate(self.rec, curves)))
-        return computed
-
-
-class Source(Protocol):
-    """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
-
-    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Estimate one response."""
-
-
-@dataclass(frozen=True)
-class Estimator:
-    """Estimator of the responses of one kind of test."""
-
-    estimate: Callable[[Request], list[Response]]  # returns the response of each sweep, or of the test
-    method: str  # description, for messages
-    options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
-
-
-def _tones(request: Request) -> list[Response]:
-    from analysis.responses.stepped_sine import sweeps
-
-    return request.compute(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
-
-
-def _sweep(request: Request) -> list[Response]:
-    from analysis.responses.swept_sine import sweep_spectra
-
-    return request.compute(
-        sweep_spectra(request.rec, marker, request.channels, request.progress) for marker in request.measured
-    )
-
-
-def _random(request: Request) -> list[Response]:
-    from analysis.responses import random
-
-    blocks, rec, channels = request.blocks, request.rec, request.channels
-    if blocks == Blocks():
-        return request.compute(random.segment_fits(rec, marker, channels) for marker in request.measured)
-    return request.compute(
-        replace(
-            random.averaged_spectra(
-                rec, marker, channels, blocks.block, blocks.overlap, request.progress, blocks.window
-            ),
-            estimator=blocks.estimator or "H1",
-        )
-        for marker in request.measured
-    )
-
-
-def _multisine(request: Request) -> list[Response]:
-    from analysis.responses.multisine import best_linear_approximation
-
-    rec, measured, progress = request.rec, request.measured, request.progress
-    return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
-
-
-def _hits(request: Request) -> list[Response]:
-    from analysis.responses import impact
-
-    blocks = request.blocks
-    if blocks == Blocks():
-        return request.compute([impact.segment_fits(request.rec, request.channels)])
-    averages = impact.averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or "none")
-    return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
-
-
-_TONES = Estimator(_tones, "steady tones are averaged over whole periods")
-#: The estimator of each kind of test.
-BY_KIND = {
-    TestKind.TONES: _TONES,
-    TestKind.NONE: _TONES,
-    TestKind.FREE: _TONES,
-    TestKind.SWEEP: Estimator(_sweep, "a sweep is processed as a whole, by the local rational method"),
-    TestKind.RANDOM: Estimator(
-        _random,
-        "a random test is processed as a whole, by the local rational method",
-        frozenset({"estimator", "block", "overlap", "window"}),
-    ),
-    TestKind.MULTISINE: Estimator(_multisine, "whole periods of a multisine are averaged"),
-    TestKind.HITS: Estimator(_hits, "a block belongs to one hit", frozenset({"estimator", "block", "window"})),
-}
 
 
 @takes_path
@@ -214,13 +75,16 @@ def frequency_responses(
     names, kind = select_channels(rec, channels), rec.test.kind
     if not names:
         raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
-    options = BY_KIND[kind].options
-    unused = ", ".join(name for name, value in vars(blocks).items() if value is not None and name not in options)
+    own_estimator = estimator_of(kind)
+    unused = ", ".join(
+        name for name, value in vars(blocks).items() if value is not None and name not in own_estimator.options
+    )
     if unused:
-        method = rec.test.name if kind in _KINDS_WITHOUT_ESTIMATOR else BY_KIND[kind].method
+        has_responses = kind.drives and kind is not TestKind.NONE
+        method = own_estimator.method if has_responses else rec.test.name
         raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Leave it out.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
-    if kind in _MARKED_KINDS and not measured:
+    if kind.marked and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
     inputs = driven_forces(rec) if reference == "force" else ()
     if len(inputs) > 1:
@@ -230,7 +94,7 @@ def frequency_responses(
         computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
     else:
         used = required_channels(rec, names, reference)
-        computed = BY_KIND[kind].estimate(Request(rec, names, reference, motion, blocks, progress, used, measured))
+        computed = own_estimator.compute(Request(rec, names, reference, motion, blocks, progress, used, measured))
     warnings = weak_force_warnings(rec) if reference == "force" else []
     warnings += [
         f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
@@ -245,13 +109,6 @@ def frequency_responses(
             "converter.filter), and import again."
         )
     return [replace(response, test=kind.value).warn(*warnings) for response in computed]
-
-
-def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
-    """Add locations to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
-    curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
-    warning = reversed_force(curves)
-    return [curve.warn(warning) for curve in curves] if warning else curves
 
 
 @takes_path
@@ -297,7 +154,7 @@ def frfs(
     if motion not in MOTIONS:
         raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
     names = select_channels(rec, channels)
-    if rec.test.kind not in (TestKind.TONES, TestKind.NONE):
+    if not rec.test.kind.steady and rec.test.kind is not TestKind.NONE:
         if level is not None or direction is not None:
             raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
         (group,) = frequency_responses(rec, names, reference, motion)

@@ -10,12 +10,14 @@ import numpy as np
 from scipy import fft
 
 from analysis.responses.clean_segments import describe_flaws, remedy
+from analysis.responses.estimator import Blocks, Estimator, Request
 from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.hits import Hits
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from rig.errors import RecordingError, SceneError
 from rig.results import format_percent
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -89,3 +91,22 @@ def averaged_spectra(
         rounding_gain_error=hits.rounding_gain_error(rec, channels, segments, blocks, spectra, lines, FIT_HALF_WIDTH),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,
     )
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response to all hits, by local models or from averaged blocks."""
+    blocks = request.blocks
+    if blocks == Blocks():
+        return request.compute([segment_fits(request.rec, request.channels)])
+    averages = averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or "none")
+    return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
+
+
+ESTIMATOR = Estimator(
+    _compute,
+    "a block belongs to one hit",
+    frozenset({"estimator", "block", "window"}),
+    resolves_between_lines=True,
+    peak_remedy=lambda needed: "Record longer after each hit (test.interval)",
+    line_remedy=lambda step: f"Record longer after each hit (test.interval: {1.0 / step:.2g} s or more).",
+)

@@ -16,6 +16,7 @@ from scipy import fft
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, find_flaws
+from analysis.responses.estimator import Estimator, Request
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.responses.measurands import motion_channel_at, reference_of
 from analysis.responses.scatter import Scatter
@@ -24,6 +25,7 @@ from analysis.responses.systematic import power_in_counts, quantization_steps, r
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -207,3 +209,12 @@ def _is_distorted(measured: Lines, noise: Lines) -> bool:
     distorted = scatter > _NOISE_RATIO * expected + np.sum(bounds, axis=0)
     distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the best linear approximation of all realizations."""
+    rec, measured, progress = request.rec, request.measured, request.progress
+    return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
+
+
+ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged")

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.responses.clean_segments import describe_flaws, remedy, settling_flaws
+from analysis.responses.estimator import Blocks, Estimator, Request
 from analysis.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.responses.segment_fits import SegmentFits, warn_of_dampers
 from analysis.responses.systematic import noise_gain_error, power_in_counts
 from rig.errors import RecordingError, SceneError
 from rig.progress import CountProgress
 from rig.results import format_percent
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.markers import Marker
@@ -123,3 +125,24 @@ def averaged_spectra(
         rounding_gain_error=np.repeat(rounding_gain_error[:, None], averaged.spectra.frequency.size, axis=1),
         leakage_free=segment_fits(rec, marker, channels) if has_leakage else None,
     )
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response of each measurement, by local models or from averaged blocks."""
+    blocks, rec, channels = request.blocks, request.rec, request.channels
+    if blocks == Blocks():
+        return request.compute(segment_fits(rec, marker, channels) for marker in request.measured)
+    return request.compute(
+        replace(
+            averaged_spectra(rec, marker, channels, blocks.block, blocks.overlap, request.progress, blocks.window),
+            estimator=blocks.estimator or "H1",
+        )
+        for marker in request.measured
+    )
+
+
+ESTIMATOR = Estimator(
+    _compute,
+    "a random test is processed as a whole, by the local rational method",
+    frozenset({"estimator", "block", "overlap", "window"}),
+)

@@ -43,7 +43,6 @@ from analysis.responses.systematic import (
     common_scale,
     rounding_bound,
 )
-from daq.recording.recorded_test import TestKind
 from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError, SceneError
 from rig.results import format_percent
@@ -84,7 +83,7 @@ def response_matrix(
     with H1. Without them, the local rational method is used.
     """
     markers = [marker for marker in rec.markers if marker.kind == "measure"]
-    if rec.test.kind is TestKind.MULTISINE:
+    if "experiment" in markers[0].fields:
         return _from_experiments(rec, markers, names, inputs, motion)
     if (estimator, block, overlap, window) == (None,) * 4:
         return _from_local_fits(rec, markers[0], names, inputs, motion)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.slices import PIECE_SAMPLES, read_slices
 from analysis.responses.clean_segments import describe_flaws, find_flaws
+from analysis.responses.estimator import Estimator, Request
 from analysis.responses.scatter import Scatter, stacked
 from analysis.responses.spectral_lines import Lines, residual_transient
 from analysis.responses.systematic import quantization_steps, reproducible_rounding
@@ -25,6 +26,7 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RecordingError
 from rig.progress import CountProgress
 from rig.results import format_frequencies, format_number
+from rig.results.response import Response
 
 if TYPE_CHECKING:
     from daq.recording.recording import Recording
@@ -386,8 +388,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
 def sweep_name(rec: Recording, key: _SweepKey) -> str:
     """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
     level, direction = format_number(key[0]), key[1]
-    has_drive_level = getattr(rec.scene.test, "drive", None) is not None
-    return f"level {level} {direction}" if has_drive_level else f"{level} N {direction}"
+    return f"level {level} {direction}" if rec.scene.level_key == "drive" else f"{level} N {direction}"
 
 
 def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:
@@ -512,3 +513,16 @@ def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise:
     )
     # Twice the first term is an upper bound of the sum of all terms.
     return np.asarray(steps * np.minimum(2.0 * first_term, 0.5))
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response of each sweep."""
+    return request.compute(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
+
+
+def _peak_remedy(needed: float) -> str:
+    """Return the remedy for too few tones in a peak; `needed`: their required distance, Hz."""
+    return f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
+
+
+ESTIMATOR = Estimator(_compute, "steady tones are averaged over whole periods", jumps=True, peak_remedy=_peak_remedy)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.slices import read_slices
 from analysis.responses.clean_segments import describe_flaws, find_flaws, remedy
+from analysis.responses.estimator import Estimator, Request
 from analysis.responses.local_models.local_rational import ORDER
 from analysis.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.responses.measurands import motion_of, reference_of
@@ -292,3 +293,13 @@ def _sample_at(marker: Marker, frequency: float, rate: float) -> float:
     if marker.fields.get("spacing") == "linear":
         return (frequency - low) / (high - low) * duration * rate
     return float(np.log(frequency / low) / np.log(high / low) * duration * rate)
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response of each sweep."""
+    return request.compute(
+        sweep_spectra(request.rec, marker, request.channels, request.progress) for marker in request.measured
+    )
+
+
+ESTIMATOR = Estimator(_compute, "a sweep is processed as a whole, by the local rational method", jumps=True)

@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.recording.recorded_test import TestKind
 from rig.console import progress
 from rig.errors import ShotrigError
 from rig.results import format_frequencies
@@ -111,10 +110,10 @@ def next_steps(rec: Recording) -> list[str]:
     has_force_reference = not outline.missing_force_points(channels)
     if not any(info.body and info.derivative is not None for info in channels):
         return [f"daq replay {path}"]
-    steps = ["decay"] if "hit" in kinds or kind is TestKind.FREE else []
+    steps = ["decay"] if "hit" in kinds or not kind.drives else []
     if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
         steps += ["frf"] if outline.test_kind == "sine" else ["frf", "modes"]
-    steps += ["dampers"] if kind is TestKind.TONES and "measure" in kinds and outline.n_dampers else []
+    steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 
 

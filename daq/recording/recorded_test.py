@@ -29,8 +29,8 @@ class TestKind(StrEnum):
     TONES = "tones"
     """Dwells until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
     SWEEP = "sweep"
-    RANDOM = "random"
     MULTISINE = "multisine"
+    RANDOM = "random"
     HITS = "hits"
     """Hammer hits."""
     FREE = "free"
@@ -38,16 +38,36 @@ class TestKind(StrEnum):
     NONE = "none"
     """No test, or a test without a measurement."""
 
+    @property
+    def field(self) -> str:
+        """Field of `measure` markers that the markers of the kinds below lack; empty if there is none."""
+        fields = {"tones": "frequency", "sweep": "spacing", "multisine": "realisation", "random": "from"}
+        return fields.get(self.value, "")
 
-_KIND_OF_SETTINGS = {
-    "sine": TestKind.TONES,
-    "stepped_sine": TestKind.TONES,
-    "swept_sine": TestKind.SWEEP,
-    "random": TestKind.RANDOM,
-    "multisine": TestKind.MULTISINE,
-    "impulse": TestKind.HITS,
-    "free": TestKind.FREE,
-}
+    @property
+    def drives(self) -> bool:
+        """Whether frequency responses can be estimated if a force was measured: the test is not a free decay."""
+        return self is not TestKind.FREE
+
+    @property
+    def decays(self) -> bool:
+        """Whether the response is a free decay."""
+        return self in (TestKind.HITS, TestKind.FREE)
+
+    @property
+    def steady(self) -> bool:
+        """Whether the motion is measured in the steady state of one tone at a time."""
+        return self is TestKind.TONES
+
+    @property
+    def marked(self) -> bool:
+        """Whether the measured intervals need markers `measure`."""
+        return self in (TestKind.SWEEP, TestKind.RANDOM, TestKind.MULTISINE)
+
+    @property
+    def hammered(self) -> bool:
+        """Whether the force is that of a hammer."""
+        return self is TestKind.HITS
 
 
 @dataclass(frozen=True)
@@ -64,18 +84,18 @@ class RecordedTest:
 
     @property
     def drives(self) -> bool:
-        """Whether frequency responses can be estimated if a force was measured: the test is not a free decay."""
-        return self.kind is not TestKind.FREE
+        """Whether frequency responses can be estimated if a force was measured."""
+        return self.kind.drives
 
     @property
     def decays(self) -> bool:
         """Whether the response is a free decay."""
-        return self.kind in (TestKind.HITS, TestKind.FREE)
+        return self.kind.decays
 
 
 def kind_of_settings(test: Test | None) -> TestKind:
     """Return the kind of test with the given settings."""
-    return TestKind.NONE if test is None else _KIND_OF_SETTINGS[test.kind]
+    return TestKind.NONE if test is None else TestKind(test.recorded_as)
 
 
 def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
@@ -84,19 +104,15 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
     >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>
     """
-    # The `measure` markers of each kind of test have a field that the markers of other kinds lack.
     measure_markers = [marker for marker in markers if marker.kind == "measure"]
     fields = measure_markers[0].fields if measure_markers else {}
-    for field, kind in (
-        ("realisation", TestKind.MULTISINE), ("spacing", TestKind.SWEEP), ("from", TestKind.RANDOM),
-        ("frequency", TestKind.TONES),
-    ):  # fmt: skip
-        if field in fields:
+    for kind in TestKind:
+        if kind.field in fields:
             return kind
     if any(marker.kind == "hit" for marker in markers):
         return TestKind.HITS
-    is_free = settings is not None and settings.kind == "free"
-    return kind_of_settings(settings) if measure_markers or is_free else TestKind.NONE
+    stated = kind_of_settings(settings)
+    return stated if measure_markers or not stated.drives else TestKind.NONE
 
 
 @dataclass(frozen=True)
@@ -116,7 +132,7 @@ class SceneOutline:
         """Return the summary of a scene."""
         test = "none" if scene.test is None else scene.test.kind
         shaker, force_points = scene.driven_shaker, tuple[str, ...]()
-        if shaker is not None and test not in ("impulse", "free"):
+        if shaker is not None and (scene.test is None or scene.test.uses_shaker):
             force_points = tuple(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
         return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_points)
 

@@ -14,7 +14,6 @@ from daq.foresight.rehearsal import Rehearsal
 from rig.arrays import Array
 from rig.errors import SceneError
 from rig.results import format_frequencies, format_number
-from rig.scene.excitation import Sine
 from rig.scene.scene import Scene
 from rig.system.hybrid_system import HybridSystem
 from rig.system.open_loop_drive import accelerations_per_level
@@ -79,7 +78,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
 def outside_band(scene: Scene) -> tuple[str, ...]:
     """Return a line with the natural frequencies outside the band of the test, or nothing."""
     band = None if scene.test is None else scene.test.band
-    if band is None or isinstance(scene.test, Sine):
+    if band is None or band[0] == band[1]:
         return ()
     modes = structural_model(scene).modes.frequency
     modes_outside = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]

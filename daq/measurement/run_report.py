@@ -104,7 +104,7 @@ def next_steps(rec: Recording) -> list[str]:
     except ShotrigError:
         # A recording of another program might lack a scene.
         return [f"daq replay {path}"]
-    kinds = {mark.kind for mark in rec.markers}
+    kinds, measured = {mark.kind for mark in rec.markers}, [mark for mark in rec.markers if mark.kind == "measure"]
     channels = rec.channels.values()
     has_force_channel = any(info.quantity == "force" for info in channels)
     has_force_reference = not outline.missing_force_points(channels)
@@ -112,7 +112,9 @@ def next_steps(rec: Recording) -> list[str]:
         return [f"daq replay {path}"]
     steps = ["decay"] if "hit" in kinds or not kind.drives else []
     if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
-        steps += ["frf"] if outline.test_kind == "sine" else ["frf", "modes"]
+        # The response to one tone has no modes.
+        is_one_tone = kind.steady and len({mark.fields.get("frequency") for mark in measured}) == 1
+        steps += ["frf"] if is_one_tone else ["frf", "modes"]
     steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 

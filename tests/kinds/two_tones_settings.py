@@ -1,0 +1,47 @@
+"""Two tones at once: the settings of a kind of test that exists only in the test suite."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rig.arrays import Array
+from rig.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
+from rig.settings.problems import KeyPath
+
+
+class TwoTones(KindOfTest):
+    """Two tones at once, in open loop."""
+
+    recorded_as: ClassVar = "tones"
+    level_keys: ClassVar = ("drive",)
+    kind: Literal["two_tones"] = "two_tones"
+    start: Start = "settled"
+    frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=2)
+    """Both frequencies, ascending [Hz]."""
+    drive: Drive
+    """Amplitude of the drive of each tone [V, or m for a table shaker]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    duration: Duration = 2.0
+    """Duration of the test [s]."""
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Both frequencies, Hz."""
+        return self.frequencies[0], self.frequencies[1]
+
+    @property
+    def highest(self) -> tuple[KeyPath, float]:
+        """Key path and value of the second frequency."""
+        return ("frequencies", 1), self.frequencies[1]
+
+    def tones(self, points: int) -> tuple[float, ...]:
+        """Return both frequencies, Hz."""
+        return self.frequencies
+
+    def wave(self, time: Array) -> Pulses:
+        """Return the sum of both tones."""
+        return Pulses("shaker", self.drive * sum(np.sin(2.0 * np.pi * f * time) for f in self.frequencies))

@@ -1,0 +1,127 @@
+"""Every kind of test and shaker has all its parts, and nothing outside these parts asks for a kind."""
+
+from __future__ import annotations
+
+import ast
+import json
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from analysis.responses.estimator import MODULES, Estimator
+from daq.excitation import procedure_of
+from daq.recording.recorded_test import TestKind
+from rig.scene.excitation import KINDS as TESTS
+from rig.scene.excitation import KindOfTest
+from rig.scene.json_schema import schema_text
+from rig.scene.shaker import KINDS as SHAKERS
+
+ROOT = Path(__file__).parents[1]
+GUIDES = "\n".join(guide.read_text(encoding="utf-8") for guide in ROOT.glob("*/guide/*.md"))
+# Files that may ask for a kind: its owners, and the studies of the paper and of cost, which no scene reaches.
+OWNERS = (
+    "rig/scene/excitation/",
+    "rig/scene/shaker/",
+    *(f"daq/excitation/{kind.kind_name()}.py" for kind in TESTS),
+    "daq/recording/recorded_test.py",
+    "rig/single_mode/",
+    "rig/work_precision/",
+    "analysis/reproduction/",
+    "analysis/chain_cost/",
+)
+CLASSES = {kind.__name__ for kind in (*TESTS, *SHAKERS.values())}
+NAMES = {*(kind.kind_name() for kind in TESTS), *SHAKERS}
+
+
+@pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
+def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
+    procedure = procedure_of(kind)
+    assert "excite" in vars(type(procedure)), f"daq.excitation.{kind.kind_name()}: define excite"
+
+
+@pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
+def test_kind_of_test_has_kind_of_recording(kind: type[KindOfTest]) -> None:
+    assert kind.recorded_as in set(TestKind), f"TestKind: add {kind.recorded_as}"
+
+
+@pytest.mark.parametrize("kind", TestKind)
+def test_kind_of_recording_has_estimator(kind: TestKind) -> None:
+    assert kind.value in MODULES, f"analysis.responses.estimator.MODULES: add {kind.value}"
+    assert isinstance(import_module(f"analysis.responses.{MODULES[kind.value]}").ESTIMATOR, Estimator)
+
+
+@pytest.mark.parametrize("name", sorted(NAMES))
+def test_kind_is_in_guide(name: str) -> None:
+    assert f"kind: {name}" in GUIDES, f"a guide: explain kind: {name}"
+
+
+@pytest.mark.parametrize("name", sorted(CLASSES))
+def test_kind_is_in_schema(name: str) -> None:
+    assert json.loads(schema_text())["$defs"][name]["description"]
+
+
+def questions(file: Path) -> Iterator[str]:
+    """Yield the places at which a module asks for a kind."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        asked: set[str] = set()
+        match node:
+            case ast.Call(func=ast.Name("isinstance"), args=[_, kinds]):
+                asked = names(kinds) & CLASSES
+            case ast.MatchClass(cls=kind):
+                asked = names(kind) & CLASSES
+            case ast.Compare(left=left, comparators=others):
+                sides = [left, *others]
+                if any("kind" in attributes(side) or "test_kind" in attributes(side) for side in sides):
+                    asked = {text for side in sides for text in texts(side)} & NAMES
+                asked |= {text for side in sides for text in members(side)}
+        if asked:
+            yield f"{file.relative_to(ROOT)}:{node.lineno}: {', '.join(sorted(asked))}"
+
+
+def names(node: ast.AST) -> set[str]:
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)} | attributes(node)
+
+
+def attributes(node: ast.AST) -> set[str]:
+    return {each.attr for each in ast.walk(node) if isinstance(each, ast.Attribute)}
+
+
+def texts(node: ast.AST) -> set[Any]:
+    return {each.value for each in ast.walk(node) if isinstance(each, ast.Constant)}
+
+
+def members(node: ast.AST) -> set[str]:
+    """Return the members of `TestKind` except NONE, which is no kind of test."""
+    return {
+        f"TestKind.{each.attr}"
+        for each in ast.walk(node)
+        if isinstance(each, ast.Attribute) and isinstance(each.value, ast.Name) and each.value.id == "TestKind"
+    } - {"TestKind.NONE"}
+
+
+def test_only_owners_ask_for_a_kind() -> None:
+    files = [file for package in ("rig", "daq", "analysis") for file in sorted((ROOT / package).rglob("*.py"))]
+    others = [file for file in files if not file.relative_to(ROOT).as_posix().startswith(OWNERS)]
+    found = [place for file in others for place in questions(file)]
+    assert not found, "state the fact in the class of the kind:\n" + "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "isinstance(test, Sine)",
+        "isinstance(test, int | SteppedSine)",
+        "isinstance(shaker, (int, shakers.ForceShaker))",
+        "scene.test.kind == 'impulse'",
+        "shaker.kind not in ('force', 'table')",
+        "rec.test.kind is TestKind.HITS",
+        "match test:\n    case Sine(): pass",
+    ],
+)
+def test_question_for_a_kind_is_found(code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(globals(), "ROOT", tmp_path)
+    (tmp_path / "module.py").write_text(code, encoding="utf-8")
+    assert len(list(questions(tmp_path / "module.py"))) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from rig.settings.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY,
 
 # Two units are the same, written with different numbers of digits, if they differ by less than this fraction.
 _UNIT_TOLERANCE = 1e-3
+# A misspelled name is compared with at most this number of names: a table may contain thousands of misspelled names.
+_MAX_COMPARED_NAMES = 200
 # Integrations of an ideal channel that measures velocity or displacement, as a laser sensor does.
 _INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 
@@ -260,18 +263,20 @@ def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Si
 def _signals_with_name(name: str, signals: Sequence[Signal]) -> list[Signal]:
     """Return the signals of a name, or those whose name, or its last part, differs only in case or separators."""
     same_name = [signal for signal in signals if signal.name == name]
+    return same_name or [signal for signal in signals if _normalized(name) in _similar_names(signal.name)]
 
-    def normalized(text: str) -> str:
-        return re.sub(r"[\s_.-]+", "", text).casefold()
 
-    return same_name or [
-        signal
-        for signal in signals
-        if normalized(name)
-        in {normalized(signal.name), *(normalized(signal.name.rpartition(separator)[2]) for separator in "/.")}
-    ]
+@cache
+def _similar_names(name: str) -> frozenset[str]:
+    """Return a name and its last parts, without case and separators."""
+    return frozenset(map(_normalized, (name, *(name.rpartition(separator)[2] for separator in "/."))))
+
+
+@cache
+def _normalized(text: str) -> str:
+    return re.sub(r"[\s_.-]+", "", text).casefold()
 
 
 def _spelling_hint(name: str, names: Sequence[str]) -> str:
-    hint = suggestion(name, names)
+    hint = suggestion(name, names) if len(names) <= _MAX_COMPARED_NAMES else ""
     return hint and f". {hint}"

@@ -155,8 +155,10 @@ class CommittedFile:
         self.close()
 
     def _remove(self) -> None:
-        """Remove the file, unless another file is at its path now."""
-        if self._is_in_place():
+        """Close the file, and remove it unless another file is at its path now."""
+        is_in_place = self._is_in_place()
+        self.close()
+        if is_in_place:
             self.current_path.unlink()
 
     def close(self) -> None:

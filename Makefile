@@ -1,7 +1,10 @@
 # Every target creates the environment that it needs. Only Python 3.11 or newer and make are required.
 PYTHON ?= python3
 VENV   := .venv
-BIN    := $(VENV)/bin
+# On Windows, run make in a bash such as that of Git.
+BIN    := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+PEERS  := $(subst $(VENV),$(VENV)-peers,$(BIN))
+EXE    := $(if $(filter Windows_NT,$(OS)),.exe)
 BASE   := $(VENV)/.base
 STAMP  := $(VENV)/.installed
 # Python compiles a module at its first import and caches the result. Compiling all modules during installation would
@@ -14,17 +17,17 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-
 .PHONY: demo test lint types layers quick gauntlet fits matrix soak mutants bench peers docs clean
 .DEFAULT_GOAL := demo
 
-$(VENV)/bin/python:
+$(BIN)/python$(EXE):
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"Python 3.11 or newer is needed, found {v.major}.{v.minor}: make PYTHON=/path/to/python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
 
 # The product alone, without tests, grains, clusters or linters.
-$(BASE): pyproject.toml | $(VENV)/bin/python
+$(BASE): pyproject.toml | $(BIN)/python$(EXE)
 	$(PIP) -e .
 	@touch $@
 
-$(STAMP): pyproject.toml | $(VENV)/bin/python
+$(STAMP): pyproject.toml | $(BIN)/python$(EXE)
 	$(PIP) -e ".[dev]"
 	@touch $@ $(BASE)
 
@@ -82,10 +85,10 @@ bench: $(STAMP)
 
 # Comparison with independent packages, which are installed in a separate environment.
 peers: $(STAMP)
-	test -x $(VENV)-peers/bin/python || $(PYTHON) -m venv $(VENV)-peers
-	$(VENV)-peers/bin/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
+	test -x $(PEERS)/python$(EXE) || $(PYTHON) -m venv $(VENV)-peers
+	$(PEERS)/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
 	$(BIN)/python -m tests.peers.ours build/peers
-	MPLBACKEND=agg $(VENV)-peers/bin/python tests/peers/theirs.py build/peers
+	MPLBACKEND=agg $(PEERS)/python tests/peers/theirs.py build/peers
 
 # The documentation as a site in build/docs: the pages of the guides, and the reference generated from the code.
 docs: $(STAMP)

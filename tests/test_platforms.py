@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import io
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -34,6 +34,7 @@ def windows_files(monkeypatch: pytest.MonkeyPatch) -> None:
         if str(path.resolve()) in {file.path for file in psutil.Process().open_files()}:
             raise PermissionError(errno.EACCES, "The process cannot access the file", str(path))
 
+    fcntl = pytest.importorskip("fcntl")
     replace, unlink, sync = Path.replace, Path.unlink, os.fsync
 
     def windows_replace(self: Path, target: Path) -> Path:
@@ -74,6 +75,28 @@ def test_files_are_written_under_windows_rules(windows_files: None, tmp_path: Pa
     with daq.open(path) as recording:
         analysis.decay(recording).plot().figure.savefig(tmp_path / "decay.png")
     assert sorted(file.name for file in tmp_path.iterdir()) == ["decay.png", "run.mcap", "table.csv"]
+
+
+@pytest.mark.thorough
+def test_program_runs_without_names_of_unix(tmp_path: Path) -> None:
+    script = f"""
+import os, signal, sys
+for module in ("fcntl", "resource", "termios", "pwd", "grp"):
+    sys.modules[module] = None
+for owner, names in ((os, ("sched_getaffinity", "setpriority", "getuid")), (signal, ("SIGHUP", "SIGALRM"))):
+    for name in names:
+        if hasattr(owner, name):
+            delattr(owner, name)
+import daq, rig
+from daq.pytest_plugin.bench import open_bench
+from rig.workers import cores
+assert cores() == os.cpu_count()
+daq.record(rig.load("fig10b-no-damper", {SCENE}), "run.mcap")
+assert daq.open("run.mcap").read("body3", 0, 10).size == 10
+open_bench(clock="real").close()
+"""
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, env=environment, check=True)
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "cp437", "ascii"])

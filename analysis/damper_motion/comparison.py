@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.modal.modes import Modes
 from rig.results import format_decimals, format_number
-from rig.results.resonances import Resonance, find_resonances
+from rig.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.results.response import Response
 from rig.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, expand
 
@@ -199,7 +199,9 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
 
 def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     """Return the interpolated resonance as a peak if its uncertainty is smaller than that of an estimate."""
-    is_known = resonance.is_interpolated and not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
+    # Between few lines, dampers may move at the peak although they are at rest at the lines around it.
+    is_known = resonance.is_interpolated and resonance.lines >= MIN_LINES
+    is_known &= not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
     if not is_known or estimate.bound - estimate.common_bound <= resonance.expanded:
         return estimate
     better = replace(

@@ -170,8 +170,8 @@ def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
     needed = min(resonance.needed_spacing for resonance in coarse)
     remedy = estimator_of(frf.test).peak_remedy(needed)
     return (
-        f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: the height of the peak relies on "
-        f"interpolation. {remedy}"
+        f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: a peak there may be higher than "
+        f"measured. {remedy}"
     )
 
 

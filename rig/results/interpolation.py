@@ -35,6 +35,8 @@ _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 # Recommended spacing: for this relative error of interpolation.
 _GOOD_ERROR_RATIO = 0.01
+# The recommended spacing is at least this fraction of the present spacing.
+_MIN_SPACING_RATIO = 0.02
 # A frequency differs from that of a line if their relative difference exceeds this.
 _SAME_FREQUENCY = 1e-9
 
@@ -76,18 +78,18 @@ def interpolate_curve(
     nearest, is_line = nearest_lines(f, at)
     weights[is_line] = window[is_line] == nearest[is_line, None]
     result = np.where(is_line, values[nearest], result)
-    error = np.where(is_line, 0.0, error)
+    error = np.where(is_line, 0.0, np.nan_to_num(error, nan=np.inf))
     is_inside = (at >= f[0]) & (at <= f[-1]) | is_line
     result = np.where(is_inside, result, np.nan)
     budget = _propagate(known, weights, window, result)
-    local = np.maximum(abs(result), np.maximum(abs(values[below]), abs(values[below + 1])))
+    local = np.fmax(abs(result), np.maximum(abs(values[below]), abs(values[below + 1])))
     limit = np.maximum(
         _MAX_ERROR_RATIO * local, _MAX_ERROR_IN_UNCERTAINTIES * np.broadcast_to(budget.expanded(), at.shape)
     )
-    is_unresolved, spacing = is_inside & (error > limit), f[below + 1] - f[below]
+    is_unresolved, spacing = is_inside & ~(error <= limit), f[below + 1] - f[below]
     # The error of interpolation decreases at least with the square of the spacing.
     ratio = np.divide(_GOOD_ERROR_RATIO * local, error, out=np.ones(at.size), where=error > 0.0)
-    needed = np.where(is_unresolved, spacing * np.sqrt(ratio), np.inf)
+    needed = np.where(is_unresolved, spacing * np.maximum(np.sqrt(ratio), _MIN_SPACING_RATIO), np.inf)
     return Interpolation(result, budget.with_limits({SPACING: np.where(is_inside, error, np.nan)}), spacing, needed)
 
 

@@ -15,6 +15,8 @@ from rig.results.uncertainty import UncertaintyBudget
 _STEPS = 60
 # The minima on both sides are lower than a peak by at least this fraction of it.
 _MIN_DEPTH = 0.05
+# Relative rounding error of an interpolated value.
+_ROUNDING = 1e-6
 # A half-power width is measured within this number of lines on either side of the highest line.
 _FLANK_LINES = 4
 #: Minimum number of lines within the half-power width of a resolved peak.
@@ -71,19 +73,25 @@ def _refine(frf: Response, k: int) -> tuple[float, float, float, int, bool, floa
     coarse = interpolate_curve(f, frf.value, UncertaintyBudget(), grid)
     if coarse is None:
         return None
-    magnitude = np.where((grid >= f[k - 1]) & (grid <= f[k + 1]), abs(coarse.value), 0.0)
+    magnitude = np.where((grid >= f[k - 1]) & (grid <= f[k + 1]), np.nan_to_num(abs(coarse.value)), 0.0)
     highest = int(np.argmax(magnitude))
     fine = np.linspace(grid[max(highest - 1, 0)], grid[min(highest + 1, grid.size - 1)], _STEPS)
     refined = interpolate_curve(f, frf.value, frf.uncertainty, fine)
     assert refined is not None
-    top = int(np.argmax(abs(refined.value)))
+    top = int(np.argmax(np.nan_to_num(abs(refined.value))))
     value, frequency = float(abs(refined.value[top])), float(fine[top])
     below = abs(coarse.value) < value / np.sqrt(2.0)
     left = grid[:highest][below[:highest]].max(initial=-np.inf)
     right = grid[highest:][below[highest:]].min(initial=np.inf)
-    lines = int(np.sum((f > left) & (f < right)))
+    is_below = np.abs(frf.value) < value / np.sqrt(2.0)
+    outside = np.flatnonzero(is_below)
+    lines = int(outside[outside > k].min(initial=f.size) - outside[outside < k].max(initial=-1)) - 1
+    lines -= int(is_below[k])
     needed = float(refined.needed_spacing[top])
-    is_interpolated = np.isinf(needed)
+    # A rational function may miss a line of degenerate data (unattainable point).
+    is_interpolated = np.isinf(needed) and value >= (1.0 - _ROUNDING) * abs(frf.value[k])
+    if not is_interpolated:
+        frequency, value = float(f[k]), float(abs(frf.value[k]))
     if lines < MIN_LINES:
         needed = min(needed, (right - left) / _RECOMMENDED_LINES)
     expanded = float(np.broadcast_to(refined.uncertainty.expanded(), fine.shape)[top])

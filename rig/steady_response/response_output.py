@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from rig.errors import SceneError
 from rig.output_files import atomic_write, csv_text
-from rig.results.text import format_decimals, format_frequencies
+from rig.results.text import format_decimals, format_frequencies, format_interval, table_lines
 from rig.scene.excitation import spaced_frequencies
 from rig.scene.scene import Scene
 from rig.settings.quantities import count
 from rig.steady_response.frequency_response import SteadyResponse
+
+# A relative uncertainty of interpolation below this is not printed.
+_NEGLIGIBLE_ERROR = 1e-4
+# Maximum number of listed peaks with few frequencies.
+_MAX_LISTED = 8
 
 
 def sweep_frequencies(
@@ -114,15 +119,43 @@ def _motion_labels(response: SteadyResponse) -> list[str]:
 
 
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return a table of the peaks of each body's compliance: local maxima 10 % above both minima, or the maximum."""
-    from scipy.signal import find_peaks
+    """Return a table of the peaks of each body's compliance, refined between the frequencies, with notes on spacing."""
+    from rig.results.resonances import MIN_LINES, find_resonances
 
-    peak_lines = [
-        f"{label:<12}{format_decimals(response.frequency[k], 4):>14}{1e6 * row[k]:>20.4g}  {motion[k]}"
-        for label, row in zip(response.labels, abs(response.compliance), strict=True)
-        for k in find_peaks(np.log(row), prominence=0.1)[0].tolist() or [int(np.argmax(row))]
-    ]
-    return [f"{'body':<12}{'frequency / Hz':>14}{'peak / (µm/N)':>20}  motion", *peak_lines]
+    rows, coarse = [("body", "frequency / Hz", "peak / (µm/N)", "motion")], []
+    sweep_directions = np.array(directions(response.frequency))
+    for curve in response.response.curves():
+        for direction in dict.fromkeys(sweep_directions):
+            points = np.flatnonzero(sweep_directions == direction)
+            sweep = curve.at(points)
+            for peak in find_resonances(sweep):
+                k = points[peak.line]
+                # Between two frequencies at which dampers are at rest, they may move.
+                if response.motion_type[k] == "linear" and peak.is_interpolated:
+                    error = peak.expanded if peak.expanded > _NEGLIGIBLE_ERROR * peak.value else 0.0
+                    row = format_decimals(peak.frequency, 4), format_interval(1e6 * peak.value, 1e6 * error)
+                else:
+                    height = f"{1e6 * abs(curve.value[k]):.4g}"
+                    is_coarse = peak.lines < MIN_LINES or not peak.is_interpolated
+                    row = format_decimals(curve.frequency[k], 4), f"at least {height}" if is_coarse else height
+                    coarse += [peak] * is_coarse
+                rows.append((curve.response, *row, motion[k]))
+        if rows[-1][0] != curve.response:
+            k = int(np.argmax(abs(curve.value)))
+            rows.append(
+                (curve.response, format_decimals(curve.frequency[k], 4), f"{1e6 * abs(curve.value[k]):.4g}", motion[k])
+            )
+    lines = table_lines(rows, "<>><")
+    if coarse:
+        frequencies = sorted({round(peak.frequency, 2) for peak in coarse})
+        needed = min(peak.needed_spacing for peak in coarse)
+        advice = f"Compute every {needed:.1g} Hz there" if np.isfinite(needed) else "Compute more frequencies there"
+        lines.append(
+            f"fewer than {MIN_LINES} frequencies in the half-power width of the peaks near "
+            f"{', '.join(f'{frequency:.4g}' for frequency in frequencies[:_MAX_LISTED])} Hz: the true "
+            f"peaks may be higher. {advice} (--points)."
+        )
+    return lines
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:

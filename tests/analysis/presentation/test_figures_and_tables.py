@@ -161,9 +161,8 @@ def test_highest_of_all_resonances_is_reported():
     )
     curve = Response.curve(f, value, "board", error=1e-5 * abs(value), degrees=100.0 * np.ones(f.size))
     assert abs(curve.frequency[curve.peak_line()] - 48.0) < 0.5
-    peak, spacing = describe_frfs([curve])[3:]
-    height = float(re.search(r"between the points is \(([\d.]+) ±", peak).group(1))
-    assert height == pytest.approx(72.0, rel=0.01) and peak.endswith("at 30.40 Hz")
+    # Dampers may move between points that are far apart, so that the peak at 30.4 Hz has no value.
+    [spacing] = describe_frfs([curve])[3:]
     assert "30.4 and 48 Hz has fewer than 3 points" in spacing and "Measure every 0.05 Hz there" in spacing
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,8 +39,27 @@ def response() -> SteadyResponse:
 
 
 def test_every_peak_has_a_row(response: SteadyResponse) -> None:
-    rows = [line.split()[:3] for line in format_response(response).splitlines() if line.startswith(("base", "arm"))]
-    assert rows == [["base", "12.0000", "9"], ["base", "17.0000", "5"], ["arm", "17.0000", "4"]]
+    text = format_response(response)
+    rows = [line.split()[:5] for line in text.splitlines() if line.startswith(("base", "arm"))]
+    # One frequency lies within each half-power width, and dampers may move between the frequencies.
+    assert rows == [
+        ["base", "12.0000", "at", "least", "9"], ["base", "17.0000", "at", "least", "5"],
+        ["arm", "17.0000", "at", "least", "4"],
+    ]  # fmt: skip
+    assert "fewer than 3 frequencies in the half-power width" in text
+
+
+def test_linear_peak_between_frequencies_is_computed(response: SteadyResponse) -> None:
+    frequency, natural, ratio = np.arange(20.0, 40.0, 0.84), 30.49, 0.005
+    row = 1.0 / (1.0 - (frequency / natural) ** 2 + 2j * ratio * frequency / natural)
+    names = ("peak", "force", "converged", "repetition", "residual")
+    count = {name: np.resize(getattr(response, name), frequency.size) for name in names}
+    linear = replace(
+        response, **count, frequency=frequency, compliance=1e-6 * row[np.newaxis], bodies=("base",),
+        motion_type=np.full(frequency.size, "linear"),
+    )  # fmt: skip
+    [line] = [line.split() for line in format_response(linear).splitlines() if line.startswith("base")]
+    assert float(line[1]) == pytest.approx(natural, abs=0.005) and float(line[2]) == pytest.approx(100.0, rel=1e-3)
 
 
 def test_motion_types_are_given_as_ranges(response: SteadyResponse) -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from analysis.damper_motion.comparison import resonance_peak
 from analysis.reproduction.bed_claim import bed_claim
 from analysis.reproduction.charts import has_type_iii, holds_c2
 from analysis.reproduction.claim import Claim, Evidence
 from analysis.reproduction.fig9_claim import fig9_claim
 from analysis.reproduction.figures import Columns, Parts
 from analysis.reproduction.parts import FIGURE_5_SETTING, NOISES
-from rig.results import format_percent
+from rig.results import format_percent, format_quantity
+from rig.results.response import Response
 from rig.scene.scene import STANDARD_GRAVITY
 
 # Natural frequencies stated in the paper, rad/s.
@@ -142,22 +144,30 @@ def _describe_type_iii(single: Columns) -> str:
 
 
 def resonance_peaks(data: Columns) -> np.ndarray:
-    """Compute the largest compliance of body 3 around each resonance [m/N], shape (modes,)."""
-    frequency, magnitude = data["frequency"], np.abs(data["compliance"][2])
-    bands = ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))
-    return np.array([magnitude[(frequency > low) & (frequency < high)].max() for low, high in bands])
+    """Estimate the peak compliance of body 3 at each resonance, and its expanded uncertainty [m/N], shape (modes, 2).
+
+    Peaks are interpolated between the points. The uncertainty is infinite if the curve does not determine the peak.
+    """
+    curve = Response.curve(data["frequency"], data["compliance"][2], "body3", error=data["error"][2])
+    found = [resonance_peak(curve, *band) for band in ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))]
+    return np.array([(np.nan, np.inf) if highest is None else (highest.value, highest.bound) for highest in found])
 
 
 def _c3(parts: Parts) -> Claim:
     names = ("rec-bare", "rec-one", "rec-two", "rec-three")
-    peaks = np.array([resonance_peaks(parts[name]) for name in names])
+    peaks, expanded = np.moveaxis(np.array([resonance_peaks(parts[name]) for name in names]), 2, 0)
     ratios_to_bare = peaks / peaks[0]
+    # The errors of two recordings are independent.
+    ratio_expanded = ratios_to_bare * np.hypot(expanded / peaks, expanded[0] / peaks[0])
+    least_affected = 1 + np.argmax(ratios_to_bare[1:], axis=1)
     damps_both = ratios_to_bare[1, 1] < 0.7 and ratios_to_bare[1, 2] < 0.7
     peak_acceleration = peaks[0] * FORCE_C3_N * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
     every_damper_lowers = bool((np.diff(peaks, axis=0) < 0).all())
     rows = [
-        f"{label}: {', '.join(f'{100 * ratio:.0f} %' for ratio in row)}"
-        for label, row in zip(("one damper", "two", "three"), ratios_to_bare[1:], strict=True)
+        f"{label}: {', '.join(with_unit(*pair) for pair in zip(100.0 * row, 100.0 * errors, strict=True))}"
+        for label, row, errors in zip(
+            ("one damper", "two", "three"), ratios_to_bare[1:], ratio_expanded[1:], strict=True
+        )
     ]
     scanned = parts["least-affected"]
     first_is_least = scanned["peak_ratio"][..., 0] > scanned["peak_ratio"][..., 1:].max(axis=-1)
@@ -177,6 +187,11 @@ def _c3(parts: Parts) -> Claim:
             (damps_both, "the single damper does not damp both modes"),
             (every_damper_lowers, "a further damper does not lower every peak"),
             (
+                bool(np.all(least_affected == 1)),
+                "in the recordings with one, two and three dampers, the least affected mode is "
+                f"{', '.join(map(str, least_affected))}",
+            ),
+            (
                 bool(at_level.all()),
                 f"the first mode is the least affected with every damping ratio and mass ratio {force_range}; at "
                 f"{FORCE_C3_N:g} N, it is the least affected with {int(at_level.sum())} of {at_level.size} "
@@ -191,7 +206,10 @@ def _c3(parts: Parts) -> Claim:
         "the damping; mode 1 is least affected.",
         (
             Evidence(
-                f"Peaks of body 3 about modes 1, 2, 3, in % of those without dampers, recorded: {'; '.join(rows)}.",
+                "Peaks of body 3 about modes 1, 2, 3, interpolated between the points, relative to those without "
+                f"dampers, recorded, with expanded uncertainties (95 %): {'; '.join(rows)}. The least affected mode is "
+                f"mode {least_affected[0]} with one damper, {least_affected[1]} with two and {least_affected[2]} with "
+                "three.",
                 ("rec-bare", "rec-one", "rec-two", "rec-three"),
             ),
             Evidence(
@@ -210,6 +228,15 @@ def _c3(parts: Parts) -> Claim:
         "holds" if not failures else "holds in part: " + "; ".join(failures),
         ("fig8",),
     )
+
+
+def with_unit(percent: float, expanded: float) -> str:
+    """Format a percentage with its expanded uncertainty, or as a value that is not determined.
+
+    >>> with_unit(54.32, 1.24), with_unit(54.32, np.inf)
+    ('(54.3 ± 1.2) %', 'at least 54 %')
+    """
+    return format_quantity(percent, expanded, "%") if np.isfinite(expanded) else f"at least {percent:.0f} %"
 
 
 def _c5(parts: Parts) -> Claim:

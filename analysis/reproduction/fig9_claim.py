@@ -56,7 +56,9 @@ def fig9_claim(parts: Parts) -> Claim:
             f"impact, and {np.degrees(tau_error):.1f}° in the phase of the ceiling impact.",
             ("orbit-fig9", "rec-fig9"),
         ),
-        Evidence(compare_directions(measured, parts["rec-fig9-down"]), ("rec-fig9", "rec-fig9-down")),
+        Evidence(
+            compare_directions(measured, parts["rec-fig9-down"], exact), ("rec-fig9", "rec-fig9-down", "orbit-fig9")
+        ),
         Evidence("tau_0 cannot be measured, because the take-off from the floor causes no velocity jump.", ()),
         Evidence(
             "Clearances at which Type III does not occur near the resonance, for each damping ratio: "
@@ -95,19 +97,34 @@ def fig9_claim(parts: Parts) -> Claim:
     )
 
 
-def compare_directions(up: Columns, down: Columns) -> str:
-    """Compare the compliances of body 2 in a downward and an upward sweep."""
+def compare_directions(up: Columns, down: Columns, exact: Columns) -> str:
+    """Compare the compliances of body 2 in a downward and an upward sweep, and state the folds of the exact orbits."""
     order_up, order_down = np.argsort(up["frequency"]), np.argsort(down["frequency"])
     upward, downward = abs(up["compliance"][1][order_up]), abs(down["compliance"][1][order_down])
     change = 100.0 * abs(downward / upward - 1.0)
     ambiguous = up["frequency"][order_up][change > 100.0 * MAX_PEAK_DIFFERENCE]
     listed = ", ".join(f"{f:.2f}" for f in ambiguous)
     extent = f"by more than {100 * MAX_PEAK_DIFFERENCE:g} % at {listed} Hz, where two motions are possible"
+    largest = f"by at most {change.max():.1f} %, at {up['frequency'][order_up][int(np.argmax(change))]:.2f} Hz"
+    folds = [f"{f:.2f}" for f in _folds(exact) if up["frequency"].min() <= f <= up["frequency"].max()]
+    at_folds = (
+        f"The exact orbits have folds, next to which the motion depends on the direction, at {', '.join(folds)} Hz"
+    )
     return (
         "The compliances of body 2 in the downward and the upward sweep differ by "
-        f"{np.median(change):.2f} % in the median, and "
-        f"{extent if ambiguous.size else f'by at most {change.max():.1f} %, so no branch depends on the direction'}."
+        f"{np.median(change):.2f} % in the median, and {extent if ambiguous.size else largest}. "
+        f"{at_folds if folds else 'The exact orbits have no fold in this band'}."
     )
+
+
+def _folds(exact: Columns) -> list[float]:
+    """Return the frequencies at which branches turn back, Hz."""
+    folds = []
+    for number in np.unique(exact["branch"]):
+        frequency = exact["frequency"][exact["branch"] == number]
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(frequency)))) + 1
+        folds += frequency[turns].tolist()
+    return sorted(folds)
 
 
 def _without_type_iii(over_damping: Columns) -> str:

@@ -12,7 +12,7 @@ import pytest
 import rig
 from analysis.reproduction.charts import abbreviate_types, holds_c2
 from analysis.reproduction.claim import Claim, Evidence
-from analysis.reproduction.claims import differences
+from analysis.reproduction.claims import differences, resonance_peaks
 from analysis.reproduction.experiment import damper_sweep
 from analysis.reproduction.fig9_claim import compare_directions
 from analysis.reproduction.page import CAPTIONS, write_pages
@@ -294,5 +294,17 @@ def test_sweep_direction_differences_are_reported() -> None:
     upward = {"frequency": frequency, "compliance": magnitude}
     equal = {"frequency": frequency[::-1], "compliance": 1.01 * magnitude[:, ::-1]}
     different = {"frequency": frequency[::-1], "compliance": np.array([[1.0] * 3, [1.0, 1.0, 1.0]])}
-    assert "at most 1.0 %, so no branch depends on the direction" in compare_directions(upward, equal)
-    assert "more than 5 % at 49.00 Hz" in compare_directions(upward, different)
+    exact = {"branch": np.zeros(4), "frequency": np.array([48.0, 48.4, 48.3, 48.1])}
+    small = compare_directions(upward, equal, exact)
+    assert (
+        "at most 1.0 %, at " in small and "folds, next to which the motion depends on the direction, at 48.40" in small
+    )
+    assert "more than 5 % at 49.00 Hz" in compare_directions(upward, different, exact)
+
+
+def test_peaks_of_claims_are_interpolated() -> None:
+    frequency = np.concatenate([np.linspace(*band, 28) for band in ((12.0, 13.8), (31.5, 36.0), (45.5, 51.0))])
+    value = sum(1e-6 / (1.0 - (frequency / f) ** 2 + 0.01j * frequency / f) for f in (13.0336, 34.85, 49.7))
+    compliance, error = np.tile(value, (3, 1)), np.full((3, frequency.size), 1e-12)
+    peaks = resonance_peaks({"frequency": frequency, "compliance": compliance, "error": error})
+    assert np.all(abs(peaks[:, 0] - 1e-4) < peaks[:, 1] + 2e-6) and np.all(peaks[:, 1] < 1e-5)

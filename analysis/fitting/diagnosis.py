@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from analysis.fitting.estimate import mean_square, solve
 from analysis.fitting.measured import Curves, Sensor, inverse_root
 from analysis.fitting.parameters import free_parameters
+from analysis.fitting.predicted import linear_response, scene_of_test
 from analysis.fitting.problem import Problem
 from analysis.fitting.start import initial_unknowns
 from rig.arrays import Array, ComplexArray
@@ -42,12 +43,29 @@ _UNIT_ERRORS = {
     0.001: "a factor of 1/1000, such as V instead of mV or m instead of mm",
     39.3701: "inches instead of metres",
     0.0254: "metres instead of inches",
+    25.4: "millimetres instead of inches",
+    1.0 / 25.4: "inches instead of millimetres",
+    2.0: "peak-to-peak value instead of amplitude, or a factor of 2 in the sensitivity",
+    0.5: "amplitude instead of peak-to-peak value, or a factor of 1/2 in the sensitivity",
+    2.0**0.5: "amplitude instead of rms value",
+    0.5**0.5: "rms value instead of amplitude",
+}
+# Number of integrations of a reading that a scene states wrongly, and the cause.
+_WRONG_QUANTITIES = {
+    -2: "it is the second derivative of the stated quantity, such as acceleration instead of displacement",
+    -1: "it is the derivative of the stated quantity, such as acceleration instead of velocity",
+    1: "it is the integral of the stated quantity, such as velocity instead of acceleration",
+    2: "it is the second integral of the stated quantity, such as displacement instead of acceleration",
 }
 # Common errors of a force sensor: the ratio of its reading to the true value, and the cause.
 _FORCE_UNIT_ERRORS = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",
 }
+# Another mistake is nearly as probable as the best if its misfit variance is at most this multiple.
+_CLOSE_RATIO = 1.5
+# Number of known errors of a sensor with which the structure is fitted, the most probable first.
+_MAX_KNOWN_ERRORS = 2
 # A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
@@ -88,13 +106,18 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected.variance)
     explanations: list[_Explanation] = []
     try_delays = partial(_try_delays, undelayed=uncorrected)
-    for trials in (_try_reversed_signs, _try_swaps, _try_factors, _try_damping, try_delays):
+    for trials in (_try_reversed_signs, _try_known_errors, _try_swaps, _try_factors, _try_damping, try_delays):
         explanations += [explanation for explanation in trials(problem, linear_curves) if explanation.variance < limit]
         if any(item.variance < _MAX_NOISE_VARIANCE and item.is_known_mistake for item in explanations):
             break
     if explanations:
-        _, text, is_known_mistake = min(explanations)
-        return is_known_mistake, f"{text}. If this is corrected, the scene fits."
+        best, *others = sorted(explanations)
+        text = f"{best.text}. If this is corrected, the scene fits."
+        # A free factor that is no unit error fits at least as well as each unit error of its sensor.
+        close = [other for other in others if other.is_known_mistake and other.variance < _CLOSE_RATIO * best.variance]
+        if close:
+            text += f" Nearly as probable: {close[0].text}."
+        return best.is_known_mistake, text
     contradicting = [
         sensor.name
         for sensor in _sensors(linear_curves)
@@ -188,6 +211,73 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
         yield _Explanation(refit.variance, text, bool(unit_error))
 
 
+def _try_known_errors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+    """Yield the most probable known errors of each response sensor without which the other sensors fit.
+
+    The structure fitted to the other sensors predicts the readings. The likelihood of each error is that of the
+    predicted readings with this error.
+    """
+    for sensor in _sensors(linear_curves):
+        others = _omit_sensor(linear_curves, sensor)
+        if not others:
+            continue
+        refit = _fit_structure(problem, others)
+        predicted = _predict_sensor(refit, linear_curves, sensor)
+        errors = sorted(_known_errors(), key=lambda error: _misfit(error, linear_curves, sensor, predicted))
+        for error in errors[:_MAX_KNOWN_ERRORS]:
+            corrected = [_correct(curves, sensor, error) for curves in linear_curves]
+            yield _Explanation(_fit_structure(problem, corrected).variance, f"{sensor.name}: {error.text}", True)
+
+
+class _KnownError(NamedTuple):
+    """An error that multiplies the readings of a sensor by `factor` (2 pi i f) ** -`integrations`."""
+
+    text: str
+    factor: float
+    integrations: int
+
+    def ratio(self, frequency: Array) -> ComplexArray:
+        """Return the ratio of the reading to the true value at frequencies, Hz; shape (n,)."""
+        return np.asarray(self.factor * (2j * np.pi * frequency) ** -self.integrations)
+
+
+def _known_errors() -> list[_KnownError]:
+    """List the known errors of a response sensor."""
+    scales = [_KnownError(f"it reads {factor:.4g} times the true value ({text})", factor, 0)
+              for factor, text in _UNIT_ERRORS.items()]  # fmt: skip
+    return scales + [_KnownError(text, 1.0, order) for order, text in _WRONG_QUANTITIES.items()]
+
+
+def _predict_sensor(refit: _Refit, linear_curves: list[Curves], sensor: Sensor) -> list[ComplexArray]:
+    """Predict the responses of a sensor by a structure that was fitted without it; shapes (rows of the sensor, n)."""
+    scene = refit.problem.scene(refit.x)
+    predicted = []
+    for curves in linear_curves:
+        bodies = [body for body, other in zip(curves.bodies, curves.sensors, strict=True) if other == sensor]
+        predicted.append(linear_response(scene_of_test(scene, curves), curves, curves.frequency)[0][bodies])
+    return predicted
+
+
+def _misfit(error: _KnownError, linear_curves: list[Curves], sensor: Sensor, predicted: list[ComplexArray]) -> float:
+    """Return the mean deviation of the logarithms of readings and predictions with an error, weighted by their noise.
+
+    Logarithms are not dominated by the resonances, at which a structure fitted without the sensor is least accurate.
+    """
+    deviations = []
+    for curves, values in zip(linear_curves, predicted, strict=True):
+        rows = [k for k, other in enumerate(curves.sensors) if other == sensor]
+        ratio = curves.value[rows] / (values * error.ratio(curves.frequency))
+        deviations.append(abs(np.log(ratio)).ravel())
+    return float(np.nanmedian(np.concatenate(deviations)))
+
+
+def _correct(curves: Curves, sensor: Sensor, error: _KnownError) -> Curves:
+    """Remove an error from the readings of a sensor."""
+    factors = np.ones(curves.value.shape, dtype=complex)
+    factors[[other == sensor for other in curves.sensors]] = 1.0 / error.ratio(curves.frequency)
+    return _multiply(curves, factors)
+
+
 def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
     """Try dashpots instead of modal damping, or the reverse, on a chain of masses and springs."""
     structure = problem.model.structure
@@ -236,13 +326,15 @@ def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
 
 
 def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
-    """Multiply responses by factors of magnitude 1, shape (responses, n) or broadcastable to it."""
-    phase_factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
+    """Multiply responses by factors, shape (responses, n) or broadcastable to it."""
+    factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
         curves,
-        value=curves.value * phase_factors,
-        whitening=curves.whitening * phase_factors.conj().T[:, None],
-        frfs=tuple(frf.scaled(row) for frf, row in zip(curves.frfs, phase_factors, strict=True)),
+        value=curves.value * factors,
+        whitening=curves.whitening / factors.T[:, None],
+        line_bound=curves.line_bound * abs(factors),
+        correlated_bound=curves.correlated_bound * abs(factors),
+        frfs=tuple(frf.scaled(row) for frf, row in zip(curves.frfs, factors, strict=True)),
     )
 
 

@@ -57,9 +57,8 @@ def check_timing(task: TaskSettings) -> None:
                 f"{task.channels[0].module.product_type} {problem}. Call timing.cfg_samp_clk_timing first.",
                 Code.SAMP_CLK_RATE_MUST_BE_SPECD,
             )
-    if task.direction == "ai":
-        for channel in task.channels:
-            channel.check_complete()
+    for channel in task.channels:
+        channel.check_complete()
     if task.has_sample_clock:
         if not _OWN_CLOCK.fullmatch(timing["samp_clk_src"]):
             raise DaqError(

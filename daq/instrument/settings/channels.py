@@ -150,10 +150,20 @@ class Channel:
         return max(limits) * self.volts_per_unit
 
     def check_complete(self) -> None:
-        """Raise `DaqError` -200695 or -200694 for missing limits, -200077 for a supply that requires AC coupling."""
+        """Check the settings together, when a task starts.
+
+        Raises `DaqError` -200695 or -200694 for missing limits, -200082 for a lower limit that is not below the upper,
+        -200077 for a supply that requires AC coupling.
+        """
         settings, module = self.settings, self.module
         for name in self.unset_limits:
             self.get(name)  # Raises the error of the missing limit.
+        low, high = settings[f"{self.direction}_min"], settings[f"{self.direction}_max"]
+        if not low < high:
+            raise DaqError(
+                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Change one.",
+                Code.MIN_NOT_LESS_THAN_MAX,
+            )
         supplies = settings.get("ai_excit_src") == Excitation.INTERNAL
         if supplies and module.supply_coupling == "AC" and settings["ai_coupling"] != Coupling.AC:
             raise invalid_value(
@@ -173,11 +183,6 @@ class Channel:
             raise invalid_value(
                 f"channel {self.name}: the sensitivity, {self.volts_per_unit:g} V per {self.unit}, is not positive and "
                 "finite. Give the sensitivity from the sensor's data sheet."
-            )
-        if not low < high:
-            raise DaqError(
-                f"channel {self.name}: the lower limit {low:g} is not below the upper limit {high:g}. Change one.",
-                Code.MIN_NOT_LESS_THAN_MAX,
             )
         full_scale = self.module.output_range if self.measurement is None else (self.module.ranges or (math.inf,))[-1]
         if self._largest_volts() > full_scale * (1 + 1e-9) and not self.has_custom_scale:

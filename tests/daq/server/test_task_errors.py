@@ -164,6 +164,16 @@ def test_repeated_output_has_code_of_hardware(chassis):
             task.ao_channels.add_ao_voltage_chan("Dev1/ao0", "two")
 
 
+def test_inverted_limits_are_rejected_at_start(chassis):
+    with Task() as task:
+        channel = task.ai_channels.add_ai_voltage_chan("Dev1/ai0", min_val=10.0, max_val=-10.0)
+        task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=10)
+        with raises_code(Code.MIN_NOT_LESS_THAN_MAX, "the lower limit 10 is not below the upper limit -10"):
+            task.start()
+        channel.ai_min, channel.ai_max = -10.0, 10.0
+        task.start()
+
+
 def test_channel_limits_are_rejected_or_coerced():
     connect("fig8-three-dampers", ManualClock())
     with Task() as task:

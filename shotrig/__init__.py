@@ -1,0 +1,1 @@
+"""The command `shotrig`, which runs the commands `rig`, `daq` and `analysis`."""

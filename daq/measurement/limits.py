@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,8 +49,15 @@ class Exceedance:
         )
 
 
+class DriveInput(NamedTuple):
+    """An input of the rig, whose drive an amplifier can clip."""
+
+    name: str
+    rate: float  # Hz
+
+
 class FlaggedIntervals:
-    """Merges flagged samples of each channel into intervals, and calls `mark` for each complete interval.
+    """Merges flagged samples of each channel or input into intervals, and calls `mark` for each complete interval.
 
     The arguments of `mark` are the kind of marker, the first sample, the sample after the last, and the channel's name.
 
@@ -60,7 +67,7 @@ class FlaggedIntervals:
     overload 1 4 {'channel': 'body1'}
     """
 
-    def __init__(self, kind: str, channels: Sequence[ChannelInfo], mark: Callable[..., Any]) -> None:
+    def __init__(self, kind: str, channels: Sequence[ChannelInfo | DriveInput], mark: Callable[..., Any]) -> None:
         self._kind, self._channels, self._mark = kind, channels, mark
         self._open_intervals: dict[int, tuple[int, int]] = {}  # first sample and end, by row
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daq.excitation import Excitation, Station, excitation
 from daq.measurement.bench_loop import BenchLoop
 from daq.measurement.estimate import check_resources, estimate
-from daq.measurement.limits import FlaggedIntervals
+from daq.measurement.limits import DriveInput, FlaggedIntervals
 from daq.recording.committed_file import DiskError
 from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
 from daq.recording.recorder import Recorder
@@ -120,6 +120,8 @@ class MeasurementRun(BenchLoop):
         self._interrupted: Callable[[], bool] = lambda: False
         self._lost = 0  # samples lost since the last recorded sample
         self._overloads = FlaggedIntervals("overload", self.bench.channels, self.mark)
+        inputs = [DriveInput(name, self.bench.rate) for name in self.bench.inputs]
+        self._clipped_drive = FlaggedIntervals("clipped", inputs, self.mark)
 
     def run(self, overwrite: bool) -> Path:
         """Run the test to its end, close the recording and return its path; for errors see `record`."""
@@ -151,6 +153,7 @@ class MeasurementRun(BenchLoop):
                     self._record_gap()
                     self._limits.close()
                     self._overloads.close()
+                    self._clipped_drive.close()
             if self._interrupted():
                 raise KeyboardInterrupt(self._recorded_duration())
         except _Stopped as stopped:
@@ -198,8 +201,9 @@ class MeasurementRun(BenchLoop):
             self._recorder.write(block.samples[:, start:stop])
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
-        """Mark the overloads of a window."""
+        """Mark the overloads of a window, and where the amplifiers clip its drive."""
         self._overloads.add(first - self.bench.latency, overload)
+        self._clipped_drive.add(first, abs(drive) > self.bench.drive_limit[:, None])
 
     def _record_gap(self) -> None:
         """Record the samples lost since the last recorded sample as a gap."""

@@ -77,6 +77,7 @@ def summary(path: Path) -> str:
             f"{path}: {rec.samples} samples of {len(rec.channels)} channels, {rec.samples / rec.rate:.2f} s "
             f"at {rec.rate:g} Hz, {path.stat().st_size / 1e6:.1f} MB",
             *_overloads(rec),
+            *_clipped_drives(rec),
         ]
         measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
         if measured:
@@ -143,6 +144,19 @@ def _overloads(rec: Recording) -> list[str]:
     return [
         f"overloads: {count}{_instantaneous_impact_note(rec, by_channel)}",
         *(f"  {line}" for line in table_lines(rows, "<>>>><")),
+    ]
+
+
+def _clipped_drives(rec: Recording) -> list[str]:
+    """Return a line for each input whose amplifier clipped the drive."""
+    seconds: dict[str, float] = {}
+    for mark in (mark for mark in rec.markers if mark.kind == "clipped"):
+        name = str(mark.fields["channel"])
+        seconds[name] = seconds.get(name, 0.0) + (mark.stop - mark.first_sample) / rec.rate
+    return [
+        f"{name}: the output or its amplifier clipped the drive for {duration:.3g} s in total. Lower the level of the "
+        "test, or raise the limit (shaker.amplifier.limit, shaker.output.range)."
+        for name, duration in seconds.items()
     ]
 
 

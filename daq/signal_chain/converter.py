@@ -84,6 +84,13 @@ class Outputs:
             step = None if settings.bits is None else 2.0 * full_scale / 2.0**settings.bits
             self._limited.append((row, full_scale, step))
 
+    def limit(self, drive_limit: Array) -> Array:
+        """Return the largest drive of each input, given the limits of the amplifiers; both of shape (inputs,)."""
+        limit = drive_limit.copy()
+        for row, full_scale, _ in self._limited:
+            limit[row] = min(limit[row], full_scale)
+        return limit
+
     def convert(self, drive: Array) -> Array:
         """Return the drive after clipping and quantization, shape (inputs, samples)."""
         if not self._limited:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 # Units of the fields of markers.
 FIELD_UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}
-WARNING_KINDS = ("overload", "gap", "lost", "abort", "double_hit", "level")
+WARNING_KINDS = ("overload", "clipped", "gap", "lost", "abort", "double_hit", "level")
 # Kinds of markers that do not form a phase of the test.
-NOT_PHASE_KINDS = ("overload", "alarm", "level")
+NOT_PHASE_KINDS = ("overload", "clipped", "alarm", "level")
 PHASE_COLORS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
 OTHER_PHASE_COLOR = 0x7A6AA8FF
 OVERLOAD_COLOR = 0xC4453BFF

@@ -67,6 +67,8 @@ class Bench:
         self.latency = self._base_stream.latency
         self.inputs: tuple[str, ...] = tuple(plant.inputs)
         self.drive_units: tuple[str, ...] = tuple(plant.drive_units)
+        # Largest drive of each input that neither its output nor its amplifier clips; infinite without a limit.
+        self.drive_limit = self._outputs.limit(plant.system.drive_limit)
         self.points: tuple[str, ...] = tuple(plant.points)
         self.drive = np.zeros((len(self.inputs), 0))  # of the last `advance`, at the samples of the converter
 

@@ -444,3 +444,14 @@ channels:
 """)
     daq.record(scene, tmp_path / "r.mcap")
     assert ("zero duration" in summary(tmp_path / "r.mcap")) is is_reported
+
+
+@pytest.mark.parametrize(("drive", "limit"), [("2.5 V", "amplifier.limit"), ("2.5 V", "output.range"), ("1 V", "")])
+def test_clipped_drive_is_marked_and_reported(drive: str, limit: str, tmp_path: Path) -> None:
+    test = {"kind": "sine", "frequency": "30 Hz", "drive": drive, "duration": "1 s"}
+    limits = {f"shaker.{key}": "1.2 V" for key in (limit or "amplifier.limit", "amplifier.limit")}
+    path = daq.record(rig.load("fig8-no-damper", {"test": test, **limits}), tmp_path / "a.mcap")
+    with daq.open(path) as recording:
+        clipped = [marker for marker in recording.markers if marker.kind == "clipped"]
+    assert bool(clipped) == bool(limit) and all(marker.fields["channel"] == "shaker" for marker in clipped)
+    assert ("clipped the drive for 0.9" in summary(path)) == bool(limit)

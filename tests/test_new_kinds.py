@@ -1,4 +1,4 @@
-"""A kind of test that exists only here is used in all ways, with three files and no other change to the product."""
+"""Kinds that exist only here are used in all ways: a test with three files, a shaker with two, and no other change."""
 
 from __future__ import annotations
 
@@ -16,22 +16,43 @@ ROOT = Path(__file__).parents[1]
 KINDS = ROOT / "tests" / "kinds"
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    product = tmp_path_factory.mktemp("product")
+def use(product: Path, files: dict[str, str], union: str, last: str, new: str, script: str) -> dict[str, Any]:
+    """Copy the product with the files of a new kind, and return what a script prints.
+
+    `files`: modules of the product and their sources; `union`: the package that lists the kinds; `last`, `new`: the
+    classes of its last and of the new kind.
+    """
     for package in ("rig", "daq", "analysis"):
         shutil.copytree(ROOT / package, product / package, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(KINDS / "two_tones_settings.py", product / "rig/scene/excitation/two_tones.py")
-    shutil.copy(KINDS / "two_tones_procedure.py", product / "daq/excitation/two_tones.py")
-    union = product / "rig/scene/excitation/__init__.py"
-    text = union.read_text(encoding="utf-8").replace("Impulse | Free,", "Impulse | Free | TwoTones,")
-    line = "from rig.scene.excitation.two_tones import TwoTones as TwoTones"
-    union.write_text(text.replace("from rig.settings", f"{line}\nfrom rig.settings", 1), encoding="utf-8")
-    command = [sys.executable, "-P", str(KINDS / "use_two_tones.py"), str(product / "two.mcap")]
+    for target, source in files.items():
+        shutil.copy(KINDS / source, product / target)
+    module = next(iter(files)).removesuffix(".py").replace("/", ".")
+    package = product / union / "__init__.py"
+    text = package.read_text(encoding="utf-8").replace(f"{last},", f"{last} | {new},")
+    text = text.replace("from rig.settings", f"from {module} import {new} as {new}\nfrom rig.settings", 1)
+    package.write_text(text, encoding="utf-8")
+    command = [sys.executable, "-P", str(KINDS / script), str(product / "new.mcap")]
     environment = {**os.environ, "PYTHONPATH": str(product)}
     run = subprocess.run(command, env=environment, cwd=product, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return dict(json.loads(run.stdout))
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    files = {
+        "rig/scene/excitation/two_tones.py": "two_tones_settings.py",
+        "daq/excitation/two_tones.py": "two_tones_procedure.py",
+    }
+    product = tmp_path_factory.mktemp("product")
+    return use(product, files, "rig/scene/excitation", "Free", "TwoTones", "use_two_tones.py")
+
+
+@pytest.fixture(scope="module")
+def coil(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    files = {"rig/scene/shaker/voice_coil.py": "voice_coil_shaker.py"}
+    product = tmp_path_factory.mktemp("product")
+    return use(product, files, "rig/scene/shaker", "ElectrodynamicShaker", "VoiceCoil", "use_voice_coil.py")
 
 
 def test_new_kind_is_checked(results: dict[str, Any]) -> None:
@@ -55,3 +76,34 @@ def test_new_kind_is_simulated_and_foreseen(results: dict[str, Any]) -> None:
 
 def test_new_kind_is_offered_on_page(results: dict[str, Any]) -> None:
     assert "two tones" in results["forms"]
+
+
+def test_new_shaker_is_checked(coil: dict[str, Any]) -> None:
+    assert "test.drive" in coil["message"] and "expected a voltage" in coil["message"]
+    assert "two channels (at: table, at: body 1)" in coil["channel_message"]
+
+
+def test_new_shaker_is_explained_and_foreseen(coil: dict[str, Any]) -> None:
+    assert "head of 0.1 kg on body 1" in coil["explanation"]
+    assert "table travel" in coil["foresight"]
+    assert coil["output"] == "force on the head, 1 N/V"
+
+
+def test_energy_of_new_shaker_is_balanced(coil: dict[str, Any]) -> None:
+    residual, work = coil["energy"]
+    assert work > 0.0 and abs(residual) < 1e-12 * work
+
+
+def test_new_shaker_is_recorded_and_analyzed(coil: dict[str, Any]) -> None:
+    compliance, ratio = coil["measured"]
+    assert compliance == pytest.approx(coil["exact"], rel=1e-3)
+    assert ratio == pytest.approx(coil["exact_ratio"], rel=1e-3)
+
+
+def test_force_of_new_shaker_is_controlled(coil: dict[str, Any]) -> None:
+    assert coil["reached"] == pytest.approx(0.3, rel=0.005)
+
+
+def test_new_shaker_is_drawn(coil: dict[str, Any]) -> None:
+    assert "voice coil" in coil["drawing"] and "6.6 kN/m" in coil["drawing"]
+    assert "rig/coil_spring" in coil["entities"]

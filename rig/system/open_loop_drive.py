@@ -17,7 +17,8 @@ from rig.arrays import Array, ComplexArray
 from rig.errors import RunError, SceneError
 from rig.scene.excitation.kind import Chirp, Pulses
 from rig.scene.scene import Scene
-from rig.scene.shaker import ForceShaker, Shaker
+from rig.scene.shaker import ForceShaker
+from rig.scene.shaker.kind import servo_inverse
 from rig.system.assembly import force_row
 from rig.system.hybrid_system import HybridSystem
 
@@ -60,7 +61,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     state = system.initial.copy()
     if scene.driven_shaker is not None and scene.driven_shaker.prescribed:
         # The table follows the tone from the start, without the transient of its servo.
-        position = amplitude / _servo_inverse(scene.driven_shaker, omega)
+        position = complex(amplitude / servo_inverse(scene.driven_shaker.corner, 1j * omega))
         table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
         state[system.coordinates + table] = (1j * omega * position).real
@@ -86,21 +87,12 @@ def level_of(scene: Scene) -> float:
 
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega."""
+    """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega, or 1."""
     shaker = scene.driven_shaker
-    level_is_drive = scene.level_key == "drive"
     assert shaker is not None
-    if shaker.drive_is_force:
+    if shaker.drive_is_force or scene.level_key == "drive":
         return 1.0
-    if level_is_drive:
-        return _servo_inverse(shaker, omega) if shaker.prescribed else 1.0
     return 1.0 / force_per_drive(scene, system, omega)
-
-
-def _servo_inverse(shaker: Shaker, omega: float | Array) -> Any:
-    """Return the complex drive per unit of table displacement: inverse response of the critically damped servo."""
-    ratio = omega / (2.0 * np.pi * shaker.corner)
-    return (1.0 + 1j * ratio) ** 2
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:

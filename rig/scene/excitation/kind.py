@@ -19,7 +19,7 @@ from rig.settings.settings import Settings
 
 Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
-# The unit of the drive depends on the shaker: volts at its amplifier, or displacement of the table.
+# The unit of the drive depends on the shaker: volts at its amplifier, or commanded displacement of the table.
 Force = Annotated[float, Quantity(FORCE, above=0.0)]
 Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]

@@ -135,6 +135,6 @@ class KindOfShaker(Settings):
         raise NotImplementedError
 
 
-def servo_inverse(corner: float, s: ComplexArray) -> ComplexArray:
+def servo_inverse(corner: float, s: complex | ComplexArray) -> ComplexArray:
     """Return the command of a position servo per displacement; `corner`: corner frequency, Hz."""
-    return np.square(1.0 + s / (2.0 * np.pi * corner))
+    return np.asarray(np.square(1.0 + s / (2.0 * np.pi * corner)), dtype=np.complex128)

@@ -7,7 +7,7 @@ import pytest
 
 import rig
 from rig.system.assembly import assemble
-from rig.system.open_loop_drive import drive_per_level, sampled_drive
+from rig.system.open_loop_drive import drive_per_level, riding_response, sampled_drive, tone_drive
 
 
 @pytest.mark.parametrize("spacing", ["linear", "log"])
@@ -30,3 +30,20 @@ def test_sweep_reaches_its_force_at_sharp_resonances(band: tuple[float, float], 
     expected = 2.0 * (gain * np.exp(2j * np.pi * periods)).imag
     # The gain is interpolated within 0.1 %, and the force is 2 N.
     assert (abs(drive - expected) < 2.1e-3 * abs(gain)).all()
+
+
+def test_drive_of_a_table_is_the_command() -> None:
+    shaker = {"kind": "table", "body": 1, "spring": "6.6 kN/m", "bandwidth": 400.0}
+    test = {"kind": "sine", "frequency": 60.0, "drive": 1e-3}
+    scene = rig.load("fig4-structure").replace(shaker=shaker, test=test, channels=None)
+    system = assemble(scene)
+
+    tone = tone_drive(scene, system)
+
+    assert tone is not None and tone.amplitudes[0] == -1e-3j
+    # The table follows with the response of its servo, from the start.
+    table = -1e-3j / (1.0 + 60j / 400.0) ** 2
+    row = system.points.index("table")
+    assert tone.state[row] == pytest.approx(table.real)
+    assert tone.state[system.coordinates + row] == pytest.approx((2j * np.pi * 60.0 * table).real)
+    assert abs(table) == pytest.approx(1e-3 * abs(riding_response(system, "shaker", 2.0 * np.pi * 60.0)[row]))

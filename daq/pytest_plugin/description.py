@@ -75,9 +75,10 @@ class ModuleDescription(Settings):
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the channels of the device are known."""
         if not (self.inputs or self.outputs or self.product_type in _modules_with_data_sheet()):
+            names = sorted([*_modules_with_data_sheet(), *_common_devices()])
             yield Problem(
                 ("product_type",),
-                f"no data sheet for {self.product_type!r}. Choose {', '.join(_modules_with_data_sheet())}, or give the "
+                f"no data sheet for {self.product_type!r}. Choose {', '.join(names)}, or give the "
                 "channels of the device, such as {product_type: USB-6211, inputs: 16, outputs: 2, fastest: 250 kHz}",
             )
 
@@ -186,7 +187,10 @@ class BenchDescription(Settings):
         prepared = dict(content)
         modules, sources = content.get("modules"), content.get("sources")
         if isinstance(modules, Mapping):
-            prepared["modules"] = [{"name": name, **_module_keys(item)} for name, item in modules.items()]
+            prepared["modules"] = [
+                {"name": name, **(keys if isinstance(keys := _module_keys(item), Mapping) else {"product_type": keys})}
+                for name, item in modules.items()
+            ]
         elif isinstance(modules, list | tuple):
             prepared["modules"] = [_module_keys(item) for item in modules]
         if isinstance(sources, Mapping):
@@ -237,6 +241,9 @@ def wired_bench(
     except ValidationError as error:
         raise SceneError(describe(problems_of(error), where, line)) from None
     modules = _named_modules(description)
+    names = [device.name.lower() for device in modules]
+    if repeated := next((device.name for device in modules if names.count(device.name.lower()) > 1), None):
+        raise SceneError(f"{where}: modules: {repeated!r} is the name of two devices. Give each device its own name.")
     wires: dict[int, int] = {}
     voltages: dict[int, VoltageFunction] = {}
     for wire in description.wires:

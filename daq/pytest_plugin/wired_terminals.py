@@ -98,7 +98,14 @@ class WiredTerminals:
         for index, output in self._wires.items():
             volts[index] = output_volts[output, tick_indices]
         for index, voltage in self._sources.items():
-            volts[index] = voltage(numbers / rate)
+            try:
+                volts[index] = voltage(numbers / rate)
+            except Exception as error:
+                raise DaqError(
+                    f"the source at {self.channels[index].name} has failed: {error!r}. A function must return the "
+                    "voltages, V, at an array of times, s.",
+                    Code.UNKNOWN,
+                ) from error
         for index in self._ac_coupled & self._connected:
             volts[index] = self._remove_offset(index, rate, first, volts[index])
         full_scale = np.array([[2.0 ** (bits - 1)] for bits in self._bits])

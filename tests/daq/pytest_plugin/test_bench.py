@@ -139,6 +139,8 @@ def test_names_are_those_of_description(open_for_test):
         (["NI 9234", "NI 9234"], {"sources": {"ai1": 1}}, "ambiguous. Choose cDAQ1Mod1/ai1 or cDAQ1Mod2/ai1"),
         (TWO_MODULES, {"wires": ["ao0 -> ai0"], "sources": {"ai0": "1 V"}}, "ai0 is connected twice"),
         (TWO_MODULES, {"sources": {"ai0": "1 kg"}}, 'sources.ai0.offset: got "1 kg"; expected a voltage'),
+        ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
+        ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
         ({"modules": {"mine": "NI 9234"}}, {}, "'mine' cannot be in a chassis, as NI 9234 is"),
         ("bare-structure", {"wires": ["ao0 -> ai0"]}, "cannot be combined with a scene"),
         ("missing.yaml", {}, "missing.yaml: the file does not exist"),
@@ -148,6 +150,12 @@ def test_names_are_those_of_description(open_for_test):
 def test_invalid_bench_is_reported(bench, settings, message):
     with pytest.raises(SceneError, match=message):
         open_bench(bench, **settings)
+
+
+def test_failing_source_is_reported(open_for_test):
+    bench = open_for_test(["NI 9234"], sources={"ai0": lambda time: [1.0, 2.0, 3.0]})
+    with raises_code(-1, "the source at cDAQ1Mod1/ai0 has failed"):
+        read_finite(bench, "cDAQ1Mod1/ai0", 100)
 
 
 def test_saved_task_is_loaded(open_for_test):

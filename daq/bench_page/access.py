@@ -41,7 +41,8 @@ class TokenGate:
 
     def __init__(self, application: ASGIApp, host: str, cookie: str) -> None:
         self._application, self._cookie = application, cookie
-        self._host_names = {"localhost", host.lower(), socket.gethostname().lower()}
+        self._host_names = {"localhost", host.lower()}
+        self._own_label = _first_label(socket.gethostname().lower())
         self.token = secrets.token_urlsafe(24)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -77,7 +78,7 @@ class TokenGate:
             return False
         is_other_page = headers.get("sec-fetch-site") in ("same-site", "cross-site")
         return (
-            (name in self._host_names or _is_address(name))
+            (name in self._host_names or _first_label(name) == self._own_label or _is_address(name))
             and origin == host
             # A link of another page may open this page, but not in a frame.
             and (not is_other_page or headers.get("sec-fetch-dest") == "document")
@@ -85,6 +86,11 @@ class TokenGate:
 
     def _is_valid(self, token: str) -> bool:
         return hmac.compare_digest(token.encode(), self.token.encode())
+
+
+def _first_label(name: str) -> str:
+    """Return the name of a host without its domain."""
+    return name.partition(".")[0]
 
 
 def _is_address(name: str) -> bool:

@@ -98,6 +98,7 @@ def test_request_of_another_origin_is_rejected(gate, kind, headers):
         {"host": "localhost:8031", "origin": "http://localhost:8031"},
         {"host": "[::1]:8031"},
         {"host": "192.168.1.4"},
+        {"host": f"{socket.gethostname().partition('.')[0]}.lab.example:8031"},
     ],
 )
 def test_request_of_the_page_is_accepted(gate, headers):

@@ -17,7 +17,7 @@ import yaml
 
 import rig
 from daq.virtual_bench.bench import Bench
-from rig.engine.state import FLOOR
+from rig.laws.events import FLOOR
 from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"

@@ -1,6 +1,7 @@
-"""Input of the kernel: tables of the exact flow for each contact configuration, and the constants of the contacts.
+"""Input of the kernel: tables of the exact flow for each configuration, and the constants of the elements.
 
-A contact configuration specifies which dampers are in contact with which wall. The flow maps a state to a later state.
+The configuration specifies which forces act in the elements (`HybridSystem.strides`). The flow maps a state to a later
+state. A signal is a function of the state whose limits end a mode (`rig.engine.law_tables`).
 `rig.engine.flow_tables` computes both inputs.
 """
 
@@ -10,16 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-#: Number of terms of the matrix exponential of a step; more than those of a guard's power series.
+from rig.engine.law_tables import LawTables
+
+#: Number of terms of the matrix exponential of a step; more than those of a signal's power series.
 TERMS = 25
 
 
 class Flow(NamedTuple):
     """Tables of a system; the first index of each table of numbers is the table index of a configuration.
 
-    The state obeys z' = A z + b. The step length is h, and tau = t / h is the time in a step. A guard is a gap or
-    contact force, whose zero is a contact event. Matrices are stored [column, row] with padded rows. A table X and its
-    constant part represent the affine map X z + X_constant.
+    The state obeys z' = A z + b. The step length is h, and tau = t / h is the time in a step. Matrices are stored
+    [column, row] with padded rows. A table X and its constant part represent the affine map X z + X_constant.
 
     has_series: whether `series` is filled. has_step_matrix: whether all other tables are.
     drive_is_smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
@@ -27,16 +29,13 @@ class Flow(NamedTuple):
     step_matrix: gives the state after a full step, its accelerations and, as far as the padding has room, their
     derivatives with respect to tau. derivative: gives accelerations and their derivatives at the state z itself.
     series: (A h)^k / k! for every k.
-    margin: gives from |z| the largest decrease of each damper's guard in a step below its values at both ends (an
+    margin: gives from |z| the largest approach of each signal to a limit in a step beyond its values at both ends (an
     eighth of the bound of its second derivative, and rounding).
-    bound: gives from |z| for each damper a bound of the fourth derivative of its guard with respect to tau over a step,
-    then for each damper the sum of the magnitudes of the guard's terms.
+    bound: gives from |z| for each signal a bound of its fourth derivative with respect to tau over a step, then for
+    each signal the sum of the magnitudes of its terms. Of a flying mass these are those of its body's position.
     rates: nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b.
-    after_toggle[k, i]: table index after the change i of `HybridSystem.toggles` to the configuration with table index
-    k, or -1 if it is not yet computed.
-
-    The tables of guards contain the part that depends on z: for a damper in flight the position of its body, for a
-    damper at rest the body's acceleration; with finite-duration contact the gap in flight, or the wall's force.
+    after[k, m]: table index after a change from the configuration with table index k to the mode with the number m, or
+    -1 if it is not yet computed.
     """
 
     has_series: bool
@@ -57,27 +56,23 @@ class Flow(NamedTuple):
     column: np.ndarray
     rates: np.ndarray
     rates_constant: np.ndarray
-    after_toggle: np.ndarray
+    after: np.ndarray
 
 
 class Model(NamedTuple):
-    """Constants of a system for the contact laws and the guards, in SI units; further fields as in `HybridSystem`.
+    """Constants of a system for the laws of its elements, in SI units.
 
-    step: step length, s. mass: of each damper. position_index, velocity_index: of the position and velocity of each
-    damper's body in the state. first_velocity: index of the first velocity, which equals the number of coordinates.
-    first_acceleration: index of the accelerations that are stored after the state. inverse_mass: inverse of the mass
-    matrix. force, force_constant: forces on the coordinates. coupled: whether simultaneous contacts affect each other.
+    step: step length, s. mass: of each element. position_index, velocity_index: of the position and velocity of each
+    element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. first_velocity:
+    index of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations
+    that are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
+    coordinates. coupled: whether simultaneous contacts affect each other. laws: tables of the laws.
     """
 
     gravity: float
     step: float
     mass: np.ndarray
-    clearance: np.ndarray
-    restitution: np.ndarray
     gap_coordinate: np.ndarray
-    wall_stiffness: np.ndarray
-    wall_damping: np.ndarray
-    toggles: np.ndarray
     position_index: np.ndarray
     velocity_index: np.ndarray
     first_velocity: int
@@ -86,3 +81,4 @@ class Model(NamedTuple):
     force: np.ndarray
     force_constant: np.ndarray
     coupled: bool
+    laws: LawTables

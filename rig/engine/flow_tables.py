@@ -1,7 +1,8 @@
-"""The exact flow: tables for each contact configuration, computed when the configuration is first visited.
+"""The exact flow: tables for each configuration, computed when the configuration is first visited.
 
-The configuration specifies which dampers are in contact with which wall. Its table index counts the configurations in
-the order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix exponential gives
+The configuration specifies which forces act in the elements (`HybridSystem.strides`). Its table index counts the
+configurations in the order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix
+exponential gives
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z(t) + terms of b
 
@@ -14,9 +15,9 @@ powers are tabulated. For a larger system the matrix of a full step is tabulated
 is summed from the sparse matrix A as A z, A (A z), ..., at a cost proportional to the number of springs. A large system
 with many dampers is propagated by this series only.
 
-A *guard* is a gap or a contact force, whose zero is a contact event. Further tables bound the guards within a step
-(`rig.engine.screening`): bounds of the fourth derivative, sums of the magnitudes of the terms, and the *margin*, the
-largest decrease within a step below the values at both ends.
+A *signal* is a gap or a force, whose limits are events (`rig.engine.law_tables`). Further tables bound the signals
+within a step (`rig.engine.screening`): bounds of the fourth derivative, sums of the magnitudes of the terms, and the
+*margin*, the largest approach to a limit within a step beyond the values at both ends.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.engine.flow import TERMS, Flow, Model
+from rig.engine.law_tables import SignalTerms, bounded_signals, law_tables
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.numerics.complementarity import ROUNDING
 from rig.numerics.simd import SUMS, aligned_zeros, padded_length
@@ -51,8 +53,8 @@ MAX_STEP_MATRIX_DAMPERS = 6
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
-#: An array contains the table index of every possible configuration up to this number of configuration bits.
-MAX_DIRECT_LOOKUP_BITS = 12
+#: An array contains the table index of every possible configuration up to this number of configurations.
+MAX_DIRECT_LOOKUP = 4096
 #: Envelopes (`rig.engine.screening`) save time up to this phase advance of the drive per step.
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
@@ -75,40 +77,40 @@ class FlowTables:
         self.drive = drive
         self.step = step
         self.size = system.states + drive.states
-        self.indices: dict[int, int] = {}  # table index by configuration bits
+        self.indices: dict[int, int] = {}  # table index by configuration
         self._lock = Lock()
-        self._toggles = system.toggles
-        n_bits = len(self._toggles)  # of a configuration
-        self._direct_lookup = np.full(1 << n_bits, -1, dtype=np.int64) if n_bits <= MAX_DIRECT_LOOKUP_BITS else None
+        count = system.configurations
+        self._direct_lookup = np.full(count, -1, dtype=np.int64) if count <= MAX_DIRECT_LOOKUP else None
+        self._bounded_signals = bounded_signals(system, self.size)
         max_states = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
         self.has_series = self.size <= max_states
         # Tables are applied millions of times, so they are computed in extended precision.
         self._precision = np.longdouble if self.has_series else np.float64
         self._row_pointer, self._column = self._sparsity_pattern()
         self.has_step_matrix = self.has_series or (
-            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(n_bits)
+            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(count)
         )
         self.model = self._model()
         self.flow = self._allocate(_INITIAL_CAPACITY)
 
-    def _step_matrix_is_faster(self, n_bits: int) -> bool:
+    def _step_matrix_is_faster(self, configurations: int) -> bool:
         """Return whether the matrix of a full step is faster than the series, within the memory limit.
 
-        `n_bits`: number of bits of a configuration.
+        `configurations`: number of possible configurations.
         """
         if self.size <= MAX_STEP_MATRIX_STATES:
             return True
         dense = len(self._column) * TERMS > self.size**2
-        return dense and self.size**2 * ELEMENT_BYTES << n_bits <= MAX_STEP_MATRIX_BYTES
+        return dense and self.size**2 * ELEMENT_BYTES * configurations <= MAX_STEP_MATRIX_BYTES
 
     def table_index(self, configuration: int) -> int:
-        """Return the table index of a configuration (its bits: `HybridSystem.toggles`); compute its tables if new."""
+        """Return the table index of a configuration; compute its tables if new."""
         with self._lock:
             existing = self.indices.get(configuration)
             if existing is not None:
                 return existing
             table_index = len(self.indices)
-            if table_index == self.flow.after_toggle.shape[0]:
+            if table_index == self.flow.after.shape[0]:
                 self._double_capacity()
             self._fill(table_index, configuration)
             self.indices[configuration] = table_index
@@ -138,11 +140,10 @@ class FlowTables:
         system, drive = self.system, self.drive
         nq, ns = system.coordinates, system.states
         dtype = self._precision
-        at_rest = [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]]
         contact_matrix, contact_constant = system.contact_forces(configuration)
         mass = system.mass.astype(dtype)
         constant = system.force_constant.astype(dtype) + contact_constant
-        for j in at_rest:
+        for j in system.held(configuration):
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
             constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
@@ -159,8 +160,13 @@ class FlowTables:
         matrix[ns:, ns:] = drive.generator
         return matrix, offset
 
+    def contacts(self, mode: NDArray[np.int64]) -> NDArray[np.int8]:
+        """Return the wall that each element touches in its mode (`rig.laws.events`), shape (elements,)."""
+        laws = self.model.laws
+        return np.asarray(laws.wall[laws.first_mode[:-1] + mode])
+
     def _model(self) -> Model:
-        """Return the constants of the contact laws and guards."""
+        """Return the constants of the elements."""
         system, drive = self.system, self.drive
         nq = system.coordinates
         force = np.zeros((1, self.size, padded_length(nq)))
@@ -172,12 +178,7 @@ class FlowTables:
             gravity=float(system.gravity),
             step=float(self.step),
             mass=system.damper_mass.astype(np.float64),
-            clearance=system.clearance.astype(np.float64),
-            restitution=system.restitution.astype(np.float64),
             gap_coordinate=system.gap_coordinate.astype(np.int64),
-            wall_stiffness=system.wall_stiffness.astype(np.float64),
-            wall_damping=system.wall_damping.astype(np.float64),
-            toggles=np.array(system.toggles, dtype=np.int64),
             position_index=system.damper_coordinate.astype(np.int64),
             velocity_index=system.damper_coordinate.astype(np.int64) + nq,
             first_velocity=nq,
@@ -186,13 +187,16 @@ class FlowTables:
             force=force,
             force_constant=constant,
             coupled=bool(system.coupled),
+            laws=law_tables(system, self.size),
         )
 
     def _sparsity_pattern(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the elements of A that may be nonzero in any configuration: row pointers (size + 1,) and columns."""
         may_be_nonzero = self.generator(0)[0] != 0
-        for toggle in self._toggles if self.system.finite_contact.any() else ():
-            may_be_nonzero |= self.generator(toggle)[0] != 0
+        for element, stride in zip(self.system.elements, self.system.strides, strict=True):
+            for index, force in enumerate(element.law.forces):
+                if force is not None:
+                    may_be_nonzero |= self.generator(stride * index)[0] != 0
         if self.system.coupled:
             n = self.system.coordinates
             may_be_nonzero[n : 2 * n] |= may_be_nonzero[n : 2 * n].any(axis=0)
@@ -205,9 +209,9 @@ class FlowTables:
         shapes: dict[str, tuple[int, ...]] = {}
         widths = {
             "step_matrix": padded_length(self.size + self.system.coordinates),
-            "margin": padded_length(self.system.dampers),
+            "margin": padded_length(self._bounded_signals.first_row[-1]),
             "series": (N_COEFFICIENTS + 1) * rows,
-            "bound": padded_length(2 * self.system.dampers),
+            "bound": padded_length(2 * self._bounded_signals.first_row[-1]),
             "derivative": padded_length(2 * self.system.coordinates),
         }
         for name, width in widths.items():
@@ -223,7 +227,7 @@ class FlowTables:
     def _allocate(self, capacity: int) -> Flow:
         """Return tables of zeros with room for a number of configurations."""
         arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._table_shapes().items()}
-        after_toggle = np.full((capacity, max(1, len(self._toggles))), -1, dtype=np.int64)
+        after = np.full((capacity, max(1, len(self.model.laws.wall))), -1, dtype=np.int64)
         return Flow(
             has_series=self.has_series,
             has_step_matrix=self.has_step_matrix,
@@ -231,15 +235,15 @@ class FlowTables:
             uses_envelope=self.step * self.drive.max_rate < MAX_ENVELOPE_PHASE_RAD,
             row_pointer=self._row_pointer,
             column=self._column,
-            after_toggle=after_toggle,
+            after=after,
             **arrays,
         )
 
     def _double_capacity(self) -> None:
         """Replace the tables with tables with the same content and room for twice the number of configurations."""
         old = self.flow
-        self.flow = self._allocate(2 * len(old.after_toggle))
-        for name in (*self._table_shapes(), "after_toggle"):
+        self.flow = self._allocate(2 * len(old.after))
+        for name in (*self._table_shapes(), "after"):
             source, target = getattr(old, name), getattr(self.flow, name)
             target[: len(source)] = source
 
@@ -252,11 +256,19 @@ class FlowTables:
         flow.rates_constant[table_index] = offset
         if self.has_step_matrix:
             self._fill_step_tables(table_index, configuration, matrix, offset)
-        for i, toggle in enumerate(self._toggles):
-            neighbor = self.indices.get(configuration ^ toggle)
-            if neighbor is not None:
-                flow.after_toggle[table_index, i] = neighbor
-                flow.after_toggle[neighbor, i] = table_index
+        self._link_neighbors(table_index, configuration)
+
+    def _link_neighbors(self, table_index: int, configuration: int) -> None:
+        """Fill `Flow.after` for the changes of one element to and from a configuration."""
+        laws, after = self.model.laws, self.flow.after
+        for j, present in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
+            modes = range(laws.first_mode[j], laws.first_mode[j + 1])
+            for m in modes:
+                change = int(laws.force_index[m]) - present
+                neighbor = self.indices.get(configuration + self.system.strides[j] * change)
+                if change and neighbor is not None:
+                    after[table_index, m] = neighbor
+                    after[neighbor, [k for k in modes if laws.force_index[k] == present]] = table_index
 
     def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""
@@ -292,60 +304,51 @@ class FlowTables:
         self._fill_bounds(table_index, configuration, terms, constants)
 
     def _fill_bounds(self, table_index: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
-        """Fill the tables of bounds and margins, from the series of every guard."""
-        flow, system, dampers = self.flow, self.system, self.system.dampers
-        at_rest = np.array([configuration >> j & 1 for j in range(dampers)], dtype=bool)
-        rows = system.damper_coordinate + system.coordinates * at_rest
-        guard_terms, guard_constants = (np.abs(part[:, rows]).astype(np.float64) for part in (terms, constants))
-        # The guard at rest is an acceleration, whose series in tau has the terms k terms[k] / h at the power k - 1.
-        k = np.arange(TERMS)[:, None]
-        magnitude = np.where(at_rest, k / self.step, 1.0)
-        power = np.where(at_rest, k - 1, k)
-        fourth_derivative = magnitude * np.abs(power * (power - 1) * (power - 2) * (power - 3))
-        # Between the ends of the step a guard falls by at most an eighth of its second derivative's bound.
-        decrease = magnitude * np.abs(power * (power - 1)) / 8 + 2 * ROUNDING * magnitude
-        free_fall = np.where(at_rest, 0.0, float(system.gravity) * self.step**2 / 8)
-        for table, constant, weight, columns in (
-            (flow.bound, flow.bound_constant, fourth_derivative, slice(0, dampers)),
-            (flow.bound, flow.bound_constant, magnitude, slice(dampers, 2 * dampers)),
-            (flow.margin, flow.margin_constant, decrease, slice(0, dampers)),
-        ):
-            table[table_index][:, columns] = np.einsum("kj,kjc->cj", weight, guard_terms)
-            constant[table_index][columns] = np.einsum("kj,kj->j", weight, guard_constants)
-        flow.margin_constant[table_index][:dampers] += free_fall
-        for j in np.flatnonzero(system.finite_contact):
-            self._fill_finite_contact_bounds(table_index, configuration, int(j), terms, constants)
+        """Fill the tables of bounds and margins, from the series of every signal."""
+        present = self.system.force_indices(np.array(configuration)).tolist()
+        for j, (by_force, index) in enumerate(zip(self._bounded_signals.signals, present, strict=True)):
+            for row, (signal, constant) in enumerate(by_force[index].items(), self._bounded_signals.first_row[j]):
+                is_detached = bool(self.model.gap_coordinate[j] < 0)
+                self._fill_bound(table_index, row, signal, 0.0 if is_detached else constant, terms, constants)
+                if is_detached and signal.order == 0:
+                    # The flying mass accelerates by gravity.
+                    self.flow.margin_constant[table_index][row] += float(self.system.gravity) * self.step**2 / 8
 
-    def _fill_finite_contact_bounds(
-        self, table_index: int, configuration: int, j: int, terms: np.ndarray, constants: np.ndarray
+    def _fill_bound(
+        self, table_index: int, row: int, signal: SignalTerms, constant: float, terms: np.ndarray, constants: np.ndarray
     ) -> None:
-        """Fill bounds and margins of a finite-duration contact: of the gap in flight, or of the force of a wall."""
-        flow, system = self.flow, self.system
-        # `wall`: 0 floor, 1 ceiling.
-        closed, wall = configuration >> j & 1, configuration >> system.dampers + j & 1
-        gap_factor, speed_factor = 1.0, 0.0
-        if closed:
-            gap_factor, speed_factor = system.wall_stiffness[j, wall], system.wall_damping[j, wall]
-        guard = np.zeros(self.size)
-        guard[[system.gap_coordinate[j], system.coordinates + system.gap_coordinate[j]]] = gap_factor, speed_factor
-        wall_height = system.clearance[j] if wall or not closed else 0.0
-        # The magnitudes bound the rounding errors, also of terms that cancel in the guard.
-        terms_by_column = terms.swapaxes(1, 2)
-        guard_terms, guard_constants = (
-            np.abs(terms_by_column @ guard).astype(np.float64),
-            np.abs(constants @ guard).astype(np.float64),
-        )
-        magnitude = (np.abs(terms_by_column) @ np.abs(guard)).astype(np.float64).sum(axis=0)
-        magnitude_constant = float((np.abs(constants) @ np.abs(guard)).sum())
-        magnitude_constant += gap_factor * wall_height if np.isfinite(wall_height) else 0.0
+        """Fill one row of the tables of bounds and margins.
+
+        `constant`: magnitude of the constant part; `terms`, `constants`: series of the state.
+        """
+        flow, nq = self.flow, self.system.coordinates
+        weights = np.zeros(self.size)
+        # The series of an acceleration in tau has the terms k terms[k] / h of the velocity at the power k - 1.
+        entries = np.array(signal.entries) - (self.size - nq if signal.order else 0)
+        weights[entries] = signal.factors
         k = np.arange(TERMS)
-        fourth_derivative, decrease = k * (k - 1) * (k - 2) * (k - 3), k * (k - 1) / 8
-        flow.bound[table_index][:, j] = fourth_derivative @ guard_terms
-        flow.bound_constant[table_index][j] = fourth_derivative @ guard_constants
-        flow.bound[table_index][:, system.dampers + j] = magnitude
-        flow.bound_constant[table_index][system.dampers + j] = magnitude_constant
-        flow.margin[table_index][:, j] = decrease @ guard_terms + 2 * ROUNDING * magnitude
-        flow.margin_constant[table_index][j] = decrease @ guard_constants + 2 * ROUNDING * magnitude_constant
+        factor, power = (k / self.step, k - 1) if signal.order else (np.ones(TERMS), k)
+        fourth_derivative = factor * np.abs(power * (power - 1) * (power - 2) * (power - 3))
+        # Between the ends of the step a signal moves towards a limit by at most an eighth of its second derivative.
+        approach = factor * np.abs(power * (power - 1)) / 8
+        columns = terms.swapaxes(1, 2)
+        sums, sum_constants = (np.abs(part @ weights).astype(np.float64) for part in (columns, constants))
+        # The magnitudes bound the rounding errors, also of terms that cancel in the signal.
+        magnitudes, magnitude_constants = (
+            factor @ (np.abs(part) @ np.abs(weights)).astype(np.float64) for part in (columns, constants)
+        )
+        magnitude_constants += constant
+        middle = flow.bound_constant.shape[1] // 2
+        for table, constant_part, index, values, value_constant in (
+            (flow.bound, flow.bound_constant, row, fourth_derivative @ sums, fourth_derivative @ sum_constants),
+            (flow.bound, flow.bound_constant, middle + row, magnitudes, magnitude_constants),
+            (
+                flow.margin, flow.margin_constant, row, approach @ sums + 2 * ROUNDING * magnitudes,
+                approach @ sum_constants + 2 * ROUNDING * magnitude_constants,
+            ),
+        ):  # fmt: skip
+            table[table_index][:, index] = values
+            constant_part[table_index][index] = value_constant
 
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:

@@ -1,29 +1,30 @@
-"""The kernel: compiled code that propagates a system through flights, contacts and impacts.
+"""The kernel: compiled code that propagates a system through the modes of its elements, such as flight and contact.
 
-Between contact events the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A
-and b depend on the contact configuration: which dampers are in contact with which wall. A full step of length h is one
-matrix product if its matrix is tabulated; every other step is the sum of a power series. A guard is a gap or a contact
-force. Either every guard is proven free of zeros over the step (`rig.engine.screening`), or the step ends at the first
-crossing (`rig.engine.guards`). Each proof is rigorous, so the motion does not depend on which proof succeeded.
+Between events the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A and b
+depend on the configuration: which forces act in the elements. A full step of length h is one matrix product if its
+matrix is tabulated; every other step is the sum of a power series. A guard is the distance of a signal, such as a gap
+or a contact force, from a limit. Either every guard is proven free of zeros over the step (`rig.engine.screening`), or
+the step ends at the first crossing (`rig.engine.guards`). Each proof is rigorous, so the motion does not depend on
+which proof succeeded.
 
 Terms:
 
-- event: change of the contact state of one damper; break: instant at which velocities or accelerations jump;
+- event: change of the mode of one element; break: instant at which velocities or accelerations jump;
 - segment: time interval under one drive, such as a sample interval (`rig.engine.propagator`);
 - envelope: upper bound of the magnitude of each state, for which the margins are valid;
-- margin of a guard: a guard above its margin at both ends of a full step has no zero in the step;
+- margin of a signal: a signal inside its limits by its margin at both ends of a full step reaches no limit in it;
 - status: what is known of the present state (`rig.engine.power_series`).
 
-All numbers are float64, and no memory is allocated. The tables are described in `rig.engine.flow`, the contact laws in
-`rig.engine.contact`. Inlined functions have a single call site, because the compile time is proportional to the code.
+All numbers are float64, and no memory is allocated. The tables are described in `rig.engine.flow` and
+`rig.engine.law_tables`, the ends of modes in `rig.engine.resets`. Inlined functions have a single call site, because
+the compile time is proportional to the code.
 """
 
 from __future__ import annotations
 
-from rig.engine.contact import impact, separate, separate_tensile
-from rig.engine.finite_contact import FREE, change_contact
 from rig.engine.flow import Flow, Model
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
+from rig.engine.law_tables import ELEMENT, FLIES, Signals
 from rig.engine.power_series import (
     ABOVE_MARGINS,
     CONTACTS_UNCHECKED,
@@ -33,10 +34,10 @@ from rig.engine.power_series import (
     store_accelerations,
     sum_state_series,
 )
-from rig.engine.screening import CONTACT_FORCE, above_margins, screen, widen_envelope
+from rig.engine.resets import SEPARATION_MULTIPLICITY, change_force, impact, separate, separate_tensile
+from rig.engine.screening import inside_margins, screen, widen_envelope
 from rig.engine.state import (
     EVENTS_AT_INSTANT,
-    FLIGHT,
     N_BREAKS,
     N_EVENTS,
     PRESENT_SEGMENT,
@@ -44,36 +45,45 @@ from rig.engine.state import (
     Log,
     State,
     close_break,
+    load_signals,
+    mode_number,
     open_break,
 )
 from rig.engine.workspace import Workspace
+from rig.laws.events import NO_EVENT
 from rig.numerics.bernstein import NO_CROSSING
 from rig.numerics.jit import inlined_kernel
-from rig.numerics.simd import affine_product_many, copy, exceeds
+from rig.numerics.simd import affine_product_many, copy, exceeds, unsigned
 
 #: Why `advance` returned: segment completed; tables of the configuration missing; log full; too many events at one
 #: instant.
 DONE, TABLES_MISSING, LOG_FULL, STUCK = 0, 1, 2, 3
-#: Maximum number of events at one instant, per damper; a larger number contradicts the contact law.
+#: Maximum number of events at one instant, per element; a larger number contradicts its law.
 MAX_EVENTS_AT_INSTANT = 100
-#: Number of events at one instant, per damper, after which each event halves the step. A shorter step resolves a motion
-#: that is smaller than the rounding errors of a longer step.
+#: Number of events at one instant, per element, after which each event halves the step. A shorter step resolves a
+#: motion that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: What remains to be done after a contact event: nothing; complete the break in the log (`_CLOSE_BREAK`); or, before
-#: this completion, separate the dampers with a tensile contact force (`_SEPARATE_TENSILE`).
+#: What remains to be done after an event: nothing; complete the break in the log (`_CLOSE_BREAK`); or, before this
+#: completion, separate the masses with a tensile contact force (`_SEPARATE_TENSILE`).
 _NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
-#: Multiplicity of the gap's zero at a separation at zero contact force: gap, its rate and its acceleration are zero.
-_SEPARATION_MULTIPLICITY = 3
 
 
 @inlined_kernel
-def _advance_flights(model: Model, state: State, duration: float) -> None:
-    """Propagate every flying damper by a duration, s, and reset the multiplicities of all guards."""
-    for j in range(model.mass.shape[0]):
-        if state.contact[j] == FLIGHT and model.gap_coordinate[j] < 0:
+def _advance_flights(model: Model, state: State, signals: Signals, duration: float) -> None:
+    """Propagate every flying detached mass by a duration, s, and reset the multiplicities of all signals."""
+    for lane in range(signals.indices.shape[0]):
+        if signals.numbers[lane, FLIES] > 0.0:
+            j = unsigned(signals.indices[lane, ELEMENT])
             state.height[j] += duration * (state.velocity[j] - 0.5 * model.gravity * duration)
             state.velocity[j] -= model.gravity * duration
-        state.multiplicity[j] = 0
+        state.multiplicity[lane] = 0
+
+
+@inlined_kernel
+def _forget_envelope(model: Model, workspace: Workspace, j: int) -> None:
+    """Restart the envelope of an element's gap, which differs in order of magnitude between contact and flight."""
+    gap = model.gap_coordinate[j]
+    workspace.envelope[gap] = workspace.envelope[model.first_velocity + gap] = 0.0
 
 
 @inlined_kernel
@@ -87,14 +97,14 @@ def advance(
     to be propagated, in step lengths (not necessarily integers). Event times are computed from these two alone. Event
     times are therefore bitwise identical however often the kernel returned within the segment. `status`:
     `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with accelerations,
-    and every guard above its margin). `accelerations`: whether the accelerations at the end are needed; they are stored
-    after the state.
+    and every signal inside its margins). `accelerations`: whether the accelerations at the end are needed; they are
+    stored after the state.
 
     Returns (reason, remaining, status). `reason`: `DONE`, `TABLES_MISSING`, `LOG_FULL` or `STUCK`. After missing tables
     are computed or the log is enlarged, call again with the remaining steps.
     """
     columns = flow.rates_constant.shape[1]  # number of states, including the drive
-    dampers = model.mass.shape[0]
+    elements, signals = model.mass.shape[0], workspace.signals
     # Whether a full step also computes the derivatives of the accelerations.
     has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]
     pending = _NOTHING
@@ -114,8 +124,10 @@ def advance(
         table_index = state.counters[TABLE_INDEX]
         if table_index < 0:
             return TABLES_MISSING, remaining, STATE_ONLY
+        if status <= STATE_ONLY:
+            load_signals(model, state, signals)
         length = min(remaining, 1.0)
-        halvings = state.counters[EVENTS_AT_INSTANT] - STEP_HALVING_EVENTS * dampers
+        halvings = state.counters[EVENTS_AT_INSTANT] - STEP_HALVING_EVENTS * elements
         if halvings > 0:
             length *= 0.5**halvings
         duration = length * model.step
@@ -128,14 +140,14 @@ def advance(
             if (
                 status == ABOVE_MARGINS
                 and not exceeds(state.z, workspace.envelope)
-                and above_margins(model, state, workspace.margin, workspace.end_state, columns, duration)
+                and inside_margins(model, state, signals, workspace.end_state, duration)
             ):
                 copy(workspace.end_state, state.z)
-                _advance_flights(model, state, duration)
+                _advance_flights(model, state, signals, duration)
                 remaining -= 1.0
                 continue
         if not finished and (
-            log.counts[N_EVENTS] + 4 * dampers > log.event_segment.shape[0]
+            log.counts[N_EVENTS] + 4 * elements > log.event_segment.shape[0]
             or log.counts[N_BREAKS] == log.state_before.shape[0]
         ):
             return LOG_FULL, remaining, STATE_ONLY
@@ -156,16 +168,15 @@ def advance(
             bound_by_tables(flow, table_index, state.z, workspace)
         else:
             bound_by_series(
-                model, state.contact, workspace.state_series, length, state.z, workspace.end_state, columns,
-                workspace.bound,
-            )  # fmt: skip
-        unproven, unproven_ceilings = screen(model, state, workspace, columns, length, duration)
-        if full_step and unproven | unproven_ceilings != 0:
+                model, signals, workspace.state_series, length, state.z, workspace.end_state, workspace.bound
+            )
+        unproven_low, unproven_high = screen(model, state, workspace, length, duration)
+        if full_step and unproven_low | unproven_high != 0:
             expand_state(flow, model, table_index, state.z, workspace.state_series)
-        tau, j, guard = first_event(model, state, workspace, length, unproven, unproven_ceilings)  # j: damper
+        tau, lane, end = first_event(model, state, workspace, length, unproven_low, unproven_high)
         if tau == NO_CROSSING:
             copy(workspace.end_state, state.z)
-            _advance_flights(model, state, duration)
+            _advance_flights(model, state, signals, duration)
             state.counters[EVENTS_AT_INSTANT] = 0
             remaining -= length
             if flow.has_step_matrix and not flow.uses_envelope:
@@ -173,37 +184,36 @@ def advance(
             elif flow.has_step_matrix:
                 if status == STATE_ONLY or exceeds(state.z, workspace.envelope):
                     widen_envelope(flow, table_index, state.z, workspace)
-                is_above = above_margins(model, state, workspace.margin, state.z, columns, 0.0)
-                status = ABOVE_MARGINS if is_above else WITH_ACCELERATIONS
+                is_inside = inside_margins(model, state, signals, state.z, 0.0)
+                status = ABOVE_MARGINS if is_inside else WITH_ACCELERATIONS
             continue
         status = STATE_ONLY
         if tau > 0.0:
             sum_state_series(workspace, tau * length, workspace.end_state)
             copy(workspace.end_state, state.z)
-            _advance_flights(model, state, tau * duration)
+            _advance_flights(model, state, signals, tau * duration)
             remaining -= tau * length
             state.counters[EVENTS_AT_INSTANT] = 0
         else:
             state.counters[EVENTS_AT_INSTANT] += 1
-            if state.counters[EVENTS_AT_INSTANT] > MAX_EVENTS_AT_INSTANT * dampers:
+            if state.counters[EVENTS_AT_INSTANT] > MAX_EVENTS_AT_INSTANT * elements:
                 return STUCK, remaining, status
         log.counts[PRESENT_SEGMENT] = segment
         log.present_offset[0] = (steps - remaining) * model.step
-        finite_contact = model.gap_coordinate[j] >= 0
-        if not (finite_contact and guard == FREE):
+        j = unsigned(signals.indices[lane, ELEMENT])
+        m = mode_number(model, state, j)
+        x = unsigned(model.laws.exit[m, lane - model.laws.first_lane[j], end])
+        if model.laws.event[x] != NO_EVENT:
             open_break(model, state, log)
             pending = _CLOSE_BREAK
-        if finite_contact:
-            change_contact(flow, model, state, log, j, guard)
-            if guard != FREE:
-                # The gap differs in order of magnitude between contact and flight, so its envelope restarts.
-                workspace.envelope[model.gap_coordinate[j]] = workspace.envelope[
-                    model.first_velocity + model.gap_coordinate[j]
-                ] = 0.0
+        if model.laws.restitution[x] >= 0.0:
+            impact(flow, model, state, log, j, end, workspace.contact)
+            pending = _SEPARATE_TENSILE
+        elif model.laws.is_held[m]:
+            separate(flow, model, state, log, j, SEPARATION_MULTIPLICITY)
+        else:
+            change_force(flow, model, state, log, j, x)
+            if model.laws.event[x] != NO_EVENT:
+                _forget_envelope(model, workspace, j)
                 if model.coupled:
                     pending = _SEPARATE_TENSILE
-        elif guard == CONTACT_FORCE:
-            separate(flow, model, state, log, j, _SEPARATION_MULTIPLICITY)
-        else:
-            impact(flow, model, state, log, j, guard, workspace.contact)
-            pending = _SEPARATE_TENSILE

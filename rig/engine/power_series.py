@@ -14,8 +14,8 @@ from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import affine_product, affine_product_many
 
 #: Status of the present state. CONTACTS_UNCHECKED: contact forces may be tensile. STATE_ONLY: the accelerations are not
-#: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every guard (gap or
-#: contact force) exceeds its margin (`rig.engine.screening`).
+#: computed. WITH_ACCELERATIONS: they are stored after the state. ABOVE_MARGINS: in addition, every signal is inside its
+#: limits by its margin (`rig.engine.screening`).
 CONTACTS_UNCHECKED, STATE_ONLY, WITH_ACCELERATIONS, ABOVE_MARGINS = -1, 0, 1, 2
 
 

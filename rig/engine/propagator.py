@@ -4,9 +4,9 @@ Time is divided into segments. Sampled drive: each sample interval is a segment;
 (first-order hold) is integrated exactly. Pure tone: a segment ends at each sample instant and at each start of a
 period. At the start of a period the phase of the drive is reset, so that it is exact after any number of periods.
 
-The drive states are the part of the state from which the inputs are computed. An event is a change of the contact state
-of one damper. A break is an instant at which velocities or accelerations jump. Both are logged. A table index
-identifies the tables of a contact configuration (which dampers are in contact with which wall).
+The drive states are the part of the state from which the inputs are computed. An event is a change of the mode of one
+element. A break is an instant at which velocities or accelerations jump. Both are logged. A table index identifies the
+tables of a configuration (which forces act in the elements).
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _propagate(
             return TABLES_MISSING, k, 0.0
         if stored:
             if states.table_index.shape[0] > 0:
-                store_state(state, row[k], states)
+                store_state(model, state, row[k], states)
             if motion.rows.shape[1] > 0:
                 store_motion(flow, model, state, motion, row[k], k == n_segments - 1)
         remaining = -1.0
@@ -139,10 +139,9 @@ class Propagator:
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
         dampers, size = system.dampers, padded_length(self.tables.size + 2 * system.coordinates)
-        self.state = state_at_rest(size, dampers)
+        self.state = state_at_rest(system, size, int(self.tables.model.laws.first_lane[-1]))
         self.log = empty_log(max(LOG_ROWS, 16 * dampers), self.tables.size, dampers)
-        self.workspace: Workspace = workspace_for(self.tables.flow, size)
-        self.state.counters[CONFIGURATION] = system.all_on_floor
+        self.workspace: Workspace = workspace_for(self.tables.flow, self.tables.model.laws, size)
         self._buffer = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
@@ -199,7 +198,7 @@ class Propagator:
             self.state.z[None].copy(),
             self.state.counters[TABLE_INDEX : TABLE_INDEX + 1].copy(),
             self.state.height[None].copy(),
-            self.state.contact[None].astype(np.int8),
+            self.tables.contacts(self.state.mode)[None],
             *self._take_log(),
         )
 

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.finite_contact import bed_gap
 from rig.engine.flow import Flow, Model
-from rig.engine.state import FLIGHT, FLOOR, TABLE_INDEX, State
+from rig.engine.state import TABLE_INDEX, State, mode_number
 from rig.numerics.jit import inlined_kernel
 from rig.numerics.simd import LANES, transpose
 
@@ -30,9 +29,9 @@ class StateSamples(NamedTuple):
 class MotionSamples(NamedTuple):
     """Motion at sample instants, as in `rig.simulation.motion.Motion`; without columns no motion is stored.
 
-    rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: FLIGHT, FLOOR
-    or CEILING, shape (dampers, samples). first_column: first column that this propagation fills, shape (1,). buffer:
-    the last samples, which are not yet transposed into `rows`, shape (LANES, rows).
+    rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: with which wall
+    (`rig.laws.events`), shape (dampers, samples). first_column: first column that this propagation fills, shape (1,).
+    buffer: the last samples, which are not yet transposed into `rows`, shape (LANES, rows).
     """
 
     rows: Array
@@ -42,14 +41,14 @@ class MotionSamples(NamedTuple):
 
 
 @inlined_kernel
-def store_state(state: State, row: int, states: StateSamples) -> None:
+def store_state(model: Model, state: State, row: int, states: StateSamples) -> None:
     """Store the present state in a row of `states`."""
     states.table_index[row] = state.counters[TABLE_INDEX]
     for i in range(states.state.shape[1]):
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
         states.height[row, j] = state.height[j]
-        states.contact[row, j] = state.contact[j]
+        states.contact[row, j] = model.laws.wall[mode_number(model, state, j)]
 
 
 @inlined_kernel
@@ -66,13 +65,13 @@ def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, 
     for i in range(coordinates):
         motion.buffer[row, 2 * coordinates + i] = state.z[first_acceleration + i]
     for j in range(motion.contact.shape[0]):
-        contact = state.contact[j]
-        gap = 0.0 if contact == FLOOR else model.clearance[j]
+        m = mode_number(model, state, j)
+        gap = model.laws.wall_gap[m]
         if model.gap_coordinate[j] >= 0:
-            gap = bed_gap(model, state.z, j)
-        elif contact == FLIGHT:
+            gap = state.z[model.gap_coordinate[j]]
+        elif model.laws.flies[m] > 0.0:
             gap = max(state.height[j] - state.z[model.position_index[j]], 0.0)
-        motion.contact[j, column] = contact
+        motion.contact[j, column] = model.laws.wall[m]
         motion.buffer[row, 3 * coordinates + j] = gap
     first = column - row
     if row == LANES - 1 and first >= motion.first_column[0]:

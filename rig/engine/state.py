@@ -1,8 +1,8 @@
 """State of a system in motion, which the kernel updates, and the log of events and breaks.
 
-An event is a change of the contact state of one damper. A break is an instant at which velocities or accelerations
-jump. The contact configuration specifies which dampers are in contact with which wall. A segment is a time interval
-under one drive, such as a sample interval.
+An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
+or accelerations jump. The configuration specifies which forces act in the elements. A segment is a time interval under
+one drive, such as a sample interval.
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.engine.flow import Flow, Model
+from rig.engine.law_tables import ELEMENT, MODE, Signals
 from rig.numerics.jit import inlined_kernel
-from rig.numerics.simd import aligned_zeros
+from rig.numerics.simd import aligned_zeros, unsigned
+from rig.system.hybrid_system import HybridSystem
 
-#: Contact of a damper: none, with its floor, or with its ceiling.
-FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: Event kinds in the log.
-SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE = 0, 1, 2, 3, 4, 5
-#: Entries of `State.counters`: index of the configuration's tables in `Flow` (-1: not yet computed), its bits, the
-#: number of events at the present instant, and the number of decisions so far that depended on rounding.
+#: Entries of `State.counters`: index of the configuration's tables in `Flow` (-1: not yet computed), the configuration,
+#: the number of events at the present instant, and the number of decisions so far that depended on rounding.
 TABLE_INDEX, CONFIGURATION, EVENTS_AT_INSTANT, AMBIGUOUS_CROSSINGS = 0, 1, 2, 3
 #: Entries of `Log.counts`: numbers of events and of breaks, and the segment of the present instant.
 N_EVENTS, N_BREAKS, PRESENT_SEGMENT = 0, 1, 2
@@ -31,21 +29,19 @@ class State(NamedTuple):
     """State of a system in motion; every field is an array, so that the kernel can update it.
 
     `z`: coordinates, velocities, further states and drive states in SI units, padded; accelerations may follow.
-    `height`, `velocity`: position and velocity of each damper in flight, m and m/s. `contact`: `FLIGHT`, `FLOOR` or
-    `CEILING` of each damper.
+    `height`, `velocity`: position and velocity of each flying detached mass, m and m/s. `mode`: of each element, in the
+    order of `Law.modes`.
 
-    The guard of a damper is its gap in flight, or its contact force at rest. `multiplicity[j]` is the number of leading
-    terms of the guard's power series in time that are exactly zero at this instant: 1 after a rebound, 2 after a
-    separation under tension, 3 after one at zero contact force. The value is negative for the gap to the ceiling.
-    `recovering[j]` is the wall that has released damper j (finite-duration contact) while they still overlap.
+    `multiplicity[lane]` is the number of leading terms of the power series of a signal minus its limit that are exactly
+    zero at this instant: 1 after a rebound, 2 after a separation under tension, 3 after one at zero contact force. The
+    value is negative for the upper limit.
     """
 
     z: np.ndarray
     height: np.ndarray
     velocity: np.ndarray
-    contact: np.ndarray
+    mode: np.ndarray
     multiplicity: np.ndarray
-    recovering: np.ndarray
     counters: np.ndarray
 
 
@@ -74,17 +70,22 @@ class Log(NamedTuple):
     configuration: np.ndarray
 
 
-def state_at_rest(size: int, dampers: int) -> State:
-    """Return the state of a system at rest, with every damper on its floor; `size` is the padded length of `z`."""
-    return State(
+def state_at_rest(system: HybridSystem, size: int, lanes: int) -> State:
+    """Return the state of a system at rest, with every element in the mode at its start.
+
+    `size`: padded length of `z`; `lanes`: number of lanes of `rig.engine.law_tables.Signals`.
+    """
+    laws = [element.law for element in system.elements]
+    state = State(
         z=aligned_zeros(size),
-        height=np.zeros(dampers),
-        velocity=np.zeros(dampers),
-        contact=np.full(dampers, FLOOR, dtype=np.int64),
-        multiplicity=np.zeros(dampers, dtype=np.int64),
-        recovering=np.zeros(dampers, dtype=np.int64),
+        height=np.zeros(len(laws)),
+        velocity=np.zeros(len(laws)),
+        mode=np.array([list(law.modes).index(law.start) for law in laws], dtype=np.int64),
+        multiplicity=np.zeros(lanes, dtype=np.int64),
         counters=np.zeros(4, dtype=np.int64),
     )
+    state.counters[CONFIGURATION] = system.start
+    return state
 
 
 def empty_log(rows: int, size: int, dampers: int) -> Log:
@@ -120,21 +121,45 @@ def log_event(log: Log, damper: int, kind: int, closing_speed: float) -> None:
 
 
 @inlined_kernel
-def toggle_contact(flow: Flow, model: Model, state: State, contact: int) -> None:
-    """Open or close a contact (an entry of `HybridSystem.toggles`): update the configuration and its table index."""
-    state.counters[CONFIGURATION] ^= model.toggles[contact]
-    if state.counters[TABLE_INDEX] >= 0:
-        state.counters[TABLE_INDEX] = flow.after_toggle[state.counters[TABLE_INDEX], contact]
+def mode_number(model: Model, state: State, j: int) -> int:
+    """Return the number of the present mode of element j in the tables of the laws."""
+    return unsigned(model.laws.first_mode[j] + state.mode[j])
+
+
+@inlined_kernel
+def change_mode(flow: Flow, model: Model, state: State, j: int, mode: int) -> None:
+    """Change the mode of element j: update the configuration and its table index."""
+    before, after = mode_number(model, state, j), unsigned(model.laws.first_mode[j] + mode)
+    force_change = model.laws.force_index[after] - model.laws.force_index[before]
+    state.mode[j] = mode
+    state.counters[CONFIGURATION] += model.laws.stride[j] * force_change
+    if force_change != 0 and state.counters[TABLE_INDEX] >= 0:
+        state.counters[TABLE_INDEX] = flow.after[state.counters[TABLE_INDEX], after]
+
+
+@inlined_kernel
+def load_signals(model: Model, state: State, signals: Signals) -> None:
+    """Copy the signals of new modes from the tables of the laws."""
+    laws = model.laws
+    for lane in range(signals.indices.shape[0]):
+        j = unsigned(signals.indices[lane, ELEMENT])
+        m, k = mode_number(model, state, j), lane - laws.first_lane[j]
+        if unsigned(signals.indices[lane, MODE]) != m:
+            for column in range(signals.indices.shape[1]):
+                signals.indices[lane, column] = laws.indices[m, k, column]
+            for column in range(signals.numbers.shape[1]):
+                signals.numbers[lane, column] = laws.numbers[m, k, column]
 
 
 @inlined_kernel
 def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
     """Store the velocity of each damper in `out`, m/s, positive upwards."""
     for j in range(model.mass.shape[0]):
+        out[j] = state.z[unsigned(model.velocity_index[j])]
         if model.gap_coordinate[j] >= 0:
-            out[j] = state.z[model.velocity_index[j]] + state.z[model.first_velocity + model.gap_coordinate[j]]
-        else:
-            out[j] = state.velocity[j] if state.contact[j] == FLIGHT else state.z[model.velocity_index[j]]
+            out[j] += state.z[model.first_velocity + model.gap_coordinate[j]]
+        elif model.laws.flies[mode_number(model, state, j)] > 0.0:
+            out[j] = state.velocity[j]
 
 
 @inlined_kernel

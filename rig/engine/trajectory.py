@@ -1,7 +1,7 @@
 """Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
 
-An event is a change of the contact state of one damper. A break is an instant at which velocities or accelerations
-jump. A segment is a time interval in which one smooth function drives, such as a sample interval
+An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
+or accelerations jump. A segment is a time interval in which one smooth function drives, such as a sample interval
 (`rig.engine.propagator`).
 """
 
@@ -14,15 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR, FLOOR_IMPACT, FLOOR_TOUCH
+from rig.laws.events import EVENT_NAMES, FLIGHT, FLOOR
 from rig.system.hybrid_system import HybridSystem
 
 #: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
-#: Kinds of events at which a damper comes into contact with a wall.
-CONTACT_EVENTS = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)
-#: Name of each kind of event (`rig.engine.state`); touch and release are those of finite-duration contact.
-EVENT_NAMES = np.array(["separation", "floor", "ceiling", "touch", "touch", "release"])
 
 
 @dataclass(frozen=True)

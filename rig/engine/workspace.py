@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.engine.flow import Flow
+from rig.engine.law_tables import LawTables, Signals, empty_signals
 from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS
 from rig.numerics.complementarity import ContactWorkspace, allocate_contact_workspace
 from rig.numerics.simd import aligned_zeros, padded_length
@@ -15,18 +16,20 @@ from rig.numerics.simd import aligned_zeros, padded_length
 class Workspace(NamedTuple):
     """Scratch arrays of one running kernel.
 
-    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin: values
-    of the guards (gaps and contact forces) above which they have no zero in a step, see `rig.engine.screening`.
-    bound, derivative: results of the tables of the same names in `Flow`.
+    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin:
+    distances of the signals from their limits above which they do not reach them in a step, see `rig.engine.screening`.
+    signals: those of the present modes. bound, derivative: results of the tables of the same names in `Flow`.
     state_series: power series of the state in tau, the time relative to a step; shape (terms, states). series_matrix: a
     view of it as a table of one matrix without constant part (`zero_constant`), to be multiplied by `powers` of tau.
-    guard_series: power series of a guard. subdivision, spans, bernstein: see `rig.numerics.bernstein.first_crossing`.
+    guard_series: power series of a signal's distance from a limit. subdivision, spans, bernstein: see
+    `rig.numerics.bernstein.first_crossing`.
     """
 
     end_state: np.ndarray
     magnitude: np.ndarray
     envelope: np.ndarray
     margin: np.ndarray
+    signals: Signals
     state_series: np.ndarray
     bound: np.ndarray
     derivative: np.ndarray
@@ -40,8 +43,8 @@ class Workspace(NamedTuple):
     bernstein: np.ndarray
 
 
-def workspace_for(flow: Flow, size: int) -> Workspace:
-    """Return new scratch arrays for a flow; `size`: padded length of a state with its accelerations."""
+def workspace_for(flow: Flow, laws: LawTables, size: int) -> Workspace:
+    """Return new scratch arrays for a flow and laws; `size`: padded length of a state with its accelerations."""
     columns = flow.rates_constant.shape[1]
     state_series = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
     envelope = aligned_zeros(padded_length(columns))
@@ -51,13 +54,14 @@ def workspace_for(flow: Flow, size: int) -> Workspace:
         magnitude=aligned_zeros(padded_length(columns)),
         envelope=envelope,
         margin=aligned_zeros(flow.margin_constant.shape[1]),
+        signals=empty_signals(laws),
         state_series=state_series,
         series_matrix=state_series[None],
         powers=np.zeros(N_COEFFICIENTS + 1),
         zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
-        contact=allocate_contact_workspace(flow.after_toggle.shape[1], flow.derivative_constant.shape[1]),
+        contact=allocate_contact_workspace(len(laws.stride), flow.derivative_constant.shape[1]),
         guard_series=aligned_zeros(N_COEFFICIENTS),
         subdivision=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
         spans=np.zeros((MAX_HALVINGS + 3, 2)),

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.engine.propagator import sampled_propagator
 from rig.engine.samples import MotionSamples, StateSamples
-from rig.engine.state import CEILING, FLIGHT, FLOOR
 from rig.engine.trajectory import Trajectory, gaps_and_contacts
 from rig.grain_beds.bed import WALLS
 from rig.grain_beds.packing import bed_top, settled_positions
 from rig.grain_beds.shared_bed import new_bed
+from rig.laws.events import CEILING, FLIGHT, FLOOR
 from rig.scene.scene import Scene
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem

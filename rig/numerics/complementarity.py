@@ -33,8 +33,9 @@ class ContactWorkspace(NamedTuple):
     """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
     `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
-    `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`: opening speed of the gap before the
-    impact, m/s. `magnitude`: sum of the magnitudes of the terms of the acceleration, m/s^2.
+    `wall_gap`: gap at the wall, m. `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`:
+    opening speed of the gap before the impact, m/s. `magnitude`: sum of the magnitudes of the terms of the
+    acceleration, m/s^2.
 
     `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `active`: whether the
     contact is closed (p may be positive). `block`: scratch space.
@@ -44,6 +45,7 @@ class ContactWorkspace(NamedTuple):
     damper: np.ndarray
     sign: np.ndarray
     flying: np.ndarray
+    wall_gap: np.ndarray
     velocity_before: np.ndarray
     magnitude: np.ndarray
     opening_speed: np.ndarray
@@ -61,6 +63,7 @@ def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
         damper=np.zeros(dampers + 1, dtype=np.int64),
         sign=np.zeros(dampers + 1),
         flying=np.zeros(dampers + 1, dtype=np.bool_),
+        wall_gap=np.zeros(dampers + 1),
         velocity_before=np.zeros(dampers + 1),
         magnitude=np.zeros(dampers + 1),
         opening_speed=np.zeros(dampers + 1),

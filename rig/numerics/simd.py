@@ -156,6 +156,12 @@ _one_register_product, _block_product = _product_intrinsic(in_blocks=False), _pr
 
 
 @inlined_kernel
+def unsigned(index: int) -> int:
+    """Return an index that is not negative as an unsigned number: a signed number would be checked in each access."""
+    return np.uintp(index)  # type: ignore[return-value]
+
+
+@inlined_kernel
 def minimum(vector: Any) -> float:
     """Return the smallest element of a vector, none of which is NaN."""
     smallest = np.inf

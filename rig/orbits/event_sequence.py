@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
 from rig.engine.trajectory import Trajectory
 from rig.errors import UncoveredMotionError
+from rig.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
 from rig.orbits import event_kinds as kinds
 from rig.orbits.orbit_equations import Sequence
 from rig.system.hybrid_system import HybridSystem
@@ -37,6 +37,8 @@ WALL_AFTER_EVENT = {
     kinds.PRESS_CEILING: kinds.ON_CEILING,
     kinds.RELEASE: kinds.WITHOUT_FORCE,
 }
+#: Mode of the law for each wall state.
+MODES = ("flight", "floor", "ceiling", "free", "on floor", "on ceiling")
 #: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
 MIN_RELATIVE_OVERLAP = 1e-9
 
@@ -46,7 +48,7 @@ class Plan:
     """An orbit's sequence of events, with the different contact configurations between them."""
 
     sequence: Sequence
-    configurations: tuple[int, ...]  # Bits as in `HybridSystem.toggles`
+    configurations: tuple[int, ...]  # As in `HybridSystem.strides`
     repetition: int  # Duration in periods of the drive
 
     @property
@@ -151,7 +153,8 @@ def derive_plan(
             events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    return make_plan(events, dampers, walls_from_contacts(start, system), repetition), np.array(order, dtype=np.int64)
+    plan = make_plan(events, dampers, walls_from_contacts(start, system), repetition, system)
+    return plan, np.array(order, dtype=np.int64)
 
 
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
@@ -175,25 +178,34 @@ def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray
     return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.WITHOUT_FORCE, kinds.FLYING)
 
 
-def contacts_from_walls(walls: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the engine's contacts for wall states of a sequence, shape (dampers,)."""
-    return np.where(walls >= kinds.WITHOUT_FORCE, walls - kinds.WITHOUT_FORCE, walls)
+def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
+    """Return the engine's modes for wall states of a sequence and the states z, shape (dampers,)."""
+    modes = []
+    for wall, element in zip(walls.tolist(), system.elements, strict=True):
+        name, gap = MODES[wall], z[element.gap]
+        # A damper without contact force may still overlap a wall from which it was released.
+        if wall == kinds.WITHOUT_FORCE:
+            [signal] = element.law.modes[name].signals
+            name = "recovers from floor" if gap < signal.low else "recovers from ceiling" if gap > signal.high else name
+        modes.append(list(element.law.modes).index(name))
+    return modes
 
 
-def configuration_of(walls: list[int]) -> int:
-    """Return the contact configuration for wall states of a sequence, with bits as in `HybridSystem.toggles`."""
-    in_contact = sum(1 << j for j, wall in enumerate(walls) if wall not in (kinds.FLYING, kinds.WITHOUT_FORCE))
-    return in_contact + sum(1 << len(walls) + j for j, wall in enumerate(walls) if wall == kinds.ON_CEILING)
+def configuration_of(walls: list[int], system: HybridSystem) -> int:
+    """Return the configuration for wall states of a sequence."""
+    return system.configuration([MODES[wall] for wall in walls])
 
 
-def make_plan(events: list[int], dampers: list[int], start: NDArray[Any], repetition: int) -> Plan:
+def make_plan(
+    events: list[int], dampers: list[int], start: NDArray[Any], repetition: int, system: HybridSystem
+) -> Plan:
     """Build a plan from the kinds of its events, their dampers, and the wall states at the start."""
     walls: list[list[int]] = [start.tolist()]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = WALL_AFTER_EVENT[kind]
         walls.append(wall)
-    segment_configurations = [configuration_of(wall) for wall in walls]
+    segment_configurations = [configuration_of(wall, system) for wall in walls]
     configurations = tuple(dict.fromkeys(segment_configurations))
     sequence = Sequence(
         np.array(events, dtype=np.int64),

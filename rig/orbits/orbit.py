@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeev
 
 from rig.arrays import Array
-from rig.engine.state import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SEPARATION
 from rig.engine.trajectory import event_table
 from rig.errors import RunError
+from rig.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SEPARATION
 from rig.orbits import event_kinds as kinds
 from rig.orbits.admissibility import evaluate_motion
 from rig.orbits.event_sequence import Plan

@@ -12,16 +12,16 @@ import numpy as np
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.state import CEILING, CONFIGURATION, FLIGHT, FLOOR
-from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
+from rig.engine.state import CONFIGURATION
+from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
-from rig.orbits import event_kinds as kinds
+from rig.laws.events import CONTACT_EVENTS, FLOOR
 from rig.orbits.event_sequence import (
     Plan,
     configuration_of,
-    contacts_from_walls,
     derive_plan,
     make_plan,
+    modes_from_walls,
     walls_from_contacts,
 )
 from rig.orbits.newton import IterationLimits
@@ -183,7 +183,7 @@ def start_propagator(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if from_linear_response:
-        plan = make_plan([], [], walls_from_contacts(np.full(system.dampers, FLOOR), system), 1)
+        plan = make_plan([], [], walls_from_contacts(np.full(system.dampers, FLOOR), system), 1, system)
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -235,7 +235,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
             continue
         plan = make_plan(
             sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist(), sequence.wall[0],
-            orbit.repetition // cycles,
+            orbit.repetition // cycles, orbit.problem.system,
         )  # fmt: skip
         return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + cycle_events]
     return None
@@ -244,7 +244,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
-    contacts = state.contact.astype(np.int8)
+    contacts = propagator.tables.contacts(state.mode)
     heights, velocities = state.height.copy(), state.velocity.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
@@ -260,14 +260,8 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
     propagator.start_period(1.0)
-    state.contact[:], state.multiplicity[:] = contacts_from_walls(walls), 0
+    state.mode[:], state.multiplicity[:] = modes_from_walls(walls, state.z, system), 0
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.velocity[orbit.plan.flying] = flights.T
-    state.recovering[:] = FLIGHT
-    # A damper without contact force may still overlap a wall from which it was released.
-    for j in np.flatnonzero(walls == kinds.WITHOUT_FORCE):
-        gap = state.z[system.gap_coordinate[j]]
-        if not 0.0 <= gap <= system.clearance[j]:
-            state.recovering[j] = FLOOR if gap < 0.0 else CEILING
-    state.counters[CONFIGURATION] = configuration_of(walls.tolist())
+    state.counters[CONFIGURATION] = configuration_of(walls.tolist(), system)
     propagator.resume(propagator.snapshot())  # looks up the tables of the configuration

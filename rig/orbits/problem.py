@@ -1,7 +1,7 @@
 """The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
 
 A *setting* is an operating point. One of its values is the *parameter*, over which orbits are continued. A contact
-*configuration* states which dampers are in contact with which wall (bits as in `HybridSystem.toggles`). A *riding*
+*configuration* states which dampers are in contact with which wall (`HybridSystem.strides`). A *riding*
 damper is at rest on a wall, so its mass is added to its body. A *plan* is the sequence of contact events in one cycle.
 The *mass factor* multiplies the masses of all dampers.
 """
@@ -351,9 +351,7 @@ def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], Ope
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
-    riding = np.array(
-        [j for j in range(system.dampers) if configuration >> j & 1 and not system.finite_contact[j]], dtype=np.intp
-    )
+    riding = np.array(system.held(configuration), dtype=np.intp)
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from rig.arrays import Array
 from rig.engine.flow_tables import FlowTables
-from rig.engine.state import CEILING, FLIGHT, FLOOR, State
+from rig.engine.state import State
 from rig.engine.trajectory import Trajectory
+from rig.laws.events import CEILING, FLIGHT
 from rig.numerics.bernstein import N_COEFFICIENTS
 from rig.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
@@ -249,14 +250,9 @@ def _integrate(
 
 
 def _walls(tables: FlowTables) -> NDArray[np.int64]:
-    """Return the wall that each damper touches: FLIGHT, FLOOR or CEILING; shape (configurations, dampers)."""
-    system = tables.system
-    configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)[:, None]
-    bits = np.arange(system.dampers)
-    in_contact = configurations >> bits & 1
-    if not system.finite_contact.any():
-        return in_contact
-    return np.asarray(in_contact * np.where(configurations >> system.dampers + bits & 1, CEILING, FLOOR))
+    """Return the number of the force of each element in its law; shape (configurations, elements)."""
+    configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)
+    return tables.system.force_indices(configurations)
 
 
 def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
@@ -310,12 +306,13 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     z = state.z[: tables.size]
-    is_flying = state.contact == FLIGHT
-    wall_height = z[body] + np.where(state.contact == CEILING, system.clearance, 0.0)
+    contact = tables.contacts(state.mode)
+    is_flying = contact == FLIGHT
+    wall_height = z[body] + np.where(contact == CEILING, system.clearance, 0.0)
     height = np.where(is_flying, state.height, wall_height)
     velocity = np.where(is_flying, state.velocity, z[n + body])
     energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
-    energy += float(_contact_energy(system, state.contact[None], z[None])[0])
+    energy += float(_contact_energy(system, contact[None], z[None])[0])
     # Beds with finite-duration contact are part of the mass matrix.
     masses = np.where(system.finite_contact, 0.0, system.damper_mass)
     return energy + float(masses @ (system.gravity * height + 0.5 * velocity**2))

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, sampled_propagator
 from rig.engine.samples import MotionSamples
-from rig.engine.state import FLOOR
 from rig.engine.trajectory import Trajectory, event_table
+from rig.laws.events import FLOOR
 from rig.scene.loading import SceneLike, scene_of
 from rig.scene.scene import Scene
 from rig.settings.quantities import FREQUENCY, positive_value

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.engine.trajectory import EVENT_NAMES
 from rig.errors import SceneError
 from rig.escaping import escape_cell
+from rig.laws.events import EVENT_NAMES
 from rig.output_files import atomic_write, prepare_outputs
 from rig.progress import CountProgress
 from rig.scene.scene import Scene

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Array
 from rig.engine.propagator import Propagator, tone_propagator
-from rig.engine.trajectory import CONTACT_EVENTS, Trajectory
+from rig.engine.trajectory import Trajectory
 from rig.errors import SceneError
+from rig.laws.events import CONTACT_EVENTS
 from rig.progress import CountProgress
 from rig.results import Result, complete_style
 from rig.scene.loading import SceneLike, scene_of

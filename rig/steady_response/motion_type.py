@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Array
-from rig.engine.state import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
 from rig.engine.trajectory import Trajectory
+from rig.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
 from rig.system.hybrid_system import HybridSystem
 
 #: A contact with the ceiling is a stay if it is longer than this multiple of the duration of an isolated contact.

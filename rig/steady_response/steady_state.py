@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.engine.propagator import Propagator
 from rig.engine.samples import StateSamples
-from rig.engine.state import FLIGHT
 from rig.engine.trajectory import Trajectory
 from rig.errors import RunError
+from rig.laws.events import FLIGHT
 from rig.numerics.jit import cached_njit
 
 #: A repetition is detected up to this number of periods of the drive.

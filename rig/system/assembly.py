@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from rig.arrays import Array
 from rig.equations import Equations
 from rig.errors import SceneError
+from rig.laws.landing import spring_damper
 from rig.scene.damper import Damper, TimedContact, Wall, Walls
 from rig.scene.scene import Scene
 from rig.scene.shaker import at_shaker
 from rig.system.hybrid_system import HybridSystem
-from rig.system.landing import spring_damper
 from rig.system.structural_model import StructuralModel, ground_connection, structural_model
 
-#: Maximum number of free dampers: contact configurations are bits of a 64-bit integer.
+#: Maximum number of free dampers: configurations, two for each damper, are 64-bit integers.
 MAX_DAMPERS = 62
 #: A stiffness matrix has an inverse if its condition number is at most this; rounding limits it to about 1e16.
 MAX_CONDITION = 1e13
@@ -40,7 +40,7 @@ def assemble(scene: Scene) -> HybridSystem:
     masses, body, locked = model.bed_mass, model.bed_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
-    # Finite-duration contact needs two bits of a configuration: contact, and contact with the ceiling.
+    # Finite-duration contact has three configurations: no contact, contact with the floor, and with the ceiling.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if len(free) > limit:
         condition = " with finite-duration contact" if finite_contact else ""
@@ -211,7 +211,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
     if not load.any():
         return np.zeros(n)
-    stiffness = -(system.force_state + system.contact_forces(system.all_on_floor)[0])[:, :n]
+    stiffness = -(system.force_state + system.contact_forces(system.start)[0])[:, :n]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(
             f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under the weight of "

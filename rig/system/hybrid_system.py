@@ -1,21 +1,42 @@
 """The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
-ceiling of its cavity. A contact *configuration* states which dampers are in contact with which wall.
+ceiling of its cavity. An *element* is a contact law at one place (`rig.laws`), here of a damper. A *configuration*
+states which of the forces of its law acts in each element: it determines the equations of motion.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import prod
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.errors import SceneError
-from rig.system.landing import duration_and_restitution
+from rig.laws.landing import duration_and_restitution
+from rig.laws.law import Law, Row
+from rig.laws.particle_bed import particle_bed
+from rig.laws.wall_contact import wall_contact
 
 #: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
 FORCE_OF_BED = "grains"
+
+
+class Element(NamedTuple):
+    """A contact law at one place.
+
+    `body`: coordinate of the body to which the gap is measured. `gap`: coordinate that is the gap; -1 for a *detached*
+    mass, whose position is not a coordinate: its force is constant while it is not held. `mass`: of the damper, kg.
+    """
+
+    law: Law
+    body: int
+    gap: int
+    mass: float
 
 
 @dataclass(frozen=True)
@@ -134,42 +155,68 @@ class HybridSystem:
         stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
         return duration_and_restitution(float(stiffness), float(damping), float(self.reduced_mass[damper]))
 
-    @property
-    def toggles(self) -> list[int]:
-        """Bit masks that change a configuration: contact of each damper with its floor, then with its ceiling.
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The contact law of each damper."""
+        laws = [
+            particle_bed(float(self.clearance[j]), float(self.restitution[j]))
+            if self.gap_coordinate[j] < 0
+            else wall_contact(
+                float(self.clearance[j]), tuple(self.wall_stiffness[j].tolist()), tuple(self.wall_damping[j].tolist())
+            )
+            for j in range(self.dampers)
+        ]
+        columns = (self.damper_coordinate.tolist(), self.gap_coordinate.tolist(), self.damper_mass.tolist())
+        return tuple(Element(*fields) for fields in zip(laws, *columns, strict=True))
 
-        A configuration is an integer. Its bit j is set while damper j is in contact, and bit `dampers` + j while a
-        finite-duration contact is with the ceiling.
-        """
-        floors = [1 << j for j in range(self.dampers)]
-        ceilings = [1 << j | 1 << self.dampers + j for j in range(self.dampers)]
-        return floors + ceilings if self.finite_contact.any() else floors
+    @cached_property
+    def strides(self) -> tuple[int, ...]:
+        """A configuration is the sum of each element's stride times the index of its force among `Law.forces`."""
+        counts = [len(element.law.forces) for element in self.elements]
+        return tuple(prod(counts[:j]) for j in range(len(counts)))
 
     @property
-    def all_on_floor(self) -> int:
-        """Configuration with every damper on its floor."""
-        return (1 << self.dampers) - 1
+    def configurations(self) -> int:
+        """Number of possible configurations."""
+        return prod(len(element.law.forces) for element in self.elements)
+
+    def configuration(self, modes: Sequence[str]) -> int:
+        """Return the configuration for the name of each element's mode."""
+        laws = (element.law for element in self.elements)
+        indices = (law.force_indices[mode] for law, mode in zip(laws, modes, strict=True))
+        return sum(stride * index for stride, index in zip(self.strides, indices, strict=True))
+
+    @property
+    def start(self) -> int:
+        """Configuration in which every element is in the mode at its start: the dampers on their floors."""
+        return self.configuration([element.law.start for element in self.elements])
+
+    def force_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the index of each element's force in `Law.forces`, shape of `configurations` and (elements,)."""
+        counts = np.array([len(element.law.forces) for element in self.elements], dtype=np.int64)
+        return configurations[..., None] // np.array(self.strides, dtype=np.int64) % counts
+
+    def held(self, configuration: int) -> list[int]:
+        """Return the elements that are held in a configuration."""
+        indices = self.force_indices(np.array(configuration)).tolist()
+        laws = (element.law for element in self.elements)
+        return [j for j, (law, index) in enumerate(zip(laws, indices, strict=True)) if law.forces[index] is None]
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of finite-duration contacts that are closed in a configuration.
+        """Return the forces of the elements on their gaps in a configuration, without those of held elements.
 
         Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
         """
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
-        for j in np.flatnonzero(self.finite_contact):
-            if not configuration >> int(j) & 1:
-                continue
-            # 0: floor, 1: ceiling.
-            wall = configuration >> self.dampers + int(j) & 1
-            gap, stiffness = self.gap_coordinate[j], self.wall_stiffness[j, wall]
-            force[gap, gap] = -stiffness
-            force[gap, n + gap] = -self.wall_damping[j, wall]
-            constant[gap] = stiffness * self.clearance[j] if wall and np.isfinite(self.clearance[j]) else 0.0
+        for element, index in zip(self.elements, self.force_indices(np.array(configuration)).tolist(), strict=True):
+            row, gap = element.law.forces[index], element.gap
+            if gap >= 0 and row is not None:
+                force[gap, gap], force[gap, n + gap], constant[gap] = row.gap, row.speed, -row.gap * row.rest
         return force, constant
 
     def matrix(self, configuration: int = 0) -> np.ndarray:
-        """Return the state matrix (states, states) with the finite-duration contacts of a configuration closed."""
+        """Return the state matrix (states, states) with the forces of a configuration, but without held elements."""
         n, ns = self.coordinates, self.states
         matrix = np.zeros((ns, ns))
         matrix[:n, n : 2 * n] = np.eye(n)
@@ -186,15 +233,18 @@ class HybridSystem:
     def max_rate(self) -> float:
         """Largest rate (magnitude of a pole) of the system in any configuration, rad/s.
 
-        Dampers at rest reduce the rates, so they are omitted. Finite-duration contacts increase them: each wall alone
-        and all stiffer walls together are tried.
+        Held elements reduce the rates, so they are omitted. Forces increase them: each force alone, and the stiffest
+        forces of all elements together, are tried.
         """
-        configurations = {0}
-        if self.finite_contact.any():
-            dampers = np.flatnonzero(self.finite_contact)
-            stiffer_wall = np.argmax(self.wall_stiffness, axis=1)
-            all_closed = sum(self.toggles[j + self.dampers * stiffer_wall[j]] for j in dampers)
-            configurations |= {all_closed, *(self.toggles[j + self.dampers * wall] for j in dampers for wall in (0, 1))}
+        changes = [
+            [stride * index for index, row in enumerate(element.law.forces) if index and row is not None]
+            for element, stride in zip(self.elements, self.strides, strict=True)
+        ]
+        stiffest = [
+            stride * max(range(len(element.law.forces)), key=lambda index: -(element.law.forces[index] or Row()).gap)
+            for element, stride in zip(self.elements, self.strides, strict=True)
+        ]
+        configurations = {0, sum(stiffest), *(change for element in changes for change in element)}
         rates = [
             np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0) for configuration in configurations
         ]

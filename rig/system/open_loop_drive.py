@@ -136,7 +136,7 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     np.add.at(mass, (riding, riding), system.damper_mass[~system.finite_contact])
     descriptor_matrix[n : 2 * n, n : 2 * n] = mass
     state_matrix[:n, n : 2 * n] = np.eye(n)
-    force, _ = system.contact_forces(system.all_on_floor)
+    force, _ = system.contact_forces(system.start)
     state_matrix[n : 2 * n] = system.force_state + force
     state_matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)

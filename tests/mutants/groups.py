@@ -16,10 +16,10 @@ GROUPS: dict[str, dict[str, str]] = {
             "tests/rig/system/test_structural_model.py tests/rig/system/test_receptance.py "
             "tests/rig/system/test_several_shakers.py"
         ),
-        "rig/system/landing.py": ("tests/rig/engine/test_finite_contact.py -k 'not short_landings_converge'"),
+        "rig/laws/landing.py": ("tests/rig/engine/test_finite_contact.py -k 'not short_landings_converge'"),
     },
     "guards": {"rig/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},
-    "contact decisions": {"rig/engine/contact.py": f"tests/rig/engine/test_contact.py {_ENGINE}"},
+    "contact decisions": {"rig/engine/resets.py": f"tests/rig/engine/test_resets.py {_ENGINE}"},
     "gap and overload marks": {
         "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py",
         "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py",
@@ -59,8 +59,6 @@ GROUPS: dict[str, dict[str, str]] = {
 EQUIVALENT = {
     "@dataclass(frozen=False)": "nothing assigns to the fields",
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
-    "state.multiplicity[j] = 1 if sign >= 0.0 else -1": "a sign is one or minus one",
-    "state.multiplicity[j] = 1 if sign > -1.0 else -1": "a sign is one or minus one",
     "for i in range(workspace.magnitude.shape[ -1]):": "the array has one dimension",
     "next_sample = -1": "no sample has a number below zero",
     "for i in range(model.mass.shape[ -1]):": "the array has one dimension",

@@ -1,9 +1,9 @@
-"""Guards: functions of the state that are positive until a contact event, such as gaps and contact forces.
+"""Guards: distances of signals, such as gaps and contact forces, from limits that are positive until an event.
 
 From a guard's values and slopes at both ends of a step, the engine computes a lower bound. A positive lower bound
 proves that the guard is positive over the step. Otherwise the engine locates the first zero of the guard's power
 series. `tau` is the time from the start of the step, in full time steps; `length` is the end of a step, which may be
-shorter than a full step. The contact of a damper is FLIGHT, FLOOR or CEILING.
+shorter than a full step. The contact of a damper, and its mode, is FLIGHT, FLOOR or CEILING.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ from scipy.interpolate import BPoly
 
 import rig
 from rig.engine.guards import bound_by_series, bound_by_tables, first_event
+from rig.engine.law_tables import BOUND, ELEMENT, HIGHEST, LOWER, LOWEST, UPPER
 from rig.engine.power_series import expand_state
 from rig.engine.propagator import Propagator, sampled_propagator
-from rig.engine.screening import _lower_bound, above_margins, reset_envelope, screen, widen_envelope
-from rig.engine.state import CEILING, FLIGHT, FLOOR
+from rig.engine.screening import _lower_bound, inside_margins, reset_envelope, screen, widen_envelope
+from rig.engine.state import load_signals
+from rig.laws.events import CEILING, FLIGHT, FLOOR
 from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
 from rig.system.assembly import assemble
 
@@ -84,43 +86,37 @@ def test_lower_bound_after_a_double_zero_is_exact(half_curvature: float, end: fl
 def test_series_bounds_contain_the_guard(length: float) -> None:
     engine = propagator()
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
-    state.contact[:] = FLIGHT, FLOOR, CEILING
-    # The guard depends on the position of the body in flight, and on its acceleration in contact.
+    state.mode[:] = FLIGHT, FLOOR, CEILING
+    signals = engine.workspace.signals
+    load_signals(model, state, signals)
+    # The signal depends on the position of the body in flight, and on its acceleration in contact.
     rows = model.position_index.copy()
     rows[1:] = model.velocity_index[1:]
     state_series = engine.workspace.state_series
     state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
     # A state is followed by the accelerations, then by their derivatives.
     end_state, first_acceleration = engine.workspace.end_state, engine.tables.size
-    bound_by_series(model, state.contact, state_series, length, state.z, end_state, first_acceleration, bound)
+    bound_by_series(model, signals, state_series, length, state.z, end_state, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
-        if state.contact[j] != FLIGHT:
+        if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.position_index[j]
             for z, tau in ((state.z, 0.0), (end_state, length)):
                 assert z[index] == pytest.approx(series(tau))
                 assert z[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
-        # The bounds of the fourth derivative, then of the magnitude, of each guard.
+        # The bounds of the fourth derivative, then of the magnitude, of each signal.
         absolute_series = np.polynomial.Polynomial(np.abs(series.coef))
         assert bound[j] == pytest.approx(absolute_series.deriv(4)(1.0))
-        assert bound[3 + j] == pytest.approx(absolute_series(1.0))
+        assert bound[len(bound) // 2 + j] == pytest.approx(absolute_series(1.0))
 
 
 def test_series_bound_of_finite_contact_is_infinite() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
-    bound_by_series(
-        model,
-        engine.state.contact,
-        work.state_series,
-        1.0,
-        engine.state.z,
-        work.end_state,
-        engine.tables.size,
-        work.bound,
-    )
-    assert (work.bound[:3] == np.inf).all()
+    load_signals(model, engine.state, work.signals)
+    bound_by_series(model, work.signals, work.state_series, 1.0, engine.state.z, work.end_state, work.bound)
+    assert (work.bound[work.signals.indices[model.laws.first_lane[:-1], BOUND]] == np.inf).all()
 
 
 class Step:
@@ -142,13 +138,10 @@ class Step:
             # A gap between the walls in flight; in contact, an overlap with the wall.
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
             z[model.gap_coordinate[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][contacts[j]]
-        # One bit for the contact of each damper, then one for a finite-duration contact with its ceiling.
-        self.contact_bits = sum((contact != FLIGHT) << j for j, contact in enumerate(contacts))
-        self.contact_bits |= sum(
-            (contacts[j] == CEILING) << (dampers + int(j)) for j in np.flatnonzero(system.finite_contact)
-        )
-        self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.contact_bits))
-        state.contact[:] = contacts
+        modes = [list(element.law.modes)[contact] for element, contact in zip(system.elements, contacts, strict=True)]
+        self.configuration = system.configuration(modes)
+        self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.configuration))
+        state.mode[:] = contacts
         state.height[:] = z[model.position_index] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.velocity[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
@@ -156,9 +149,11 @@ class Step:
         for k in range(1, 25):
             self.taylor_terms.append(term / k)
             term = scaled @ term / k
-        self.table_index = engine.tables.table_index(self.contact_bits)
+        self.table_index = engine.tables.table_index(self.configuration)
         bound = engine.tables.flow.bound[self.table_index][:size]
-        self.bound = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
+        self.bounds = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
+        load_signals(model, state, engine.workspace.signals)
+        self.bound = self.bounds[engine.workspace.signals.indices[model.laws.first_lane[:-1], BOUND]]
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
         """Return (damper from 0, array of shape (3, times)) for every guard.
@@ -166,7 +161,7 @@ class Step:
         The rows are the guard's value and its first and fourth derivatives with respect to tau.
         """
         engine, model, state, result = self.engine, self.engine.tables.model, self.engine.state, []
-        force, constant = engine.system.contact_forces(self.contact_bits)
+        force, constant = engine.system.contact_forces(self.configuration)
         for j, contact in enumerate(self.contacts):
             sign = -1.0 if contact == CEILING else 1.0
             row, offset, flight_terms = np.zeros(engine.tables.size), 0.0, np.zeros(3)
@@ -185,7 +180,7 @@ class Step:
                 flight_terms[:] = (state.height[j], state.velocity[j] * model.step, -model.gravity * model.step**2 / 2)
             series = np.polynomial.Polynomial([row @ term for term in self.taylor_terms])
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
-            walls = [series, CLEARANCE - series] if model.clearance[j] < np.inf else [series]
+            walls = [series, CLEARANCE - series] if engine.system.clearance[j] < np.inf else [series]
             for guard in walls if contact == FLIGHT else walls[:1]:
                 result.append((j, np.array([guard(tau), guard.deriv()(tau), guard.deriv(4)(tau)])))
         return result
@@ -217,12 +212,12 @@ class Step:
             z[size : size + len(derivatives)] = derivatives
         flow = engine.tables.flow
         bound_by_tables(flow, self.table_index, state.z, work)
-        np.testing.assert_allclose(work.bound, self.bound, rtol=1e-12)
-        unproven, unproven_ceilings = screen(model, state, work, size, length, length * model.step)
-        if unproven | unproven_ceilings:
+        np.testing.assert_allclose(work.bound, self.bounds, rtol=1e-12)
+        unproven_low, unproven_high = screen(model, state, work, length, length * model.step)
+        if unproven_low | unproven_high:
             expand_state(flow, model, self.table_index, state.z, work.state_series)
-        tau, j, _ = first_event(model, state, work, length, unproven, unproven_ceilings)
-        return bool(unproven | unproven_ceilings), tau, j
+        tau, lane, _ = first_event(model, state, work, length, unproven_low, unproven_high)
+        return bool(unproven_low | unproven_high), tau, int(work.signals.indices[lane, ELEMENT])
 
 
 def draw_state(engine: Propagator, rng: np.random.Generator) -> np.ndarray:
@@ -297,7 +292,7 @@ def test_one_guard_below_its_margin_is_detected(
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
     z[model.position_index] = 1e-4 * rng.standard_normal(3)
-    state.contact[:] = contacts
+    state.mode[:] = contacts
     state.velocity[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     drop = model.gravity * duration**2 / 2
@@ -312,7 +307,11 @@ def test_one_guard_below_its_margin_is_detected(
     margin = guard * (1 - 1e-9)
     if low_guard >= 0:
         margin[low_guard] = guard[low_guard] * (1 + 1e-9)
-    assert above_margins(model, state, margin, z, columns, duration) == (low_guard < 0)
+    signals = engine.workspace.signals
+    load_signals(model, state, signals)
+    signals.numbers[:, LOWEST] = signals.numbers[:, LOWER] + margin
+    signals.numbers[:, HIGHEST] = signals.numbers[:, UPPER] - margin
+    assert inside_margins(model, state, signals, z, duration) == (low_guard < 0)
 
 
 def test_envelope_contains_all_states_until_reset() -> None:

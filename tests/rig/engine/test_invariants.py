@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.engine.state import CEILING, FLIGHT, FLOOR
+from rig.laws.events import CEILING, FLIGHT, FLOOR
 from rig.simulation.motion import Motion
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import HybridSystem

@@ -19,8 +19,8 @@ import pytest
 
 import rig
 from rig.engine.propagator import Propagator
-from rig.engine.state import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
 from rig.errors import RunError, SceneError
+from rig.laws.events import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
 from rig.orbits.branches import OrbitCurve, follow_orbits
 from rig.orbits.orbit import Orbit
 from rig.orbits.periodic_orbit import period_steps, periodic_orbit, set_to_orbit, simulate_cycle, start_propagator

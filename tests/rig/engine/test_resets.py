@@ -1,7 +1,7 @@
 """Contact laws at impacts and separations, compared with explicit mechanics: momentum, separations and velocities.
 
 `state.z` has the displacements and velocities of the bodies; `state.height` and `state.velocity` are those of dampers
-in flight. `state.contact` is FLIGHT, FLOOR or CEILING for each damper. `TABLE_INDEX` -1 means that the matrices of the
+in flight. `state.mode` of a bed is FLIGHT, FLOOR or CEILING. `TABLE_INDEX` -1 means that the matrices of the
 contacts have not been looked up.
 
 `state.multiplicity` is the multiplicity of the gap's zero for a damper that has just left a wall: 1 after a rebound, 2
@@ -16,18 +16,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.engine.contact import (
+from rig.engine.law_tables import HIGH, LOW, NONE
+from rig.engine.propagator import Propagator
+from rig.engine.resets import (
     _close_slow_openings,
     _rebound_is_negligible,
     _separate_coupled,
     _separate_independent,
     _sum_forces,
-    _touched_wall,
+    _touched_end,
     impact,
     separate_tensile,
 )
-from rig.engine.propagator import Propagator
-from rig.engine.state import CEILING, FLIGHT, FLOOR, N_EVENTS, PRESENT_SEGMENT, SEPARATION, TABLE_INDEX, State
+from rig.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State
+from rig.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
 from rig.numerics.complementarity import ROUNDING
 from rig.system.assembly import assemble
 from rig.system.hybrid_system import pure_tone
@@ -36,6 +38,10 @@ from tests.rig.numerics.test_complementarity import solve_by_enumeration
 CLEARANCE = 2e-3  # m
 # Direction of the contact force of a wall on the damper.
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
+# End of the interval of the gap at each wall.
+END = {FLOOR: LOW, CEILING: HIGH, FLIGHT: NONE}
+MODES = {FLIGHT: "flight", FLOOR: "floor", CEILING: "ceiling"}
+FINITE_MODES = {FLIGHT: "free", FLOOR: "on floor", CEILING: "on ceiling"}
 
 
 def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int = 0, uncoupled: int = 0) -> Propagator:
@@ -70,7 +76,7 @@ def impact_and_separate(engine: Propagator, damper: int, wall: int) -> None:
     """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then separate tensile contacts."""
     flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    impact(flow, model, engine.state, engine.log, damper, wall, work)
+    impact(flow, model, engine.state, engine.log, damper, END[wall], work)
     separate_tensile(flow, model, engine.state, engine.log, work)
 
 
@@ -80,7 +86,7 @@ def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
     state.z[model.velocity_index] = random.standard_normal(3)
-    state.contact[:] = contacts
+    state.mode[:] = contacts
     state.height[:] = state.z[model.position_index] + random.uniform(0.2, 0.8, 3) * CLEARANCE
     state.velocity[:] = random.standard_normal(3)
     state.counters[TABLE_INDEX] = -1
@@ -94,9 +100,8 @@ CONTACTS = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_s
 def test_finite_contact_forces_equal_the_system_matrices(contacts: list[int], finite_contacts: int, seed: int) -> None:
     engine = propagator(0.1, finite_contacts=finite_contacts)
     state, model, system = randomize(engine, contacts, seed), engine.tables.model, engine.system
-    # One bit for the contact of each damper, then one for contact with its ceiling.
-    contact_bits = sum((wall != FLIGHT) << j | (wall == CEILING) << (3 + j) for j, wall in enumerate(contacts))
-    force, constant = system.contact_forces(contact_bits)
+    names = [(FINITE_MODES if j < finite_contacts else MODES)[wall] for j, wall in enumerate(contacts)]
+    force, constant = system.contact_forces(system.configuration(names))
     z, drive = state.z[: system.states], state.z[system.states : engine.tables.size]
     expected = (system.force_state + force) @ z + constant + system.force_constant
     expected += system.force_drive @ (engine.drive.output @ drive)
@@ -121,13 +126,13 @@ def test_impact_obeys_the_contact_laws(
     contacts[impacting] = FLIGHT
     state, model = randomize(engine, contacts, seed), engine.tables.model
     position, body_velocity = state.z[model.position_index], state.z[model.velocity_index]
-    damper_velocity = np.where(state.contact == FLIGHT, state.velocity, body_velocity)
+    damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
     sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
     damper_velocity[impacting] = state.velocity[impacting] = body_velocity[impacting] - sign * closing_speed
     impact_and_separate(engine, impacting, wall)
     body_velocity_after = state.z[model.velocity_index]
-    damper_velocity_after = np.where(state.contact == FLIGHT, state.velocity, body_velocity_after)
+    damper_velocity_after = np.where(state.mode == FLIGHT, state.velocity, body_velocity_after)
 
     # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
     # is coupled.
@@ -144,7 +149,7 @@ def test_impact_obeys_the_contact_laws(
     if restitution:
         assert state.height[impacting] == height
         assert state.multiplicity[impacting] == sign
-    if state.contact[impacting] == wall:
+    if state.mode[impacting] == wall:
         assert state.multiplicity[impacting] == 0
 
     # The log has the impact and all separations.
@@ -155,7 +160,7 @@ def test_impact_obeys_the_contact_laws(
     assert log.event_speed[k] == pytest.approx(closing_speed)
     separated = [int(j) for j in log.event_damper[:count][log.event_kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
-    assert {j for j in range(3) if walls[j] != FLIGHT and state.contact[j] == FLIGHT} - rebounded == set(separated)
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
         # A separated damper has its velocity before the impact, or the velocity of its wall after the impact.
         opening_speed = SIGN[walls[j]] * (damper_velocity_after[j] - body_velocity_after[j])
@@ -181,7 +186,7 @@ def test_separated_dampers_solve_the_complementarity_problem(coupled: bool, cont
     reaction = solve_by_enumeration(matrix, bias)
     separate_tensile(engine.tables.flow, model, state, engine.log, work)
     separated = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
-    assert set(np.flatnonzero(state.contact == FLIGHT)) & set(in_contact) == set(separated)
+    assert set(np.flatnonzero(state.mode == FLIGHT)) & set(in_contact) == set(separated)
     assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
     for j in separated:
         on_floor = contacts[j] == FLOOR
@@ -197,8 +202,9 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     # A rebound is negligible if its height v^2 / (2 a) is within the rounding error ROUNDING * coordinate_scale of the
     # gap. With coupling, a is an upper bound of the acceleration.
-    state.contact[1], row = wall, model.position_index[1]
-    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    row, wall_gap = model.position_index[1], CLEARANCE if wall == CEILING else 0.0
+    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + wall_gap
+    contact = model, state, 1, SIGN[wall], wall_gap
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
     if not coupled:
         force[1] = 8.0 if wall == FLOOR else -25.0
@@ -208,12 +214,12 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
         acceleration_limit = SIGN[wall] * (model.gravity + inverse[1] * force[1])
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     work.force[:3] = force
-    assert _rebound_is_negligible(model, state, 1, 0.999 * speed_limit, work.force)
-    assert not _rebound_is_negligible(model, state, 1, 1.001 * speed_limit, work.force)
+    assert _rebound_is_negligible(*contact, 0.999 * speed_limit, work.force)
+    assert not _rebound_is_negligible(*contact, 1.001 * speed_limit, work.force)
     if not coupled:
         # The contact force would be tensile.
         work.force[1] = -100.0 * SIGN[wall]
-        assert not _rebound_is_negligible(model, state, 1, 1e-30, work.force)
+        assert not _rebound_is_negligible(*contact, 1e-30, work.force)
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
@@ -235,7 +241,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
     separate_tensile_dampers = _separate_coupled if coupled else _separate_independent
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     separate_tensile_dampers(engine.tables.flow, model, state, engine.log, work)
-    assert (state.contact[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
+    assert (state.mode[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
     if separates:
         log = engine.log
         assert (log.event_segment[0], log.event_offset[0], log.event_damper[0]) == (7, 0.25, 1)
@@ -247,7 +253,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
 def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: float, stays: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = engine.state, engine.tables.model
-    state.contact[:], state.counters[TABLE_INDEX] = FLIGHT, -1
+    state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
     state.z[model.position_index] = -1e-3 if wall == FLOOR else 1e-2
     state.z[model.velocity_index] = 0.25
@@ -256,10 +262,10 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
     state.velocity[0] = 0.25 - SIGN[wall] * closing_speed
     momentum = engine.system.mass @ state.z[model.velocity_index] + model.mass * state.velocity
     impact_and_separate(engine, 0, wall)
-    assert state.contact.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
+    assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body_velocity = state.z[model.velocity_index]
-    damper_velocity = np.where(state.contact == FLIGHT, state.velocity, body_velocity)
+    damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
     after = engine.system.mass @ body_velocity + model.mass * damper_velocity
     np.testing.assert_allclose(after, momentum, atol=1e-15)
     rebound_speed = SIGN[wall] * (damper_velocity[0] - body_velocity[0])
@@ -269,11 +275,11 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
 def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
-    state.contact[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
+    state.mode[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.velocity[0] = state.z[model.position_index[0]], -0.5
     impact_and_separate(engine, 0, FLOOR)
-    assert state.z[model.velocity_index[2]] == 0.0 and state.contact.tolist() == [FLOOR, FLIGHT, FLOOR]
+    assert state.z[model.velocity_index[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 
 
@@ -285,8 +291,8 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
     # (`active`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
-    state.contact[:], row = wall, model.position_index[1]
-    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + (CLEARANCE if wall == CEILING else 0.0)
+    row, work.sign[0], work.wall_gap[0] = model.position_index[1], SIGN[wall], CLEARANCE if wall == CEILING else 0.0
+    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + work.wall_gap[0]
     work.force[:3] = 3.0, -20.0, 5.0
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
@@ -325,11 +331,11 @@ def test_damper_in_flight_touches_only_an_approaching_wall(
     # `gap`, `closing_speed`: to the floor; `wall`: the touched wall, or FLIGHT.
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
-    state.contact[1] = FLIGHT
+    state.mode[1] = FLIGHT
     state.z[model.position_index[1]], state.z[model.velocity_index[1]] = -1.0 / 64, 0.5
     state.height[1], state.velocity[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity
-    assert _touched_wall(model, state, 1) == wall
+    assert _touched_end(model, state, 1) == END[wall]
 
 
 def test_negligible_coupling_changes_no_event() -> None:

@@ -1,0 +1,51 @@
+"""The declarations of contact laws are complete, and the check of a declaration finds each fault."""
+
+from __future__ import annotations
+
+from math import inf
+
+import pytest
+
+from rig.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, faults
+from rig.laws.particle_bed import particle_bed
+from rig.laws.wall_contact import wall_contact
+
+STAY = Exit(("rest",))
+
+
+@pytest.mark.parametrize("clearance", [1e-3, inf])
+@pytest.mark.parametrize("restitution", [0.0, 0.4])
+def test_laws_have_no_faults(clearance: float, restitution: float) -> None:
+    assert faults(particle_bed(clearance, restitution)) == []
+    assert faults(wall_contact(clearance, (1e4, 2e4), (0.0, 1.0))) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "fault"),
+    [
+        (Mode((Signal(GAP, 0.0, inf, Exit(("flight",))),)), "'flight' has no mode"),
+        (Mode((Signal(GAP, 1.0, 0.0, STAY, STAY),)), "is empty"),
+        (Mode((Signal(HOLD, 0.0, inf, STAY),)), "not held"),
+        (Mode((Signal(GAP, 0.0, inf, STAY),), None), "constant while"),
+        (Mode((Signal(GAP, 0.0),)), "does not agree"),
+    ],
+)
+def test_fault_of_declaration_is_found(mode: Mode, fault: str) -> None:
+    [found] = faults(Law({"rest": mode}, "rest"))
+    assert fault in found
+
+
+def test_unknown_start_is_a_fault() -> None:
+    assert faults(Law({"rest": Mode(())}, "flight")) == ["the start 'flight' is not a mode"]
+
+
+def test_rest_on_both_walls_shares_tables() -> None:
+    law = particle_bed(1e-3, 0.0)
+    assert law.force_indices == {"flight": 0, "floor": 1, "ceiling": 1} and law.forces[1] is None
+
+
+def test_equal_walls_have_separate_forces() -> None:
+    numbers = [
+        list(wall_contact(clearance, (1e4, 1e4), (0.0, 0.0)).force_indices.values()) for clearance in (1e-3, inf)
+    ]
+    assert numbers == [[0, 1, 2, 0, 0]] * 2

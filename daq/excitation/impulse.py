@@ -10,7 +10,6 @@ import numpy as np
 from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.station import Excitation, Station
 from rig.arrays import Array
-from rig.errors import SceneError
 from rig.scene.excitation.impulse import Impulse
 from rig.settings.quantities import TIME, parse
 
@@ -34,20 +33,11 @@ _DRIFT_SIGMAS = 4.0
 
 def excite(station: Station, test: Impulse) -> Excitation:
     """Run the hits of an impulse test."""
-    single_hit = half_sine(test.peak, test.width, station.rate)
-    double_hit, double_hits = single_hit, set()
-    if test.double_hit is not None:
-        second = half_sine(test.peak * test.double_hit.ratio, test.width, station.rate)
-        delay = station.samples(test.double_hit.after)
-        double_hit = np.zeros(delay + second.size)
-        double_hit[: single_hit.size] += single_hit
-        double_hit[delay:] += second
-        double_hits = set(test.double_hit.hits or range(1, test.repeats + 1))
+    pulses = test.pulses(station.rate)
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
     yield station.zero_drive(station.samples(BASELINE_S))
     yield from _wait_for_sensors(station)
-    for hit in range(1, test.repeats + 1):
-        pulse = double_hit if hit in double_hits else single_hit
+    for hit, pulse in enumerate(pulses, 1):
         force = np.zeros(interval)
         force[: pulse.size] = pulse
         first = station.now
@@ -58,7 +48,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
             if start == 0:
                 station.mark(
                     "hit", first, first + pulse.size, number=hit, body=test.body, peak=test.peak, width=test.width,
-                    double=hit in double_hits,
+                    double=test.is_double(hit),
                 )  # fmt: skip
             station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
 
@@ -117,35 +107,6 @@ def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
         hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
         double_hit = double_hit.replace(hits=hits) if hits else None
     return test.replace(repeats=repeats, interval=interval, double_hit=double_hit)
-
-
-def half_sine(peak: float, width: float, rate: float) -> Array:
-    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and impulse.
-
-    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine; the pulse is
-    therefore longer than `width`. One sample is at the peak.
-
-    >>> pulse = half_sine(50.0, 4e-3, 5120.0)
-    >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
-    (50.0, 1.0)
-    """
-    from scipy.optimize import brentq
-
-    target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
-    if target_sum < 1.2:  # 4 / pi for two samples, with a tolerance for a width rounded as in the message
-        raise SceneError(
-            f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
-            f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise converter.rate."
-        )
-
-    def pulse(length: float) -> Array:
-        """Sample a half sine with a peak of 1 and a length in samples."""
-        half = int(np.ceil(length / 2))
-        offset = np.arange(-half, half + 1)
-        return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
-
-    length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
-    return peak * pulse(length)
 
 
 class ImpulseProcedure(Procedure["Impulse"]):

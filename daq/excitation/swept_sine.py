@@ -86,9 +86,9 @@ def excite(station: Station, test: SweptSine) -> Excitation:
             phase = _phase(test, start_phase, completed, window, total)
             yield station.drive((amplitude * np.exp(1j * phase)).real)
             completed += window
-            station.report(completed / total, f"{format_decimals(sweep_frequency(test, completed / total), 2)} Hz")
+            station.report(completed / total, f"{format_decimals(test.frequency_at(completed / total), 2)} Hz")
     tone.amplitude, tone.frequency = abs(amplitude), test.to
-    periods = float(sweep_periods(test, np.ones(1))[0])
+    periods = float(test.periods_at(np.ones(1))[0])
     tone.phase = float(np.fmod(start_phase + 2 * np.pi * periods + np.angle(1j * amplitude), 2 * np.pi))
     fields = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
     station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
@@ -113,7 +113,7 @@ def _sweep_controlled(
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     next_amplitude = amplitude
     while completed < total:
-        frequency = sweep_frequency(test, completed / total)
+        frequency = test.frequency_at(completed / total)
         window = min(total - completed, max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency)))
         phase = _phase(test, start_phase, completed, window, total)
         envelope = amplitude + (next_amplitude - amplitude) * np.arange(window) / window
@@ -125,11 +125,11 @@ def _sweep_controlled(
         phases = np.concatenate([phases, phase])[-length:]
         if phases.size < length:
             continue
-        middle_frequency = sweep_frequency(test, (completed - length / 2) / total)
+        middle_frequency = test.frequency_at((completed - length / 2) / total)
         table, body = _displacements(station, rows, middle_frequency, *estimate_amplitudes(recent, phases, rate))
         force = station.spring_stiffness * (table - body)
         monitor.add(station.now - length, station.now, middle_frequency, abs(force))
-        sweep_rate = (sweep_frequency(test, completed / total) - middle_frequency) / (length / 2 / rate)
+        sweep_rate = (test.frequency_at(completed / total) - middle_frequency) / (length / 2 / rate)
         observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, force)
         next_amplitude = control.next_drive(observation, window / rate)
         station.report(completed / total, f"{format_decimals(middle_frequency, 2)} Hz")
@@ -210,22 +210,7 @@ def _phase(test: SweptSine, start_phase: float, completed: int, window: int, tot
 
     `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before these.
     """
-    return start_phase + 2 * np.pi * sweep_periods(test, np.arange(completed, completed + window) / total)
-
-
-def sweep_frequency(test: SweptSine, fraction: float) -> float:
-    """Return the frequency in Hz at a fraction, 0 to 1, of the sweep."""
-    if test.spacing == "linear":
-        return test.from_ + (test.to - test.from_) * fraction
-    return float(test.from_ * (test.to / test.from_) ** fraction)
-
-
-def sweep_periods(test: SweptSine, fractions: Array) -> Array:
-    """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
-    if test.spacing == "linear":
-        return test.duration * (test.from_ * fractions + (test.to - test.from_) * fractions**2 / 2)
-    log_ratio = np.log(test.to / test.from_)
-    return test.duration * test.from_ * np.expm1(log_ratio * fractions) / log_ratio
+    return start_phase + 2 * np.pi * test.periods_at(np.arange(completed, completed + window) / total)
 
 
 class SweptSineProcedure(Procedure["SweptSine"]):
@@ -252,7 +237,7 @@ class SweptSineProcedure(Procedure["SweptSine"]):
 
     def frequency_at(self, test: SweptSine, fraction: float) -> float:
         """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
-        return sweep_frequency(test, fraction)
+        return float(test.frequency_at(fraction))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a sweep over the band, with the given force."""

@@ -174,16 +174,16 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     """
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test
-    time = np.arange(samples) / rate
     if test is None:
         return drive
-    wave = test.wave(time)
+    wave = test.wave(samples, rate)
     if isinstance(wave, Pulses):
         name = "hammer" if wave.input == "hammer" else scene.at_driven("shaker")
         drive[system.inputs.index(name)] = wave.values
     elif isinstance(wave, Chirp):
-        values = _chirp_drive(scene, system, wave)
-        drive[system.inputs.index(scene.at_driven("shaker"))] = np.where(time <= test.shortest, values, 0.0)
+        is_sweeping = np.arange(samples) / rate <= test.shortest
+        values = np.where(is_sweeping, _chirp_drive(scene, system, wave), 0.0)
+        drive[system.inputs.index(scene.at_driven("shaker"))] = values
     elif wave is None:
         raise SceneError(
             f"test: the signal of a {test.kind} test is generated during a recording. Use daq.record, or give "

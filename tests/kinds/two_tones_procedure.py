@@ -23,8 +23,7 @@ class TwoTonesProcedure(Procedure["TwoTones"]):
     def excite(self, station: Station, test: TwoTones) -> Excitation:
         """Run the test."""
         total = station.samples(test.duration)
-        time = np.arange(total) / station.rate
-        first, wave = station.now, test.wave(time).values
+        first, wave = station.now, test.wave(total, station.rate).values
         yield station.drive(wave[: total // 2])
         middle = station.now
         station.report(0.5, "measuring")

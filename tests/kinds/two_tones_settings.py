@@ -7,7 +7,6 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from rig.arrays import Array
 from rig.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
 from rig.settings.problems import KeyPath
 
@@ -42,6 +41,7 @@ class TwoTones(KindOfTest):
         """Return both frequencies, Hz."""
         return self.frequencies
 
-    def wave(self, time: Array) -> Pulses:
+    def wave(self, samples: int, rate: float) -> Pulses:
         """Return the sum of both tones."""
+        time = np.arange(samples) / rate
         return Pulses("shaker", self.drive * sum(np.sin(2.0 * np.pi * f * time) for f in self.frequencies))

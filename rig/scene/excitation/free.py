@@ -51,7 +51,7 @@ class Free(KindOfTest):
             displacement = (self.amplitude or 0.0) * shapes()[:, self.mode - 1]
         return displacement, np.zeros(bodies) if self.velocity is None else np.array(self.velocity)
 
-    def wave(self, time: Array) -> Rest:
+    def wave(self, samples: int, rate: float) -> Rest:
         """Return no drive."""
         return Rest()
 

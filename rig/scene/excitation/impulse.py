@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from rig.arrays import Array
+from rig.errors import SceneError
 from rig.scene.body_names import body_problems
 from rig.scene.excitation.kind import Count, Duration, KindOfTest, Pulses, Start
 from rig.scene.shaker import Body
@@ -89,15 +90,57 @@ class Impulse(KindOfTest):
         """Time of all hits, s."""
         return self.shortest
 
-    def wave(self, time: Array) -> Pulses:
-        """Return the half-sine pulses, N."""
-        force = np.zeros_like(time)
-        for hit in range(self.repeats):
-            since_hit = time - hit * self.interval
-            pulse = self.peak * np.sin(np.pi * since_hit / self.width)
-            force += np.where((since_hit >= 0.0) & (since_hit <= self.width), pulse, 0.0)
+    def is_double(self, hit: int) -> bool:
+        """Return whether the hammer bounces at a hit; `hit`: its number, from 1."""
+        return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
+
+    def pulses(self, rate: float) -> list[Array]:
+        """Return the force of each hit with its bounce, N, from its first sample; `rate`: samples per second."""
+        single = double = half_sine(self.peak, self.width, rate)
+        if self.double_hit is not None:
+            second = half_sine(self.peak * self.double_hit.ratio, self.width, rate)
+            delay = max(1, round(self.double_hit.after * rate))
+            double = np.zeros(delay + second.size)
+            double[: single.size] += single
+            double[delay:] += second
+        return [double if self.is_double(hit) else single for hit in range(1, self.repeats + 1)]
+
+    def wave(self, samples: int, rate: float) -> Pulses:
+        """Return the force, N: the hits of a recording, of which the first begins at t = 0."""
+        force, interval = np.zeros(samples), max(1, round(self.interval * rate))
+        for first, pulse in zip(range(0, samples, interval), self.pulses(rate), strict=False):
+            force[first : first + pulse.size] = pulse[: samples - first]
         return Pulses("hammer", force)
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
         """Check the body."""
         return body_problems(valid, self.body, ("body",))
+
+
+def half_sine(peak: float, width: float, rate: float) -> Array:
+    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and impulse.
+
+    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine; the pulse is
+    therefore longer than `width`. One sample is at the peak.
+
+    >>> pulse = half_sine(50.0, 4e-3, 5120.0)
+    >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
+    (50.0, 1.0)
+    """
+    from scipy.optimize import brentq
+
+    target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
+    if target_sum < 1.2:  # 4 / pi for two samples, with a tolerance for a width rounded as in the message
+        raise SceneError(
+            f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
+            f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise the sample rate (converter.rate)."
+        )
+
+    def pulse(length: float) -> Array:
+        """Sample a half sine with a peak of 1 and a length in samples."""
+        half = int(np.ceil(length / 2))
+        offset = np.arange(-half, half + 1)
+        return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
+
+    length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
+    return peak * pulse(length)

@@ -166,8 +166,8 @@ class KindOfTest(Settings):
         """Frequency of the open-loop drive, Hz, if it is a tone."""
         return self.dwells[0] if self.dwells else None
 
-    def wave(self, time: Array) -> Chirp | Pulses | Rest | None:
-        """Return the open-loop drive at times (samples,), s, if it is not a tone; None if it depends on readings."""
+    def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:
+        """Return the open-loop drive, if it is not a tone; None if it depends on readings. `rate`: Hz."""
         return None
 
     @property

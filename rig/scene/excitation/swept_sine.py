@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -46,13 +46,20 @@ class SweptSine(KindOfTest):
         """Direction of the sweep."""
         return "up" if self.from_ < self.to else "down"
 
-    def wave(self, time: Array) -> Chirp:
+    def frequency_at(self, fraction: Any) -> Any:
+        """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
+        if self.spacing == "linear":
+            return self.from_ + (self.to - self.from_) * fraction
+        return self.from_ * (self.to / self.from_) ** fraction
+
+    def periods_at(self, fractions: Array) -> Array:
+        """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
+        if self.spacing == "linear":
+            return self.duration * (self.from_ * fractions + (self.to - self.from_) * fractions**2 / 2)
+        log_ratio = np.log(self.to / self.from_)
+        return np.asarray(self.duration * self.from_ * np.expm1(log_ratio * fractions) / log_ratio)
+
+    def wave(self, samples: int, rate: float) -> Chirp:
         """Return the tone at its momentary frequency; after the sweep, the last phase."""
-        first, last = self.from_, self.to
-        progress = np.minimum(time / self.duration, 1.0)
-        if self.spacing == "log":
-            log_ratio = np.log(last / first)
-            phase = 2.0 * np.pi * first * self.duration * np.expm1(progress * log_ratio) / log_ratio
-            return Chirp(phase, first * np.exp(progress * log_ratio))
-        phase = 2.0 * np.pi * self.duration * (first * progress + 0.5 * (last - first) * progress**2)
-        return Chirp(phase, first + (last - first) * progress)
+        progress = np.minimum(np.arange(samples) / rate / self.duration, 1.0)
+        return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))

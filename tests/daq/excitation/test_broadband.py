@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 import rig
-from daq.excitation.impulse import _wait_for_sensors, half_sine
+from daq.excitation.impulse import _wait_for_sensors
 from daq.signal_chain.channel import ChannelInfo
 from rig.errors import SceneError
+from rig.scene.excitation.impulse import half_sine
+from rig.system.assembly import assemble
+from rig.system.open_loop_drive import sampled_drive
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 RATE = 5120  # sample rate of the scenes, Hz
@@ -146,7 +149,7 @@ def test_half_sine_keeps_peak_and_area(width: float) -> None:
 
 
 def test_too_short_pulse_is_rejected() -> None:
-    with pytest.raises(SceneError, match=r"raise converter\.rate"):
+    with pytest.raises(SceneError, match=r"raise the sample rate \(converter\.rate\)"):
         half_sine(50.0, 0.1e-3, RATE)
 
 
@@ -154,6 +157,16 @@ def run_hits(**changes: Any) -> BenchRun:
     """Run a test with two hammer hits on body 2."""
     test = {"kind": "impulse", "body": 2, "peak": "50 N", "width": "4 ms", "repeats": 2, "interval": "1 s", **changes}
     return run(rig.load("fig10b-no-damper").replace(test=test))
+
+
+def test_simulated_hits_equal_recorded_hits() -> None:
+    bench_run = run_hits(double_hit={"hits": [2]})
+    scene = bench_run.bench.scene
+    system = assemble(scene)
+    row = system.inputs.index("hammer")
+    recorded = bench_run.drive[row, BASELINE_SAMPLES:]
+    assert np.count_nonzero(recorded[RATE:]) > 1.5 * np.count_nonzero(recorded[:RATE])
+    np.testing.assert_array_equal(sampled_drive(scene, system, recorded.size, RATE)[row], recorded)
 
 
 def test_hits_follow_at_their_interval() -> None:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.excitation import Station
+from daq.excitation.controlled import spring_force
 from rig.arrays import Array, ComplexArray
 from rig.errors import SceneError
 
@@ -136,4 +137,4 @@ def _force_weights(station: Station, frequency: Array) -> ComplexArray:
             f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}} to the "
             "channels of the scene."
         )
-    return station.force_weights(frequency)
+    return spring_force(station).weights(frequency)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from daq.excitation.controlled import controlled
 from daq.excitation.station import Excitation, Station
 from rig.errors import SceneError
 
@@ -33,8 +34,7 @@ def test_of(scene: Scene) -> Test:
 def excitation(station: Station) -> Excitation:
     """Return the excitation of the scene's test; raise `SceneError` if channels of a controlled force are missing."""
     test = test_of(station.scene)
-    if station.is_force_controlled:
-        station.force_weights(1.0)
+    controlled(station)
     return procedure_of(test).excite(station, test)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from daq.excitation.controlled import controlled
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
@@ -60,10 +61,7 @@ class ManualTone:
         """Output the tone until the run ends; mark steady intervals as a stepped sine does."""
         # Raises `SceneError` without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
-        if not station.force_is_drive:
-            # Raises `SceneError` if the channels of the spring force are missing.
-            station.force_weights(1.0)
-        tone = SteadyTone(station, self.controls.settings[0], controlled=not station.force_is_drive)
+        tone = SteadyTone(station, self.controls.settings[0], controlled(station))
         while True:
             requested = self.controls.settings
             # Closing the generator marks the steady-state interval, even if the run ends early.

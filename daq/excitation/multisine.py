@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.excitation.controlled import controlled
 from daq.excitation.procedure import Procedure
 from daq.excitation.spectrum_shaping import (
     crossfade,
@@ -48,11 +49,11 @@ def excite(station: Station, test: Multisine) -> Excitation:
         lines = lines[: test.lines or 2]
     random, shakers = station.generator("multisine"), station.shakers
     present_waves = np.zeros((len(shakers), period))
-    amplitudes = equal_amplitudes(station.level, lines)
+    amplitudes, force = equal_amplitudes(station.level, lines), controlled(station)
     for realisation in range(1, test.realisations + 1):
         phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
-        if station.is_force_controlled and realisation == 1:
-            amplitudes, _, present_waves[0] = yield from equalize(station, lines, period, phases[0])
+        if force is not None and realisation == 1:
+            amplitudes, _, present_waves[0] = yield from equalize(station, force, lines, period, phases[0])
         for number in shakers[1:]:
             generator = station.generator(f"multisine {number} {realisation}")
             phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
@@ -143,7 +144,7 @@ class MultisineProcedure(Procedure["Multisine"]):
     def waits(self, test: Multisine, scene: Scene) -> float:
         """Return the expected time of crossfades and waits for periodic responses, s."""
         # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree.
-        return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_at else 0.0)
+        return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_terms else 0.0)
 
     def stored(self, test: Multisine) -> float:
         """Return the period, s."""

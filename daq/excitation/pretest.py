@@ -13,6 +13,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
+from daq.excitation.controlled import Controlled
 from daq.excitation.spectrum_shaping import lines_between, sum_of_tones
 from daq.excitation.station import Station
 from rig.arrays import Array, ComplexArray
@@ -73,7 +74,9 @@ class ShakerLaw:
         return (upper[0] - lower[0]) / (2 * step), (upper[1] - lower[1]) / (2 * step)
 
 
-def pretest(station: Station, lowest: float, highest: float, level: float) -> Generator[Array, Array, ShakerLaw]:
+def pretest(
+    station: Station, spring_force: Controlled, lowest: float, highest: float, level: float
+) -> Generator[Array, Array, ShakerLaw]:
     """Output a short burst of weak tones and estimate the drive of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
@@ -88,17 +91,17 @@ def pretest(station: Station, lowest: float, highest: float, level: float) -> Ge
     first = station.now
     readings = yield station.drive(wave)
     analyzed = slice(edge, edge + period)
-    law = _fit(station, wave[analyzed], readings[:, analyzed], lines)
+    law = _fit(spring_force, wave[analyzed], readings[:, analyzed], lines)
     yield station.zero_drive(station.samples(_DECAY_S))
     station.mark("pretest", first, station.now, delay=law.delay, misfit=law.misfit)
     return law
 
 
-def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
+def _fit(spring_force: Controlled, drive: Array, readings: Array, lines: NDArray[np.int64]) -> ShakerLaw:
     """Estimate the coefficients by least squares over the lines; the delay minimizes the residual."""
-    period = drive.size
+    station, stiffness, period = spring_force.station, spring_force.factors[0], drive.size
     frequency = lines * station.rate / period
-    table_row, body_row = station.spring_rows
+    table_row, body_row = spring_force.rows
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
     # s is normalized by the middle of the band, so that its powers have similar magnitudes.
@@ -136,8 +139,8 @@ def _fit(station: Station, drive: Array, readings: Array, lines: NDArray[np.int6
     delay = float(min(coarse_delay + step * np.linspace(-1.0, 1.0, 17), key=lambda delay: solve(delay)[0]))
     misfit, coefficients = solve(delay)
     motion = coefficients[:_MOTION_TERMS] / middle_s ** np.arange(_MOTION_TERMS)
-    force = coefficients[_MOTION_TERMS:] / middle_s ** np.arange(_FORCE_TERMS) / station.spring_stiffness
-    return ShakerLaw(motion, force, station.spring_stiffness, delay, misfit)
+    force = coefficients[_MOTION_TERMS:] / middle_s ** np.arange(_FORCE_TERMS) / stiffness
+    return ShakerLaw(motion, force, stiffness, delay, misfit)
 
 
 def _windows(samples: int, rate: float) -> list[Array]:

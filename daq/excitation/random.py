@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from daq.excitation.controlled import controlled
 from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.excitation.station import Excitation, Station
@@ -32,9 +33,10 @@ def excite(station: Station, test: Random) -> Excitation:
     level = station.level
     generator = station.generator("random")
     amplitudes, gains = equal_amplitudes(level, lines), np.ones(lines.size)
-    if station.is_force_controlled:
+    force = controlled(station)
+    if force is not None:
         phases = generator.uniform(0.0, 2 * np.pi, lines.size)
-        amplitudes, gains, wave = yield from equalize(station, lines, period, phases)
+        amplitudes, gains, wave = yield from equalize(station, force, lines, period, phases)
         yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
     total = station.samples(test.duration)
     block = min(total, station.samples(_BLOCK_S))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.excitation.controlled import controlled
 from daq.excitation.lock_in import whole_periods
 from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.settling import Settling
@@ -30,7 +31,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     With a controlled spring force, the duration of the test begins when the force is steady at its level. In open loop
     it begins with the first sample, at full amplitude.
     """
-    tone, level = SteadyTone(station, test.frequency, station.is_force_controlled), station.level
+    tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
     if station.is_force_controlled:
         fields = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")

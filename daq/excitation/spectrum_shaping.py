@@ -11,6 +11,7 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.excitation.controlled import Controlled
 from daq.excitation.station import Station
 from rig.arrays import Array
 from rig.errors import SceneError
@@ -65,7 +66,7 @@ def equal_amplitudes(level: float, lines: Lines) -> Array:
 
 
 def equalize(
-    station: Station, lines: Lines, period: int, phases: Array
+    station: Station, controlled: Controlled, lines: Lines, period: int, phases: Array
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
@@ -74,7 +75,7 @@ def equalize(
     """
     level = station.level
     target = equal_amplitudes(level, lines)
-    weights = station.force_weights(lines * station.rate / period)
+    weights = controlled.weights(lines * station.rate / period)
     # `amplitudes` is the requested drive, `limited` the drive within the range of the amplifier.
     amplitudes = limited = target * station.cautious_drive
     present_wave = np.zeros(period)

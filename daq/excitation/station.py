@@ -64,7 +64,7 @@ class Station:
     @property
     def is_force_controlled(self) -> bool:
         """Whether the test prescribes a spring force, which is controlled from the channels."""
-        return bool(self.scene.controlled_at)
+        return bool(self.scene.controlled_terms)
 
     def drive(self, wave: Array, name: str | None = None) -> Array:
         """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
@@ -93,47 +93,12 @@ class Station:
         """Return a zero drive for a number of samples."""
         return np.zeros((len(self.inputs), samples))
 
-    def motion_row(self, place: str) -> int:
-        """Return the row of the first channel that measures motion at a location, such as ``body 1``."""
-        for row, info in enumerate(self.channels):
-            if info.at == place and info.derivative is not None:
-                return row
-        listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in self.channels) or "none"
-        raise SceneError(
-            f"channels: control of the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels "
-            f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set test.drive instead of "
-            "test.force (open loop)."
-        )
-
-    @property
-    def spring_rows(self) -> tuple[int, int]:
-        """Rows of the channels at both ends of the coil spring: table, then body."""
-        shaker = self.scene.driven_shaker
-        assert shaker is not None
-        table, body = shaker.force_terms("", self.scene.at_driven("table"))
-        return self.motion_row(table), self.motion_row(body)
-
-    @property
-    def spring_stiffness(self) -> float:
-        """Stiffness of the coil spring, N/m."""
-        shaker = self.scene.driven_shaker
-        assert shaker is not None and shaker.coil_spring is not None
-        return shaker.coil_spring
-
     def displacement_factor(self, row: int, frequency: Array | float) -> ComplexArray:
         """Return the factor from a channel's complex amplitude to its displacement in m, at frequencies in Hz."""
         info = self.channels[row]
         frequency = np.asarray(frequency, dtype=float)
         response = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
         return np.asarray(1.0 / response, dtype=complex)
-
-    def force_weights(self, frequency: Array | float) -> ComplexArray:
-        """Return the weights of the channels' amplitudes in the spring force F1 = k0 (x0 - x1), N per unit."""
-        frequency = np.asarray(frequency, dtype=float)
-        weights = np.zeros((len(self.channels), *frequency.shape), dtype=complex)
-        for row, stiffness in zip(self.spring_rows, (self.spring_stiffness, -self.spring_stiffness), strict=True):
-            weights[row] = stiffness * self.displacement_factor(row, frequency)
-        return weights
 
     @property
     def drive_limit(self) -> float:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.excitation.controlled import Controlled
 from daq.excitation.lock_in import lock_in, min_samples, whole_periods
 from daq.excitation.settling import MIN_OBSERVATIONS, Settling
 from daq.excitation.station import Station
@@ -104,7 +105,7 @@ class SteadyTone(Tone):
     These are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
     """
 
-    def __init__(self, station: Station, frequency: float, controlled: bool) -> None:
+    def __init__(self, station: Station, frequency: float, controlled: Controlled | None) -> None:
         super().__init__(station.rate, frequency)
         self.station, self._controlled = station, controlled
         self.control: AmplitudeControl | None = None
@@ -115,7 +116,7 @@ class SteadyTone(Tone):
 
     def start(self, level: float) -> float:
         """Start the control of the spring force, if prescribed, at a level in N; return the first drive amplitude."""
-        if not self._controlled:
+        if self._controlled is None:
             return level
         self.control = AmplitudeControl(level, self.station.drive_limit)
         return level * self.station.cautious_drive
@@ -128,7 +129,7 @@ class SteadyTone(Tone):
         """Return the complex amplitudes (quantities,) in a window that begins at a phase of the tone in rad."""
         if self.frequency != self._weights_frequency:
             self._weights_frequency, channels = self.frequency, len(self.station.channels)
-            force = [self.station.force_weights(self.frequency)] if self._controlled else []
+            force = [] if self._controlled is None else [self._controlled.weights(self.frequency)]
             motions = np.zeros((len(self._motion_rows), channels), dtype=complex)
             for weights, row in zip(motions, self._motion_rows, strict=True):
                 weights[row] = self.station.displacement_factor(row, self.frequency)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.excitation.controlled import controlled
 from daq.excitation.procedure import Procedure
 from daq.excitation.station import Excitation, Station
 from daq.excitation.steady_tone import SteadyTone
@@ -32,7 +33,7 @@ _MAX_LISTED = 8
 
 def excite(station: Station, test: SteppedSine) -> Excitation:
     """Run a stepped sine at each level; mark the wait (`settle`) and the measurement (`measure`) of each step."""
-    tone, steps = SteadyTone(station, test.order[0], station.is_force_controlled), list(test.order)
+    tone, steps = SteadyTone(station, test.order[0], controlled(station)), list(test.order)
     up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
     total, completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.excitation.controlled import Controlled, controlled
 from daq.excitation.pretest import pretest
 from daq.excitation.procedure import Form, FormValues, Procedure
 from daq.excitation.station import Excitation, Station
@@ -54,11 +55,12 @@ def excite(station: Station, test: SweptSine) -> Excitation:
     With a controlled spring force, a pretest identifies the shaker (`ShakerLaw`), and the sweep begins when the force
     is at its level.
     """
-    tone = SteadyTone(station, test.from_, station.is_force_controlled)
+    force = controlled(station)
+    tone = SteadyTone(station, test.from_, force)
     level, law = station.level, None
-    if station.is_force_controlled:
+    if force is not None:
         station.report(0.0, "measuring the shaker")
-        law = yield from pretest(station, min(test.from_, test.to), max(test.from_, test.to), level)
+        law = yield from pretest(station, force, min(test.from_, test.to), max(test.from_, test.to), level)
     station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
     first = station.now
     settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)
@@ -67,17 +69,17 @@ def excite(station: Station, test: SweptSine) -> Excitation:
     first, start_phase = station.now, tone.phase
     amplitude, extremes = -1j * tone.amplitude, {}
     # All motion coefficients are zero if the table's channel did not change in the pretest.
-    if law is not None and law.motion.any():
+    if force is not None and law is not None and law.motion.any():
         monitor = LevelMonitor(station, level)
         sweep = SweepControl(law, level, station.drive_limit, amplitude)
-        amplitude = yield from _sweep_controlled(station, test, start_phase, amplitude, sweep, monitor)
+        amplitude = yield from _sweep_controlled(force, test, start_phase, amplitude, sweep, monitor)
         monitor.close(station.now - first)
         extremes = {"lowest": monitor.lowest, "highest": monitor.highest}
     else:
-        if law is not None:
+        if force is not None:
             station.warn(
                 f"the spring force was not controlled at {level:g} N: channel "
-                f"{station.channels[station.spring_rows[0]].name} at the {station.scene.at_driven('table')} did not "
+                f"{station.channels[force.rows[0]].name} at the {station.scene.at_driven('table')} did not "
                 f"change in the pretest, because its signal is below one count of the converter. {_SENSITIVITY_HINT}"
             )
         total, completed = station.samples(test.duration), 0
@@ -96,7 +98,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
 
 
 def _sweep_controlled(
-    station: Station,
+    force: Controlled,
     test: SweptSine,
     start_phase: float,
     amplitude: complex,
@@ -107,8 +109,8 @@ def _sweep_controlled(
 
     `start_phase`: phase of the tone at the start, rad; `amplitude`: initial complex amplitude of the drive.
     """
+    station, rows, stiffness = force.station, list(force.rows), force.factors[0]
     total, completed, rate = station.samples(test.duration), 0, station.rate
-    rows = list(station.spring_rows)
     # Readings at both ends of the coil spring, and phases of the tone, in the latest samples.
     recent, phases = np.zeros((2, 0)), np.zeros(0)
     next_amplitude = amplitude
@@ -127,10 +129,10 @@ def _sweep_controlled(
             continue
         middle_frequency = test.frequency_at((completed - length / 2) / total)
         table, body = _displacements(station, rows, middle_frequency, *estimate_amplitudes(recent, phases, rate))
-        force = station.spring_stiffness * (table - body)
-        monitor.add(station.now - length, station.now, middle_frequency, abs(force))
+        spring_force = stiffness * (table - body)
+        monitor.add(station.now - length, station.now, middle_frequency, abs(spring_force))
         sweep_rate = (test.frequency_at(completed / total) - middle_frequency) / (length / 2 / rate)
-        observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, force)
+        observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, spring_force)
         next_amplitude = control.next_drive(observation, window / rate)
         station.report(completed / total, f"{format_decimals(middle_frequency, 2)} Hz")
     return amplitude

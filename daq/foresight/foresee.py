@@ -214,7 +214,7 @@ class _Assessment:
     def _below_resolution(self, expectations: Iterable[Expectation]) -> Iterable[str]:
         """Yield a warning for each channel whose signal is below the resolution of the converter."""
         maxima = {row.name: row.largest for row in expectations}
-        controlled_positions = self.scene.controlled_at
+        controlled_positions = self.scene.controlled_terms
         for info in self.bench.channels:
             count = info.unit_per_count
             if info.volts_per_count is not None and maxima[info.name] < 2.0 * count:

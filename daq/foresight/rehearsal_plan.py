@@ -77,7 +77,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
     assert test is not None
     procedure = procedure_of(test)
     seconds *= procedure.budget
-    control_cpu_s = procedure.control_seconds(test) if scene.controlled_at else 0.0
+    control_cpu_s = procedure.control_seconds(test) if scene.controlled_terms else 0.0
     if expected_seconds(scene) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
         return RehearsalPlan(((scene, 0),), is_complete=True)
     if procedure.rehearsal == "peaks":

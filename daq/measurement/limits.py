@@ -147,7 +147,7 @@ class ControlLoss:
     """Monitors the channels that measure a controlled spring force: a clipped channel does not measure the force."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
-        self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_at]
+        self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_terms]
         self._scene, self._channels = scene, channels
         self._overload_start: int | None = None  # first sample of the present overload
 

@@ -97,11 +97,11 @@ class Scene(Settings):
         return "" if self.test is None else self.test.level_key
 
     @property
-    def controlled_at(self) -> tuple[str, ...]:
-        """Locations whose readings a controller uses; empty if the test is not controlled."""
+    def controlled_terms(self) -> dict[str, float]:
+        """Locations whose readings a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
         if self.test is None or self.driven_shaker is None:
-            return ()
-        return self.test.controlled_at(self.driven_shaker, self.at_driven("table"))
+            return {}
+        return self.test.controlled_terms(self.driven_shaker, self.at_driven("table"))
 
     @property
     def hammer(self) -> int | None:

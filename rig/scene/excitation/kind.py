@@ -182,11 +182,14 @@ class KindOfTest(Settings):
         """
         return None
 
-    def controlled_at(self, shaker: Shaker, table: str) -> tuple[str, ...]:
-        """Return the locations whose readings a controller uses; `table`: name of the table of the driven shaker."""
+    def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
+        """Return the controlled quantity: its amount per meter of displacement at each location; {} in open loop.
+
+        By default it is the force of the driven shaker, whose table has the name `table`.
+        """
         if self.level_key != "force" or shaker.drive_is_force:
-            return ()
-        return tuple(shaker.force_terms("", table))
+            return {}
+        return shaker.force_terms("", table)
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
         """Check references to other sections; `valid`: the valid sections before the test, by key."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from daq.instrument.chassis import Chassis
     from rig.scene.scene import Scene
 
+_NO_INPUT = "the scene has neither a shaker nor a hammer"
 # The test that is selected first, if the scene has a shaker.
 _DEFAULT_FORM = "sweep"
 # Band of the tests, Hz, if the scene's test has none.
@@ -86,7 +87,7 @@ class TestController:
             interval=float(getattr(test, "interval", 0.0)),
             hits=int(getattr(test, "repeats", 1)),
         )
-        self.message = "ready" if self.forms else "the scene has neither a shaker nor a hammer"
+        self.message = "ready" if self.forms else _NO_INPUT
         self.frf_unavailable_reason = ""
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
@@ -159,9 +160,10 @@ class TestController:
 
     def _build_test(self) -> tuple[Scene, Any, ToneControls | None]:
         """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""
-        values, procedure = self.settings, self.forms[self.settings.kind]
+        values, procedure = self.settings, self.forms.get(self.settings.kind)
+        if procedure is None or procedure.form is None:
+            raise SceneError(_NO_INPUT if not self.forms else f"test: choose {', '.join(self.forms)}.")
         controls, excite = None, excitation
-        assert procedure.form is not None
         if procedure.form.adjustable:
             controls = ToneControls(values.frequency, values.level, self._monitor.rate / _MIN_SAMPLES_PER_PERIOD)
             excite = ManualTone(controls).excite

@@ -64,6 +64,16 @@ def pass_time(bench, seconds):
         bench.monitor.catch_up()
 
 
+def test_scene_without_input_is_reported_at_start(tmp_path):
+    chassis = connect_scene(make_scene("shaker").replace(shaker=None, test=None, channels=None), "manual")
+    live_bench = LiveBench(chassis, "", tmp_path / "none.mcap", False)
+    try:
+        live_bench.controller.start()
+        assert "neither a shaker nor a hammer" in live_bench.controller.message
+    finally:
+        live_bench.close()
+
+
 @pytest.mark.parametrize("bench", ["shaker"], indirect=True)
 def test_stuck_display_does_not_delay_the_bench(bench, monkeypatch):
     released, monitor = threading.Event(), bench.monitor

@@ -86,7 +86,7 @@ def frf(
     unit: str | None = None,
     progress: CountProgress | None = None,
 ) -> Results[Response]:
-    """Estimate frequency responses with 95 % bounds and coherence, as `analysis frf`.
+    """Estimate frequency responses with 95 % intervals and coherence, as `analysis frf`.
 
     Parameters
     ----------

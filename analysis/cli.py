@@ -99,7 +99,7 @@ def frf(
     ] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Estimate frequency responses with 95 % bounds and coherence."""
+    """Estimate frequency responses with 95 % intervals and coherence."""
     from analysis.presentation.frf_findings import present_frf
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
@@ -162,7 +162,7 @@ def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = Fal
 def compare(files: Compared, output: Output = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
-    It prints the changes relative to the first recording, with 95 % bounds.
+    It prints the changes relative to the first recording, with 95 % intervals.
     """
     from analysis.presentation.comparison import present_compare
 

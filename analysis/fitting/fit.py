@@ -77,7 +77,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class Mode:
-    """A natural mode of the fitted structure without dampers and coil spring, with 95 % bounds."""
+    """A natural mode of the fitted structure without dampers and coil spring, with expanded uncertainties."""
 
     frequency: float  # undamped natural frequency, Hz
     frequency_bound: float  # Hz
@@ -111,7 +111,7 @@ class Fit(Result):
     correlation : ndarray, shape (parameters, parameters)
         Correlation coefficients of the errors of the parameters' logarithms (log odds of ratios below 1).
     sensitivities : mapping of str to (float, float)
-        Relative deviation of the sensitivity of each sensor with a tolerance, and its 95 % bound.
+        Relative deviation of the sensitivity of each sensor with a tolerance, and its expanded uncertainty.
     modes : tuple of Mode
         Modes of the fitted structure.
     damping : tuple of LevelDamping

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # Names of the errors.
 REFERENCE_NOISE = "noise in the reference"
 LEAKAGE = "leakage"
-UNSETTLED = "not yet steady"
+UNSETTLED = "residual transient"
 ALIASING = "aliasing"
 RESOLUTION = "converter's resolution"
 MODEL = "local model"

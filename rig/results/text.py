@@ -66,12 +66,12 @@ def format_interval(value: float, bound: float) -> str:
     """Write a number with its bound, for a table whose header gives the unit.
 
     >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
-    ('2.42 ± 0.20', '935.2 (no bound)', '1')
+    ('2.42 ± 0.20', '935.2 (unbounded)', '1')
     """
     if bound == 0.0:
         return round_to_bound(value, bound)
     return f"{round_to_bound(value, bound)} " + (
-        f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(no bound)"
+        f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(unbounded)"
     )
 
 
@@ -79,10 +79,10 @@ def format_quantity(value: float, bound: float, unit: str) -> str:
     """Write a number with its bound and unit: (2.42 ± 0.20) %, so that the bound is not read as relative.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
-    ('(2.42 ± 0.20) %', '935.2 µm/N (no bound)')
+    ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')
     """
     if not isfinite(bound):
-        return f"{round_to_bound(value, bound)} {unit} (no bound)"
+        return f"{round_to_bound(value, bound)} {unit} (unbounded)"
     return f"({round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}) {unit}"
 
 

@@ -87,7 +87,8 @@ def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
 
 def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
     [responses] = analysis.frf(recordings[0])
-    curve = responses.curves()[0]
+    # Without the first mode, whose half-power width has too few points for an upper bound of its peak.
+    curve = responses.curves()[0].band(20.0, 60.0)
     value = abs(curve.value)
     # The tolerances of several reference channels have the largest effect at the resonance.
     curve = curve.with_limits({SENSITIVITY: np.where(value > 0.5 * value.max(), 5.0, 0.1) * value})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rig
+from daq.excitation.controlled import spring_force
 from daq.excitation.nearest_mode import NearestMode
 from daq.excitation.pretest import pretest
 from daq.excitation.station import Station
@@ -104,7 +105,7 @@ def test_pretest_estimates_response_of_table() -> None:
     shaker_laws = []
 
     def only_pretest(station: Station) -> Any:
-        shaker_laws.append((yield from pretest(station, 10.0, 40.0, 2.6)))
+        shaker_laws.append((yield from pretest(station, spring_force(station), 10.0, 40.0, 2.6)))
 
     run(scene, make_excitation=only_pretest)
     for frequency in (10.0, 20.0, 40.0):

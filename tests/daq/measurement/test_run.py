@@ -101,7 +101,7 @@ def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
     ("name", "changes", "message"),
     [
         ("fig8-three-dampers", {"test": None}, "has no test"),
-        ("fig10b-three-dampers", {"test": {**HIT, "width": "0.1 ms"}}, r"raise converter\.rate"),
+        ("fig10b-three-dampers", {"test": {**HIT, "width": "0.1 ms"}}, r"raise the sample rate \(converter\.rate\)"),
         ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "needs a motion channel at the table"),
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.responses.curve_checks import reversed_force
 from daq.importing import uff
 from daq.importing.files import signals_of
+from daq.importing.text_layout import UNNAMED
 from daq.importing.units import quantity_and_scale
 from rig.arrays import Array
 from rig.errors import RecordingError, SceneError
@@ -42,6 +44,8 @@ _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
 # Two lines are distinct if their relative frequency difference is at least this.
 _MIN_SPACING_RATIO = 1e-9
+# Beginning of the names of columns without a heading.
+_NO_NAME = UNNAMED.format("")
 _NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
 # Components of a response by the first letter of their names.
 _COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}
@@ -268,8 +272,16 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
 
 def _from_table(path: Path, unit: str | None) -> list[Response]:
     """Read a table of columns: frequency, then two columns for each response."""
-    with ExitStack() as stack:
+    with ExitStack() as stack, warnings.catch_warnings():
+        # Without a heading, the rising first column is taken for times; here it contains frequencies.
+        warnings.filterwarnings("ignore", message=".* has no heading; its first column rises evenly")
         first, *others = signals_of(path, stack)
+        unnamed = [signal.read(0, signal.samples) for signal in (first, *others) if signal.name.startswith(_NO_NAME)]
+        if first.name == UNNAMED.format(2) and first.rate is not None:
+            unnamed.insert(0, first.start_s + np.arange(first.samples) / first.rate)
+        if len(unnamed) == 3 and (np.diff(unnamed[0]) > 0.0).all():
+            frequency, real, imag = unnamed
+            return [_unnamed_curve(path, frequency, real, imag, unit)]
         frequency = first.read(0, first.samples)
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
@@ -300,6 +312,22 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
+
+
+def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit: str | None) -> Response:
+    """Return the curve of a table without a heading; reject a second column that may contain magnitudes."""
+    remedy = "a heading, such as: f [Hz],tip magnitude [m/N],tip phase [deg]"
+    if not (real < 0.0).any():
+        raise RecordingError(
+            f"{path} has no heading, and its second column has no negative value: it may be a real part or a "
+            f"magnitude. Add {remedy}."
+        )
+    motion, scale = _ratio(str(path), unit or "")
+    curve = _curve(path, "response", frequency, scale * (real + 1j * imag), motion)
+    return curve.warn(
+        f"{path} has no heading: frequency in Hz, real part and imaginary part are assumed. If this is wrong, add "
+        f"{remedy}."
+    )
 
 
 def _curve(

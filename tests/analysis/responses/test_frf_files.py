@@ -283,3 +283,21 @@ def test_missing_systematic_errors_are_reported(tmp_path):
     for name in ("a.uff", "a.csv"):
         [text] = analysis.read_frfs(tmp_path / name).warnings
         assert "Systematic errors are not in the file" in text
+
+
+def test_table_without_heading_is_read(tmp_path) -> None:
+    frequency = 2.0 * np.arange(1, 51)
+    value = 1.0 / (2000.0 - frequency**2 + 4j * frequency)
+    file = tmp_path / "beam.txt"
+    np.savetxt(file, np.column_stack([frequency, value.real, value.imag]))
+    curve = analysis.read_frfs(file, unit="m/N")
+    assert curve.frequency == pytest.approx(frequency)
+    assert curve.value.ravel() == pytest.approx(value)
+    assert any("real part and imaginary part are assumed" in text for text in curve.warnings)
+
+
+def test_table_without_heading_may_contain_magnitudes(tmp_path) -> None:
+    file = tmp_path / "beam.txt"
+    np.savetxt(file, np.column_stack([np.arange(1.0, 51.0), np.full(50, 2.0), np.linspace(-90.0, 90.0, 50)]))
+    with pytest.raises(RecordingError, match=r"real part or a magnitude. Add a heading"):
+        analysis.read_frfs(file, unit="m/N")

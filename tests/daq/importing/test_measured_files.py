@@ -1,0 +1,57 @@
+"""Measured files of other people: each is read, or refused in one sentence with the remedy."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+import analysis
+from daq.importing.files import signals_of
+from rig.errors import RecordingError
+
+FOLDER = Path(__file__).parents[4] / "shared" / "data" / "measured"
+pytestmark = [
+    pytest.mark.skipif(not FOLDER.is_dir(), reason="the measured files are absent"),
+    pytest.mark.filterwarnings("ignore"),
+]
+# Number of signals of the files with time histories, and refusals of the others.
+SIGNALS = {"d7.lvm": 6, "1.tdms": 8, "2.tdms": 21, "Sample_UFF58_ascii.uff": 1, "Sample_UFF58b_bin.uff": 1} | {
+    f"m{number}.npy": 2 for number in range(1, 6)
+}
+REFUSALS = {
+    "Artemis-export---Geometry-RPBC_setup_05_14102016_105117.uff": "Export time histories or frequency responses",
+    "ruler_grid_acc_3.mat": "Save the samples as numbers",
+    "uff55_translation.uff": "Export time histories or frequency responses as data set 58",
+    "uff55-sample_test-record10.uff": "Export time histories or frequency responses as data set 58",
+    "groups_test.uff": "Export time histories or frequency responses as data set 58",
+    "heat_engine_housing.uff": "Export time histories or frequency responses as data set 58",
+    "TestLab-161-164-18-15-82.uff": "Export time histories or frequency responses as data set 58",
+    "sample_dataset58_psd.uff": "Export time histories",
+    "non_ascii_header.uff": "Give its frequency responses to",
+}
+
+
+def file_of(name: str) -> Path:
+    return next(FOLDER.glob(f"*/{name}"))
+
+
+@pytest.mark.parametrize(("name", "count"), SIGNALS.items())
+def test_time_histories_are_listed(name: str, count: int) -> None:
+    with ExitStack() as stack:
+        assert len(signals_of(file_of(name), stack)) == count
+
+
+@pytest.mark.parametrize(("name", "remedy"), REFUSALS.items())
+def test_other_files_are_refused_with_remedy(name: str, remedy: str) -> None:
+    with ExitStack() as stack, pytest.raises(RecordingError, match=remedy):
+        signals_of(file_of(name), stack)
+
+
+def test_every_file_is_covered() -> None:
+    assert {file.name for file in FOLDER.glob("*/*")} == {*SIGNALS, *REFUSALS}
+
+
+def test_response_with_foreign_heading_is_read() -> None:
+    assert analysis.read_frfs(file_of("non_ascii_header.uff")).frequency.size == 5

@@ -1,1 +1,0 @@
-"""The command `shotrig`, which runs the commands `rig`, `daq` and `analysis`."""

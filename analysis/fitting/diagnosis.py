@@ -64,7 +64,7 @@ _FORCE_UNIT_ERRORS = {
 }
 # Another mistake is nearly as probable as the best if its misfit variance is at most this multiple.
 _CLOSE_RATIO = 1.5
-# Number of known errors of a sensor with which the structure is fitted, the most probable first.
+# Number of known errors of a sensor with which the structure is fitted, the best agreement first.
 _MAX_KNOWN_ERRORS = 2
 # A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
@@ -113,7 +113,6 @@ def find_cause(problem: Problem) -> tuple[bool, str]:
     if explanations:
         best, *others = sorted(explanations)
         text = f"{best.text}. If this is corrected, the scene fits."
-        # A free factor that is no unit error fits at least as well as each unit error of its sensor.
         close = [other for other in others if other.is_known_mistake and other.variance < _CLOSE_RATIO * best.variance]
         if close:
             text += f" Nearly as probable: {close[0].text}."
@@ -212,10 +211,9 @@ def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations
 
 
 def _try_known_errors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    """Yield the most probable known errors of each response sensor without which the other sensors fit.
+    """Yield the known errors of each response sensor that agree best with its readings.
 
-    The structure fitted to the other sensors predicts the readings. The likelihood of each error is that of the
-    predicted readings with this error.
+    A structure fitted to the other sensors predicts the readings, from which the errors to be fitted are chosen.
     """
     for sensor in _sensors(linear_curves):
         others = _omit_sensor(linear_curves, sensor)
@@ -223,7 +221,7 @@ def _try_known_errors(problem: Problem, linear_curves: list[Curves]) -> _Explana
             continue
         refit = _fit_structure(problem, others)
         predicted = _predict_sensor(refit, linear_curves, sensor)
-        errors = sorted(_known_errors(), key=lambda error: _misfit(error, linear_curves, sensor, predicted))
+        errors = sorted(_KNOWN_ERRORS, key=lambda error: _misfit(error, linear_curves, sensor, predicted))
         for error in errors[:_MAX_KNOWN_ERRORS]:
             corrected = [_correct(curves, sensor, error) for curves in linear_curves]
             yield _Explanation(_fit_structure(problem, corrected).variance, f"{sensor.name}: {error.text}", True)
@@ -241,11 +239,14 @@ class _KnownError(NamedTuple):
         return np.asarray(self.factor * (2j * np.pi * frequency) ** -self.integrations)
 
 
-def _known_errors() -> list[_KnownError]:
-    """List the known errors of a response sensor."""
-    scales = [_KnownError(f"it reads {factor:.4g} times the true value ({text})", factor, 0)
-              for factor, text in _UNIT_ERRORS.items()]  # fmt: skip
-    return scales + [_KnownError(text, 1.0, order) for order, text in _WRONG_QUANTITIES.items()]
+#: The known errors of a response sensor.
+_KNOWN_ERRORS = (
+    *(
+        _KnownError(f"it reads {factor:.4g} times the true value ({text})", factor, 0)
+        for factor, text in _UNIT_ERRORS.items()
+    ),
+    *(_KnownError(text, 1.0, order) for order, text in _WRONG_QUANTITIES.items()),
+)
 
 
 def _predict_sensor(refit: _Refit, linear_curves: list[Curves], sensor: Sensor) -> list[ComplexArray]:
@@ -259,9 +260,9 @@ def _predict_sensor(refit: _Refit, linear_curves: list[Curves], sensor: Sensor) 
 
 
 def _misfit(error: _KnownError, linear_curves: list[Curves], sensor: Sensor, predicted: list[ComplexArray]) -> float:
-    """Return the mean deviation of the logarithms of readings and predictions with an error, weighted by their noise.
+    """Return the median deviation between the logarithms of the readings and of the predictions with an error.
 
-    Logarithms are not dominated by the resonances, at which a structure fitted without the sensor is least accurate.
+    Neither the noise nor the resonances, where a structure fitted without the sensor is least accurate, dominate it.
     """
     deviations = []
     for curves, values in zip(linear_curves, predicted, strict=True):

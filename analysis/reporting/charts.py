@@ -94,7 +94,7 @@ class ChartWriter:
         # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
         return (
-            f'<figure class="drawn"><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
+            f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
             f'data-source="{identifier}"></div>'
             f"<figcaption>{escape_html(chart.caption)}</figcaption>"
             f'<script type="application/json" id="{identifier}">{text}</script></figure>'

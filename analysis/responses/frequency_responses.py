@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 from analysis.recordings.names import takes_path
 from analysis.responses.estimator import Blocks, Request, annotate, estimator_of
-from analysis.responses.measurands import driven_forces, required_channels, select_channels, weak_force_warnings
+from analysis.responses.measurands import (
+    force_levels,
+    required_channels,
+    select_channels,
+    strong_forces,
+    weak_force_warnings,
+)
 from daq.recording.recorded_test import TestKind
 from rig.errors import RecordingError, SceneError
 from rig.numerics.blas_threads import with_one_blas_thread
@@ -86,7 +92,8 @@ def frequency_responses(
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind.marked and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
-    inputs = driven_forces(rec) if reference == "force" else ()
+    levels = force_levels(rec) if reference == "force" else []
+    inputs = strong_forces(levels)
     if len(inputs) > 1:
         from analysis.responses.several_inputs import response_matrix
 
@@ -95,7 +102,7 @@ def frequency_responses(
     else:
         used = required_channels(rec, names, reference)
         computed = own_estimator.compute(Request(rec, names, reference, motion, blocks, progress, used, measured))
-    warnings = weak_force_warnings(rec) if reference == "force" else []
+    warnings = weak_force_warnings(levels)
     warnings += [
         f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
         for marker in rec.markers

@@ -191,22 +191,26 @@ def _places(rec: Recording) -> str:
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
     """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
-    return tuple(force for force, level in _simultaneous_forces(rec) if level > _MIN_FORCE_LEVEL_DB)
+    return strong_forces(force_levels(rec))
 
 
-def weak_force_warnings(rec: Recording) -> list[str]:
-    """Return a warning for each shaker of the test whose force is too weak to be an input."""
-    forces = _simultaneous_forces(rec)
-    used = ", ".join(force.name for force, level in forces if level > _MIN_FORCE_LEVEL_DB)
+def strong_forces(levels: Sequence[tuple[Point, float]]) -> tuple[Point, ...]:
+    """Return the forces that are strong enough to be inputs; `levels`: from `force_levels`."""
+    return tuple(force for force, level in levels if level > _MIN_FORCE_LEVEL_DB)
+
+
+def weak_force_warnings(levels: Sequence[tuple[Point, float]]) -> list[str]:
+    """Return a warning for each force that is too weak to be an input; `levels`: from `force_levels`."""
+    used = ", ".join(force.name for force in strong_forces(levels))
     return [
         f"{force.name} at {force.place} is {'zero' if np.isinf(level) else f'{-level:.0f} dB below the largest'}. "
         f"It is neglected as an input, so that the responses are those to {used} alone. Check its amplifier and sensor."
-        for force, level in forces
+        for force, level in levels
         if level <= _MIN_FORCE_LEVEL_DB
     ]
 
 
-def _simultaneous_forces(rec: Recording) -> list[tuple[Point, float]]:
+def force_levels(rec: Recording) -> list[tuple[Point, float]]:
     """Return the force channel of each shaker of a test with several, and its level relative to the largest, dB."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:

@@ -16,7 +16,6 @@ Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import inf
 from typing import NamedTuple
 
@@ -105,10 +104,6 @@ class Law(NamedTuple):
         """The forces by their number."""
         numbers = self.force_indices
         return tuple({numbers[name]: mode.force for name, mode in self.modes.items()}.values())
-
-
-#: A function that declares a law for given parameters.
-Declaration = Callable[..., Law]
 
 
 def faults(law: Law) -> list[str]:

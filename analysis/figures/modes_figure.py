@@ -10,7 +10,6 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.escaping import escape_figure
 from rig.figure_style import add_title, color_of, frequency_axis, log_axis, new_figure
-from rig.results import format_quantity
 from rig.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
@@ -79,9 +78,6 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
-                f"{format_quantity(modes.frequency[i], 2 * modes.frequency_error[i], 'Hz')}\n{modes.damping_text(i)}",
-                y=1.0,
-                fontsize=9,
-                fontweight="normal",
+                f"{modes.frequency_text(i)}\n{modes.damping_text(i)}", y=1.0, fontsize=9, fontweight="normal"
             )
         return figure

@@ -87,9 +87,14 @@ class Modes(Result):
     places: tuple[str, ...] = ()
 
     def summary(self) -> str:
-        """List frequency and damping ratio of each mode."""
-        texts = (f"{f:.4g} Hz, damping ratio {self.damping_text(k)}" for k, f in enumerate(self.frequency))
+        """List frequency and damping ratio of each mode, with their 95 % intervals."""
+        modes = range(self.frequency.size)
+        texts = (f"{self.frequency_text(k)}, damping ratio {self.damping_text(k)}" for k in modes)
         return f"{self.label}: {'; '.join(texts)}"
+
+    def frequency_text(self, mode: int) -> str:
+        """Write a natural frequency with its expanded uncertainty (95 %)."""
+        return format_quantity(self.frequency[mode], float(expand(self.frequency_error[mode])), "Hz")
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""

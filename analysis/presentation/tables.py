@@ -12,7 +12,9 @@ import numpy as np
 from analysis.modal.modes import Modes
 from rig.escaping import escape_cell, escape_terminal
 from rig.output_files import atomic_write
+from rig.results import round_to_bound
 from rig.results.response import Response
+from rig.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.decays.free_decay import Decay
@@ -98,7 +100,10 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
 
 
 def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
-    """Write a table of natural frequencies, damping ratios and mode shapes."""
+    """Write a table of natural frequencies, damping ratios and mode shapes.
+
+    Frequencies and damping ratios have the digits of their 95 % intervals, as in all other outputs.
+    """
     channels = list(dict.fromkeys(name for modes in sweeps for name in modes.of_bodies().names))
     heading = [
         "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
@@ -111,9 +116,16 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))
             error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
+            omega, omega_error = 2 * np.pi * frequency, 2 * np.pi * modes.frequency_error[i]
             rows.append((
-                modes.label, modes.input, i + 1, frequency, modes.frequency_error[i], 2 * np.pi * frequency,
-                modes.damping[i], modes.damping_error[i], *(shape.get(name, np.nan) for name in channels),
+                modes.label, modes.input, i + 1, *_rounded(frequency, modes.frequency_error[i]),
+                _rounded(omega, omega_error)[0], *_rounded(modes.damping[i], modes.damping_error[i]),
+                *(shape.get(name, np.nan) for name in channels),
                 *(error.get(name, np.nan) for name in channels), modes.collinearity[i],
             ))  # fmt: skip
     return write_table(path, heading, rows)
+
+
+def _rounded(value: float, error: float) -> tuple[float, float]:
+    """Round a value to its 95 % interval, and its standard uncertainty to two digits."""
+    return float(round_to_bound(value, float(expand(error)))), float(f"{error:.2g}")

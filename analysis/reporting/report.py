@@ -142,8 +142,8 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
             drawings = [
-                mode_drawing(bodies, k, f"{frequency:.4g} Hz, damping ratio {modes.damping_text(k)}")
-                for k, frequency in enumerate(modes.frequency)
+                mode_drawing(bodies, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}")
+                for k in range(modes.frequency.size)
             ]
             sections += [
                 f"<h3>{escape_html(measurement.label)}</h3>",

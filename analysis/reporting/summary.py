@@ -12,7 +12,7 @@ from analysis.damper_motion.dampers import Dampers
 from analysis.presentation.damper_findings import detection_limits
 from analysis.reporting.measurements import Measurement
 from analysis.reporting.tables import peak_height, with_bound
-from rig.results import format_decimals, format_frequencies, format_percent, round_to_bound
+from rig.results import format_decimals, format_frequencies, round_to_bound
 
 # Number of sentences in the summary.
 _MAX_SENTENCES = 3
@@ -82,8 +82,10 @@ def _resonance_sentences(measurement: Measurement) -> list[str]:
         modes = sweep.modes
         if modes is None or not modes.frequency.size:
             continue
-        pairs = sorted(zip(modes.frequency, modes.damping, strict=True))
-        listed = ", ".join(f"{frequency:.4g} Hz ({format_percent(damping)} damping)" for frequency, damping in pairs)
+        listed = ", ".join(
+            f"{modes.frequency_text(k)} with a damping ratio of {modes.damping_text(k)}"
+            for k in np.argsort(modes.frequency).tolist()
+        )
         plural = "s" * (modes.frequency.size != 1)
         label = modes.label if len(measurement.sweeps) > 1 else measurement.label
         text = f"“{label}”: {modes.frequency.size} resonance{plural} at {listed}"

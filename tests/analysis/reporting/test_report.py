@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 import shutil
 import subprocess
@@ -19,6 +20,8 @@ from analysis.damper_motion.comparison import Peak, PeakChange
 from analysis.presentation.comparison import describe_changes
 from analysis.presentation.damper_findings import describe_motions
 from analysis.presentation.frf_findings import describe_frfs
+from analysis.presentation.mode_findings import describe_modes
+from analysis.presentation.tables import modes_table
 from analysis.reporting.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.reporting.drawing import rig_drawing
 from analysis.reporting.measurements import Measurements, highest_peak
@@ -26,8 +29,9 @@ from analysis.reporting.report import write_report
 from analysis.reporting.responses import response_chart
 from analysis.reporting.summary import summarize
 from analysis.reporting.tables import peak_height
+from rig.results import format_interval
 from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY
+from rig.results.uncertainty import SENSITIVITY, expand
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)
@@ -107,6 +111,21 @@ def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> 
         peak = Peak(1e-3, 2e-3, 13.0, 12.9, 13.1)
         [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, highest=(curve, peak)),))], [])
     assert "is not determined" in sentence and "µm/N" not in sentence
+
+
+def test_modes_have_equal_digits_in_all_outputs(recordings: list[Path], tmp_path: Path) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        modes = measurement.sweeps[0].modes
+        assert modes is not None
+        headline = " ".join(summarize([measurement], []))
+    rows = csv.DictReader(modes_table(tmp_path / "modes.csv", [modes]).read_text("utf-8").splitlines())
+    lines = describe_modes(modes)[2:]
+    for k, (row, line) in enumerate(zip(rows, lines, strict=True)):
+        bounds = expand(np.array([modes.frequency_error[k], 100.0 * modes.damping_error[k]]))
+        values = float(row["frequency_Hz"]), 100.0 * float(row["damping_ratio"])
+        texts = [format_interval(*pair) for pair in zip(values, bounds.tolist(), strict=True)]
+        assert all(text in headline and text in line for text in texts)
 
 
 @pytest.mark.thorough

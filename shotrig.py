@@ -19,7 +19,7 @@ def main() -> None:
         sys.argv[:2] = [program]
         import_module(f"{program}.__main__").main()
     elif program == "--version":
-        from rig.unexpected import version
+        from rig.core.base.unexpected import version
 
         print(f"shotrig {version()}")
     elif program == "--help":

@@ -10,14 +10,14 @@ from pathlib import Path
 import typer
 from typer.testing import CliRunner
 
-from rig.figure_style import use_style
+from rig.core.base.figure_style import use_style
 
 ROOT = Path(__file__).parents[1]
 #: Sources of the site: copies of the pages, with the generated pages next to them, so that addresses have no dots.
 SOURCE = ROOT / "build" / "docs-source"
 EXAMPLES = ROOT / "build" / "docs-examples"
 PAGES = (
-    "README.md", "CHANGELOG.md", "[a-z]*/README.md", "*/guide/*.md", "*/recording/LAYOUT.md", "recordings/*.png",
+    "README.md", "CHANGELOG.md", "[a-z]*/README.md", "*/guide/*.md", "*/core/recording/LAYOUT.md", "recordings/*.png",
 )  # fmt: skip
 sys.path.insert(0, str(ROOT))
 
@@ -78,7 +78,7 @@ def write_examples() -> None:
 
 def write_reference() -> None:
     """Write a page for each package's public names, for the commands and for the keys of scene files."""
-    from rig.scene.reference import reference_page
+    from rig.core.scene.reference import reference_page
 
     reference = SOURCE / "reference"
     reference.mkdir(parents=True, exist_ok=True)
@@ -101,7 +101,7 @@ def write_reference() -> None:
 
 def commands(package: str) -> str:
     """Give the help of every command of a package as a page."""
-    app = import_module(f"{package}.cli").app
+    app = import_module(f"{package}.commands.cli").app
     text = f"# {package}: commands\n"
     for name in typer.main.get_command(app).commands:
         shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=100).output

@@ -2,7 +2,7 @@
 
 # A command that is interrupted during its import ends without a traceback.
 try:
-    from rig.interruption import restore_default_interrupt
+    from rig.core.base.interruption import restore_default_interrupt
 
     restore_default_interrupt()
 except KeyboardInterrupt:

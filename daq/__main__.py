@@ -15,9 +15,9 @@ if "run" not in sys.argv:
 
 def main() -> None:
     """Run the command."""
-    from rig.command_line import run_command
+    from rig.commands.command_line import run_command
 
-    run_command("daq.cli")
+    run_command("daq.commands.cli")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 # An interrupt during import must end the command without a traceback.
 try:
-    from rig.interruption import restore_default_interrupt
+    from rig.core.base.interruption import restore_default_interrupt
 
     restore_default_interrupt()
 except KeyboardInterrupt:

@@ -1,29 +1,29 @@
 # The public names and where they live; `__init__.py` imports each when it is first used.
 
-from .bed_response.bed_response import BedResponse
-from .calls import cost, grains, map, response
-from .compiling import warm_up
-from .damper_design.design import Design, design
-from .effects.explanation import Explanation, explain
-from .errors import RecordingError, RunError, RunWarning, SceneError, SceneWarning, ShotrigError
-from .motion_map.motion_map import MotionMap, map_motion
-from .orbits.branches import follow_orbits
-from .orbits.orbit import Orbit
-from .orbits.orbit_curve import OrbitCurve
-from .orbits.periodic_orbit import periodic_orbit
-from .orbits.sweep import OrbitResponse, orbit_response
-from .results.response import Response
-from .scene.damper import Damper
-from .scene.loading import load, loads
-from .scene.measurement_chain import Channel, Converter
-from .scene.scene import Scene
-from .scene.structure import Structure
-from .simulation.motion import Motion
-from .simulation.plant import Plant
-from .simulation.simulate import Run, simulate
-from .single_mode.approximate_response import Approximation, approximate_response
-from .steady_response.frequency_response import SteadyResponse, frequency_response
-from .work_precision.cost import Cost
+from .commands.calls import cost, grains, map, response
+from .commands.compiling import warm_up
+from .core.base.errors import RecordingError, RunError, RunWarning, SceneError, SceneWarning, ShotrigError
+from .core.effects.explanation import Explanation, explain
+from .core.orbits.branches import follow_orbits
+from .core.orbits.orbit import Orbit
+from .core.orbits.orbit_curve import OrbitCurve
+from .core.orbits.periodic_orbit import periodic_orbit
+from .core.orbits.sweep import OrbitResponse, orbit_response
+from .core.results.response import Response
+from .core.scene.damper import Damper
+from .core.scene.loading import load, loads
+from .core.scene.measurement_chain import Channel, Converter
+from .core.scene.scene import Scene
+from .core.scene.structure import Structure
+from .core.simulation.motion import Motion
+from .core.simulation.plant import Plant
+from .core.simulation.simulate import Run, simulate
+from .core.steady_response.frequency_response import SteadyResponse, frequency_response
+from .extras.bed_response.bed_response import BedResponse
+from .studies.cost.cost import Cost
+from .studies.design.design import Design, design
+from .studies.motion_map.motion_map import MotionMap, map_motion
+from .studies.single_mode.approximate_response import Approximation, approximate_response
 
 __all__ = [
     "Approximation",

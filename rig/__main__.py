@@ -12,9 +12,9 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")
 
 def main() -> None:
     """Run the command."""
-    from rig.command_line import run_command
+    from rig.commands.command_line import run_command
 
-    run_command("rig.cli")
+    run_command("rig.commands.cli")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import signal
 import typer.testing
 from hypothesis import HealthCheck, settings
 
-from rig import console
+from rig.core.base import console
 
 settings.register_profile(
     "project", derandomize=True, deadline=None, database=None, suppress_health_check=[HealthCheck.too_slow]

@@ -63,7 +63,7 @@ def _chain(variant: str) -> dict[str, Any]:
 def _scenes() -> Iterator[tuple[str, Any]]:
     """Yield names and scenes."""
     import rig
-    from rig.scene.scene_files import bundled_scenes
+    from rig.core.scene.scene_files import bundled_scenes
 
     for name in bundled_scenes():
         yield name, rig.load(name)
@@ -81,9 +81,9 @@ def _bits(trajectory: Any) -> list[Any]:
 
 def _tone(scene: Any, level: float) -> list[Any]:
     """Return the motion under the tone of a scene, at a multiple of its amplitude."""
-    from rig.engine.propagator import tone_propagator
-    from rig.system.assembly import assemble
-    from rig.system.open_loop_drive import tone_drive
+    from rig.core.engine.propagator import tone_propagator
+    from rig.core.system.assembly import assemble
+    from rig.core.system.open_loop_drive import tone_drive
 
     system = assemble(scene)
     tone = tone_drive(scene, system)
@@ -102,7 +102,7 @@ def _tone(scene: Any, level: float) -> list[Any]:
 
 def _sampled(scene: Any) -> list[Any]:
     """Return the motion under a sine with noise, sampled."""
-    from rig.simulation.plant import Plant
+    from rig.core.simulation.plant import Plant
 
     plant = Plant(scene, RATE)
     samples = np.arange(int(2.0 * RATE))

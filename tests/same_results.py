@@ -139,7 +139,7 @@ IMPORTED = ("steps", "table-force", "sine", "sweep", "linear", "double-hit", "fr
 def bench_scenes() -> Iterator[tuple[str, Any]]:
     """Yield the bundled scenes with shortened tests, and the small scenes."""
     import rig
-    from rig.scene.scene_files import bundled_scenes
+    from rig.core.scene.scene_files import bundled_scenes
 
     for name in bundled_scenes():
         test = rig.load(name).test
@@ -179,7 +179,7 @@ def _printed(command: str) -> str:
     program, *arguments = command.split()
     sys.argv = [program, *arguments]
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text), contextlib.suppress(SystemExit):
-        import_module(f"{program}.cli").main()
+        import_module(f"{program}.commands.cli").main()
     sys.argv = previous
     return text.getvalue()
 

@@ -16,9 +16,9 @@ import pytest
 import yaml
 
 import rig
-from daq.virtual_bench.bench import Bench
-from rig.laws.events import FLOOR
-from rig.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
+from daq.core.virtual_bench.bench import Bench
+from rig.core.laws.events import FLOOR
+from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE, parse
 
 FOLDER = Path(__file__).parent / "cases"
 # Samples of a block that the bench acquires at once.

@@ -8,17 +8,17 @@ from importlib import import_module
 import pytest
 import typer.testing
 
-from rig.scene.loading import load_with_options
+from rig.core.scene.loading import load_with_options
 
 COMMANDS = [
     (program, name)
     for program in ("rig", "daq", "analysis")
-    for name in typer.testing._get_command(import_module(f"{program}.cli").app).commands
+    for name in typer.testing._get_command(import_module(f"{program}.commands.cli").app).commands
 ]
 
 
 def command(program, name):
-    return typer.testing._get_command(import_module(f"{program}.cli").app).commands[name]
+    return typer.testing._get_command(import_module(f"{program}.commands.cli").app).commands[name]
 
 
 @pytest.mark.parametrize(("program", "name"), COMMANDS)

@@ -18,8 +18,8 @@ import typer.testing
 from typer.testing import CliRunner
 
 import rig
-from rig.scene.scene_files import bundled_scenes
-from rig.scene.yaml_reader import read_yaml
+from rig.core.scene.scene_files import bundled_scenes
+from rig.core.scene.yaml_reader import read_yaml
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("*/guide/*.md"))]
@@ -76,7 +76,7 @@ def test_commands_of_pages_run_as_typed(page, folder) -> None:
         with warnings.catch_warnings():
             # A few coarse steps do not settle, and the recording reports it.
             warnings.simplefilter("ignore")
-            result = CliRunner().invoke(import_module(f"{words[0]}.cli").app, words[1:])
+            result = CliRunner().invoke(import_module(f"{words[0]}.commands.cli").app, words[1:])
         assert result.exit_code == 0, (words, result.output, result.exception)
         assert result.output, words
 
@@ -86,7 +86,7 @@ def test_readme_quotes_printed_comparison(folder) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (words,) = [words for words in commands(ROOT / "README.md", "sh") if words[1] == "compare"]
     quoted = re.findall(r"^    ((?:response|body3) .*)$", text, re.MULTILINE)
-    printed = CliRunner().invoke(import_module("analysis.cli").app, words[1:]).output
+    printed = CliRunner().invoke(import_module("analysis.commands.cli").app, words[1:]).output
     assert len(quoted) == 3 and all(line in printed for line in quoted)
 
 
@@ -103,7 +103,7 @@ def test_python_of_pages_runs(page, folder) -> None:
 def test_commands_of_pages_have_existing_options(page, folder) -> None:
     (folder / "your_script.py").touch()
     for words in commands(page, "sh", "bash"):
-        command = typer.testing._get_command(import_module(f"{words[0]}.cli").app).commands[words[1]]
+        command = typer.testing._get_command(import_module(f"{words[0]}.commands.cli").app).commands[words[1]]
         command.make_context(words[1], words[2:])
         for word in words[2:]:
             assert word not in (*scenes(), *bundled_scenes()) or rig.load(word)

@@ -9,7 +9,7 @@ import pytest
 
 import daq
 import rig
-from daq.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench
 
 
 def full_scene() -> rig.Scene:

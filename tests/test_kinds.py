@@ -11,26 +11,26 @@ from typing import Any
 
 import pytest
 
-from analysis.responses.estimator import MODULES, Estimator
-from daq.excitation import procedure_of
-from daq.recording.recorded_test import TestKind
-from rig.scene.excitation import KINDS as TESTS
-from rig.scene.excitation import KindOfTest
-from rig.scene.json_schema import schema_text
-from rig.scene.shaker import KINDS as SHAKERS
+from analysis.core.responses.estimator import MODULES, Estimator
+from daq.core.excitation import procedure_of
+from daq.core.recording.recorded_test import TestKind
+from rig.core.scene.excitation import KINDS as TESTS
+from rig.core.scene.excitation import KindOfTest
+from rig.core.scene.json_schema import schema_text
+from rig.core.scene.shaker import KINDS as SHAKERS
 
 ROOT = Path(__file__).parents[1]
 GUIDES = "\n".join(guide.read_text(encoding="utf-8") for guide in ROOT.glob("*/guide/*.md"))
 # Files that may ask for a kind: its owners, and the studies of the paper and of cost, which no scene reaches.
 OWNERS = (
-    "rig/scene/excitation/",
-    "rig/scene/shaker/",
-    *(f"daq/excitation/{kind.kind_name()}.py" for kind in TESTS),
-    "daq/recording/recorded_test.py",
-    "rig/single_mode/",
-    "rig/work_precision/",
-    "analysis/reproduction/",
-    "analysis/chain_cost/",
+    "rig/core/scene/excitation/",
+    "rig/core/scene/shaker/",
+    *(f"daq/core/excitation/{kind.kind_name()}.py" for kind in TESTS),
+    "daq/core/recording/recorded_test.py",
+    "rig/studies/single_mode/",
+    "rig/studies/cost/",
+    "analysis/studies/paper/",
+    "analysis/studies/cost/",
 )
 CLASSES = {kind.__name__ for kind in (*TESTS, *SHAKERS.values())}
 NAMES = {*(kind.kind_name() for kind in TESTS), *SHAKERS}
@@ -39,7 +39,7 @@ NAMES = {*(kind.kind_name() for kind in TESTS), *SHAKERS}
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
 def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
     procedure = procedure_of(kind)
-    assert "excite" in vars(type(procedure)), f"daq.excitation.{kind.kind_name()}: define excite"
+    assert "excite" in vars(type(procedure)), f"daq.core.excitation.{kind.kind_name()}: define excite"
 
 
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
@@ -49,8 +49,8 @@ def test_kind_of_test_has_kind_of_recording(kind: type[KindOfTest]) -> None:
 
 @pytest.mark.parametrize("kind", TestKind)
 def test_kind_of_recording_has_estimator(kind: TestKind) -> None:
-    assert kind.value in MODULES, f"analysis.responses.estimator.MODULES: add {kind.value}"
-    assert isinstance(import_module(f"analysis.responses.{MODULES[kind.value]}").ESTIMATOR, Estimator)
+    assert kind.value in MODULES, f"analysis.core.responses.estimator.MODULES: add {kind.value}"
+    assert isinstance(import_module(f"analysis.core.responses.{MODULES[kind.value]}").ESTIMATOR, Estimator)
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))

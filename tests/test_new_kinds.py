@@ -29,7 +29,7 @@ def use(product: Path, files: dict[str, str], union: str, last: str, new: str, s
     module = next(iter(files)).removesuffix(".py").replace("/", ".")
     package = product / union / "__init__.py"
     text = package.read_text(encoding="utf-8").replace(f"{last},", f"{last} | {new},")
-    text = text.replace("from rig.settings", f"from {module} import {new} as {new}\nfrom rig.settings", 1)
+    text = text.replace("from rig.core.settings", f"from {module} import {new} as {new}\nfrom rig.core.settings", 1)
     package.write_text(text, encoding="utf-8")
     command = [sys.executable, "-P", str(KINDS / script), str(product / "new.mcap")]
     environment = {**os.environ, "PYTHONPATH": str(product)}
@@ -41,18 +41,18 @@ def use(product: Path, files: dict[str, str], union: str, last: str, new: str, s
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     files = {
-        "rig/scene/excitation/two_tones.py": "two_tones_settings.py",
-        "daq/excitation/two_tones.py": "two_tones_procedure.py",
+        "rig/core/scene/excitation/two_tones.py": "two_tones_settings.py",
+        "daq/core/excitation/two_tones.py": "two_tones_procedure.py",
     }
     product = tmp_path_factory.mktemp("product")
-    return use(product, files, "rig/scene/excitation", "Free", "TwoTones", "use_two_tones.py")
+    return use(product, files, "rig/core/scene/excitation", "Free", "TwoTones", "use_two_tones.py")
 
 
 @pytest.fixture(scope="module")
 def coil(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    files = {"rig/scene/shaker/voice_coil.py": "voice_coil_shaker.py"}
+    files = {"rig/core/scene/shaker/voice_coil.py": "voice_coil_shaker.py"}
     product = tmp_path_factory.mktemp("product")
-    return use(product, files, "rig/scene/shaker", "ElectrodynamicShaker", "VoiceCoil", "use_voice_coil.py")
+    return use(product, files, "rig/core/scene/shaker", "ElectrodynamicShaker", "VoiceCoil", "use_voice_coil.py")
 
 
 def test_new_kind_is_checked(results: dict[str, Any]) -> None:

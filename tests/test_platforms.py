@@ -15,8 +15,8 @@ import pytest
 import analysis
 import daq
 import rig
-from rig import command_line
-from rig.output_files import atomic_write
+from rig.commands import command_line
+from rig.core.base.output_files import atomic_write
 
 SCENE = {
     "test": {"kind": "free", "mode": 1, "amplitude": "1 mm", "duration": "0.7 s"},
@@ -88,8 +88,8 @@ for owner, names in ((os, ("sched_getaffinity", "setpriority", "getuid")), (sign
         if hasattr(owner, name):
             delattr(owner, name)
 import daq, rig
-from daq.pytest_plugin.bench import open_bench
-from rig.workers import cores
+from daq.extras.pytest_plugin.bench import open_bench
+from rig.core.base.workers import cores
 assert cores() == os.cpu_count()
 daq.record(rig.load("fig10b-no-damper", {SCENE}), "run.mcap")
 assert daq.open("run.mcap").read("body3", 0, 10).size == 10
@@ -118,6 +118,6 @@ def test_commands_print_on_consoles_with_few_characters(
     monkeypatch.setattr(sys, "argv", command.format(folder=tmp_path).split())
     monkeypatch.setattr(sys, "stdout", console)
     with pytest.raises(SystemExit) as end:
-        command_line.run_command(f"{sys.argv[0]}.cli")
+        command_line.run_command(f"{sys.argv[0]}.commands.cli")
     console.flush()
     assert (end.value.code, len(console.buffer.getvalue()) > 100) == (0, True)

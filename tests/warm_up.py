@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import daq
-from daq.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench
 from tests.benchmarks.chain import full_scene
 
 if __name__ == "__main__":

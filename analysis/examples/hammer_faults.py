@@ -43,7 +43,7 @@ for name, text in tests.items():
         overloads[name] = sum(marker.kind == "overload" for marker in recording.markers)
         try:
             frf = analysis.frfs(recording)["arm"]
-        except rig.errors.RecordingError as error:
+        except rig.RecordingError as error:
             print(f"{name}: {error}")
             continue
     # N s; the minimum is taken below 2 kHz.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from rig.output_files import atomic_write
+from rig.core.base.output_files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,4 +25,4 @@ def undrawn_figures(monkeypatch: pytest.MonkeyPatch) -> None:
                 temporary.write_text("\n".join(f">{text.get_text()}<" for text in figure.findobj(Text)), "utf-8")
         return paths
 
-    monkeypatch.setattr("rig.figure_style.save_figure", save_texts)
+    monkeypatch.setattr("rig.core.base.figure_style.save_figure", save_texts)

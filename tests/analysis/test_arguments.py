@@ -11,10 +11,10 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.modal.modes import Modes
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, SceneError, ShotrigError
-from rig.results.response import Response
+from analysis.core.modal.modes import Modes
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError, SceneError, ShotrigError
+from rig.core.results.response import Response
 from tests.analysis.responses import synthetic
 
 SWEEP = Path(__file__).parents[2] / "recordings" / "demo-sweep-no-damper.mcap"

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from rig.errors import RecordingError
+from analysis.commands.cli import app
+from rig.core.base.errors import RecordingError
 from tests.analysis.responses import synthetic
 
 BARE = Path("recordings/demo-sweep-no-damper.mcap")

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import analysis.cli
+import analysis.commands.cli
 import daq
-import daq.cli
-from daq.recording.recorder import Recorder
-from daq.viewing.description import markdown_page
-from daq.viewing.replay import Replay
+import daq.commands.cli
+from daq.core.recording.recorder import Recorder
+from daq.extras.viewer.description import markdown_page
+from daq.extras.viewer.replay import Replay
 from tests.analysis.responses import synthetic
 
 MARKUP = "<script>alert(1)</script> **b** [x](http://x) `c` $\\frac$ |d|"
@@ -72,7 +72,7 @@ def test_commands_print_no_control_codes(
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", [package, *command.split()])
     with pytest.raises(SystemExit) as exit_request:
-        (daq if package == "daq" else analysis).cli.main()
+        (daq if package == "daq" else analysis).commands.cli.main()
     printed = capsys.readouterr()
     assert exit_request.value.code == 0, printed.err
     texts = [printed.out, printed.err]
@@ -87,7 +87,7 @@ def test_page_escapes_hostile_text(folder: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", ["analysis", "report", "r.mcap"])
     with pytest.raises(SystemExit):
-        analysis.cli.main()
+        analysis.commands.cli.main()
     page = next(folder.glob("*report.html")).read_text("utf-8")
     # The page's own scripts: libraries, and the data of each chart.
     assert "<script>alert" not in page and "&lt;script&gt;" in page
@@ -102,7 +102,7 @@ def test_replay_escapes_hostile_text(folder: Path) -> None:
 
 
 def test_every_command_is_tested_or_exempt() -> None:
-    for package, app in (("daq", daq.cli.app), ("analysis", analysis.cli.app)):
+    for package, app in (("daq", daq.commands.cli.app), ("analysis", analysis.commands.cli.app)):
         names = {
             command.name or str(command.callback.__name__) for command in app.registered_commands if command.callback
         }

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
 
 GUIDE = Path(__file__).parents[2] / "analysis" / "guide" / "uncertainty.md"
 TRANSIENT = "residual transient"

@@ -14,11 +14,11 @@ from itertools import product
 
 import numpy as np
 
-from analysis.reproduction.bed_study import MODULUS_PA, Setting, scene_of_bed
-from rig.bed_response.steady_bed import steady_grains
-from rig.scene.damper import Grains
-from rig.scene.scene import STANDARD_GRAVITY, Scene
-from rig.system.spheres import rayleigh_time
+from analysis.studies.paper.bed_study import MODULUS_PA, Setting, scene_of_bed
+from rig.core.scene.damper import Grains
+from rig.core.scene.scene import STANDARD_GRAVITY, Scene
+from rig.core.system.spheres import rayleigh_time
+from rig.extras.bed_response.steady_bed import steady_grains
 
 # Seeds of the random packings.
 PACKINGS = (1, 2, 3)

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
-from daq.recording.recorder import Recorder
-from daq.signal_chain.chain import Chain
-from daq.signal_chain.converter import Quantizer
-from daq.virtual_bench.bench import Bench
-from rig.scene.scene import Scene
-from rig.simulation.plant import Plant
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.chain import Chain
+from daq.core.signal_chain.converter import Quantizer
+from daq.core.virtual_bench.bench import Bench
+from rig.core.scene.scene import Scene
+from rig.core.simulation.plant import Plant
 
 RATE = 51200.0  # samples per second
 SECONDS = 4

@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 
 import rig
-from rig.damper_design.choice import Choice
-from rig.damper_design.figure import write
-from rig.damper_design.request import parse_request
-from rig.workers import Workers
+from rig.core.base.workers import Workers
+from rig.studies.design.choice import Choice
+from rig.studies.design.figure import write
+from rig.studies.design.request import parse_request
 
 # Number of tasks without computation, to measure the overhead of a task.
 EMPTY_TASKS = 3000

@@ -17,13 +17,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from analysis.reproduction.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
-from rig.arrays import Array
-from rig.bed_response.steady_bed import steady_grains
-from rig.grain_beds.packing import bed_top, settled_positions
-from rig.scene.excitation import Sine
-from rig.scene.scene import STANDARD_GRAVITY
-from rig.system.spheres import Spheres, rayleigh_time, spheres_of
+from analysis.studies.paper.bed_study import BEDS, FREQUENCY, Setting, scene_of_bed, summary_row
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation import Sine
+from rig.core.scene.scene import STANDARD_GRAVITY
+from rig.core.system.spheres import Spheres, rayleigh_time, spheres_of
+from rig.extras.bed_response.steady_bed import steady_grains
+from rig.extras.grains.packing import bed_top, settled_positions
 
 #: Amplitude of the acceleration, g; clearance, m; number of layers; periods of a block. A simulation has three blocks,
 #: and its results are averaged over the last two. Deep beds below a high ceiling need many periods to become steady.

@@ -14,15 +14,15 @@ from collections.abc import Callable
 import numpy as np
 
 import rig
-from rig.engine.propagator import tone_propagator
-from rig.engine.trajectory import Trajectory
-from rig.simulation.plant import Plant
-from rig.system.assembly import assemble
-from rig.system.hybrid_system import HybridSystem
-from rig.system.open_loop_drive import ToneDrive, tone_drive
-from rig.work_precision.adaptive_solvers import cvode_solver, integrate, scipy_solver
-from rig.work_precision.compiled_runge_kutta import DormandPrince
-from rig.work_precision.first_order_form import FirstOrderForm
+from rig.core.engine.propagator import tone_propagator
+from rig.core.engine.trajectory import Trajectory
+from rig.core.simulation.plant import Plant
+from rig.core.system.assembly import assemble
+from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.open_loop_drive import ToneDrive, tone_drive
+from rig.studies.cost.adaptive_solvers import cvode_solver, integrate, scipy_solver
+from rig.studies.cost.compiled_runge_kutta import DormandPrince
+from rig.studies.cost.first_order_form import FirstOrderForm
 
 # Number of periods for all solvers; many, because the first periods have few events.
 PERIODS = 100

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 import rig
-from rig.system.open_loop_drive import with_ideal_force
+from rig.core.system.open_loop_drive import with_ideal_force
 
 T = TypeVar("T")
 

@@ -13,8 +13,8 @@ import numpy as np
 
 import daq
 import rig
-from daq.recording.recorder import Recorder
-from daq.signal_chain.channel import ChannelInfo
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.channel import ChannelInfo
 
 # Locations of the four channels.
 LOCATIONS = ("body 1", "body 2", "body 3", "table")

@@ -18,10 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig import ranks
-from rig.grain_beds import coupling, packing
-from rig.scene.scene import Scene
-from rig.system.spheres import spheres_of
+from rig.core.scene.scene import Scene
+from rig.core.system.spheres import spheres_of
+from rig.extras.grains import coupling, packing, ranks
 
 #: Mass of the bed, kg; diameter of the cavity, m; number of steps.
 BEDS = ((0.071, 0.04, 1000), (0.285, 0.06, 400), (1.14, 0.08, 100))

@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import rig
-from daq.server.script import run_script
+from daq.extras.ni_server.script import run_script
 
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 5 %}}

@@ -9,7 +9,7 @@ import pytest
 
 import daq
 import rig
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
 
 COMMANDS = ("record", "import_", "info", "recover", "replay", "serve", "bench", "run")
 

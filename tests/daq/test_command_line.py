@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from daq.cli import app
-from rig.errors import RecordingError, SceneError
+from daq.commands.cli import app
+from rig.core.base.errors import RecordingError, SceneError
 
 
 @pytest.mark.parametrize(

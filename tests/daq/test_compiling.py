@@ -8,14 +8,14 @@ import sys
 import pytest
 
 import rig
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
 
 SCRIPT = """
 import daq
 daq.warm_up()
 import numpy as np
 from numba.core.event import install_recorder
-from daq.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench
 from tests.benchmarks.chain import full_scene
 with install_recorder("numba:compile") as recorder:
     Bench(full_scene()).acquire(np.zeros((1, 10)))

@@ -6,9 +6,9 @@ import numpy as np
 import yaml
 
 import rig
-from rig.arrays import Array
-from rig.results.response import Response
-from rig.system.structural_model import receptance
+from rig.core.base.arrays import Array
+from rig.core.results.response import Response
+from rig.core.system.structural_model import receptance
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_drawn_instruments
 
 # Kinds: exact curves without a recording, and two kinds of recorded tests.

@@ -27,10 +27,10 @@ from scipy.stats import qmc
 import analysis
 import daq
 import rig
-from rig.damper_design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Objective
-from rig.damper_design.search import FINAL_DESIGNS, GRID_CLEARANCES, GRID_MASS_RATIOS
-from rig.damper_design.worst_peak import Peak
-from rig.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.studies.design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Objective
+from rig.studies.design.search import FINAL_DESIGNS, GRID_CLEARANCES, GRID_MASS_RATIOS
+from rig.studies.design.worst_peak import Peak
 from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
 # Brute force simulates this multiple of the number of frequency responses in the search.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import yaml
 
 import rig
-from rig.laws.landing import spring_damper
+from rig.core.laws.landing import spring_damper
 from tests.gauntlet.instant_contact import draw_force_for_flight
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_drawn_instruments
 

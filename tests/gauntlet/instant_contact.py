@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 import rig
-from rig.system.structural_model import receptance
+from rig.core.system.structural_model import receptance
 from tests.gauntlet.scenes import (
     INSTRUMENT_SEED_OFFSET,
     Draw,

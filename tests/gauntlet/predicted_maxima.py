@@ -19,7 +19,7 @@ import numpy as np
 
 import daq
 import rig
-from rig.errors import RunError
+from rig.core.base.errors import RunError
 from tests.gauntlet.scenes import draw
 
 # Kinds of tests: a selection of those of `tests.gauntlet.scenes`.

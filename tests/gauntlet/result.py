@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from daq.recording.recording import Recording
+    from daq.core.recording.recording import Recording
     from rig import Scene
 
 Outcome = Literal["correct", "warned", "refused", "wrong"]

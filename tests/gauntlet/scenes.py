@@ -12,9 +12,9 @@ import numpy as np
 import yaml
 
 import rig
-from daq.virtual_bench.bench import Bench
-from rig.scene.measurement_chain import Accelerometer, Hammer
-from rig.system.structural_model import receptance
+from daq.core.virtual_bench.bench import Bench
+from rig.core.scene.measurement_chain import Accelerometer, Hammer
+from rig.core.system.structural_model import receptance
 
 # Part of a scene file.
 Settings = dict[str, Any]

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import daq
 import rig
-from analysis.exporting.export import export
-from analysis.recordings.slices import Slice
-from rig.errors import ShotrigError
+from analysis.core.recordings.slices import Slice
+from analysis.extras.formats.export import export
+from rig.core.base.errors import ShotrigError
 from tests.gauntlet.checks import CHECKS, Check, modes
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, draw_close_modes, exact_curves
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact

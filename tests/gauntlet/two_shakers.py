@@ -7,7 +7,7 @@ import yaml
 from numpy.typing import NDArray
 
 import rig
-from rig.system.structural_model import structural_model
+from rig.core.system.structural_model import structural_model
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings
 
 # Kinds of tests.

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.excitation.procedure import Form, FormValues, Procedure
-from daq.excitation.station import Excitation, Station
-from rig.arrays import Array
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.station import Excitation, Station
+from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
-    from rig.scene.excitation import TwoTones
-    from rig.scene.excitation.kind import KindOfTest
+    from rig.core.scene.excitation import TwoTones
+    from rig.core.scene.excitation.kind import KindOfTest
 
 
 class TwoTonesProcedure(Procedure["TwoTones"]):

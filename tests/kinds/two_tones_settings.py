@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from rig.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
-from rig.settings.problems import KeyPath
+from rig.core.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
+from rig.core.settings.problems import KeyPath
 
 
 class TwoTones(KindOfTest):

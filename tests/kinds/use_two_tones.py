@@ -10,9 +10,9 @@ from pathlib import Path
 import analysis
 import daq
 import rig
-from daq.bench_page.live_bench import offered_forms
-from rig.scene.json_schema import schema_text
-from rig.scene.reference import help_on
+from daq.extras.bench_page.live_bench import offered_forms
+from rig.core.scene.json_schema import schema_text
+from rig.core.scene.reference import help_on
 
 SCENE = {
     "name": "two tones",
@@ -27,7 +27,7 @@ def main(recording: str) -> None:
     """Print the results; `recording`: file to write."""
     warnings.simplefilter("ignore")
     # The generated schema, which `rig help` reads.
-    schema = Path(rig.__file__).parent / "scene" / "data" / "scene.schema.json"
+    schema = Path(rig.__file__).parent / "core" / "scene" / "data" / "scene.schema.json"
     schema.write_text(schema_text(), encoding="utf-8")
     scene = rig.load(SCENE)
     exact = rig.frequency_response(scene.replace(test={"kind": "sine", "frequency": 20.0, "drive": 1e-4}), [20.0, 40.0])

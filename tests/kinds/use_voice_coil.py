@@ -12,11 +12,11 @@ import numpy as np
 import analysis
 import daq
 import rig
-from analysis.reporting.drawing import rig_drawing
-from daq.drawing.rig_view import Extremes, RigView
-from daq.signal_chain.converter import describe_output
-from rig.system.assembly import assemble
-from rig.system.open_loop_drive import riding_response
+from analysis.commands.report_page.drawing import rig_drawing
+from daq.core.drawing.rig_view import Extremes, RigView
+from daq.core.signal_chain.converter import describe_output
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import riding_response
 
 SCENE: dict[str, Any] = {
     "name": "voice coil",

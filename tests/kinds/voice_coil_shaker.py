@@ -7,13 +7,13 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from rig.arrays import ComplexArray
-from rig.equations import Equations
-from rig.scene.shaker.coil_spring import CoilSpringShaker
-from rig.scene.shaker.kind import Glyph, ShakerEffect
-from rig.scene.shaker.parts import Body, CoilSpring, Output
-from rig.settings.quantities import MASS, VOLTAGE
-from rig.settings.quantity_field import Quantity
+from rig.core.base.arrays import ComplexArray
+from rig.core.equations import Equations
+from rig.core.scene.shaker.coil_spring import CoilSpringShaker
+from rig.core.scene.shaker.kind import Glyph, ShakerEffect
+from rig.core.scene.shaker.parts import Body, CoilSpring, Output
+from rig.core.settings.quantities import MASS, VOLTAGE
+from rig.core.settings.quantity_field import Quantity
 
 
 class VoiceCoil(CoilSpringShaker):

@@ -32,7 +32,7 @@ def message_of(mistake: Mistake, folder: Path) -> tuple[int, str]:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                import_module(f"{program}.cli").main()
+                import_module(f"{program}.commands.cli").main()
             except SystemExit as end:
                 code = end.code if isinstance(end.code, int) else int(end.code is not None)
     finally:

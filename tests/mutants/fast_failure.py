@@ -1,7 +1,7 @@
 """A pytest plugin that detects a mutation quickly: a test fails at its first failing example, or after a time limit.
 
-With NUMBA_DISABLE_JIT=1 kernels run as plain Python, but the functions of `rig.numerics.simd` exist only as machine
-code. This plugin replaces them with equal functions in numpy.
+With NUMBA_DISABLE_JIT=1 kernels run as plain Python, but the functions of `rig.core.numerics.simd` exist only as
+machine code. This plugin replaces them with equal functions in numpy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import pytest
 from hypothesis import Phase, settings
 from numba import config
 
-from rig.numerics import simd
+from rig.core.numerics import simd
 
 Array = np.ndarray
 #: Time limit of a test. The tests used here take less than a tenth of it.

@@ -12,46 +12,48 @@ _ENGINE = (
 # Group: {module: tests, the most sensitive first}. The doctests of the module always run.
 GROUPS: dict[str, dict[str, str]] = {
     "physics laws": {
-        "rig/system/structural_model.py": (
+        "rig/core/system/structural_model.py": (
             "tests/rig/system/test_structural_model.py tests/rig/system/test_receptance.py "
             "tests/rig/system/test_several_shakers.py"
         ),
-        "rig/laws/landing.py": ("tests/rig/engine/test_finite_contact.py -k 'not short_landings_converge'"),
+        "rig/core/laws/landing.py": ("tests/rig/engine/test_finite_contact.py -k 'not short_landings_converge'"),
     },
-    "guards": {"rig/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},
-    "contact decisions": {"rig/engine/resets.py": f"tests/rig/engine/test_resets.py {_ENGINE}"},
+    "guards": {"rig/core/engine/guards.py": f"tests/rig/engine/test_guards.py {_ENGINE}"},
+    "contact decisions": {"rig/core/engine/resets.py": f"tests/rig/engine/test_resets.py {_ENGINE}"},
     "gap and overload marks": {
-        "daq/recording/channel_series.py": "tests/daq/recording/test_recording.py",
-        "daq/recording/sample_block.py": "tests/daq/recording/test_layout.py",
-        "daq/measurement/limits.py": "tests/daq/measurement/test_limit_monitoring.py",
-        "analysis/responses/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
+        "daq/core/recording/channel_series.py": "tests/daq/recording/test_recording.py",
+        "daq/core/recording/sample_block.py": "tests/daq/recording/test_layout.py",
+        "daq/core/measurement/limits.py": "tests/daq/measurement/test_limit_monitoring.py",
+        "analysis/core/responses/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
     },
     "noise scaling": {
-        "daq/dsp/noise.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
-        "daq/dsp/disturbances.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
+        "daq/core/dsp/noise.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
+        "daq/core/dsp/disturbances.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
     },
     "filters": {
-        "daq/dsp/circuit.py": "tests/daq/dsp/test_circuit.py",
-        "daq/dsp/decimator.py": "tests/daq/dsp/test_decimator.py",
-        "daq/signal_chain/decimation_filter.py": "tests/daq/dsp/test_decimator.py",
+        "daq/core/dsp/circuit.py": "tests/daq/dsp/test_circuit.py",
+        "daq/core/dsp/decimator.py": "tests/daq/dsp/test_decimator.py",
+        "daq/core/signal_chain/decimation_filter.py": "tests/daq/dsp/test_decimator.py",
     },
-    "triggers": {"daq/instrument/engines/triggers.py": "tests/daq/instrument/test_triggers.py"},
+    "triggers": {"daq/extras/ni_device/engines/triggers.py": "tests/daq/ni_device/test_triggers.py"},
     "limits": {
-        "daq/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py",
-        "rig/settings/quantity_field.py": "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py",
-        "rig/system/assembly.py": "tests/rig/system",
+        "daq/core/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py",
+        "rig/core/settings/quantity_field.py": (
+            "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py"
+        ),
+        "rig/core/system/assembly.py": "tests/rig/system",
     },
     "bounds": {
-        "analysis/responses/systematic.py": "tests/analysis/responses/test_systematic.py",
-        "analysis/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py",
-        "analysis/responses/local_models/local_rational.py": (
+        "analysis/core/responses/systematic.py": "tests/analysis/responses/test_systematic.py",
+        "analysis/core/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py",
+        "analysis/core/responses/local_models/local_rational.py": (
             "tests/analysis/responses/local_models/test_local_rational.py"
         ),
     },
     "checksums": {
-        "daq/mcap_file/chunk.py": "tests/daq/mcap_file",
-        "daq/mcap_file/summary.py": "tests/daq/mcap_file",
-        "daq/mcap_file/damaged_file.py": "tests/daq/mcap_file",
+        "daq/core/mcap_file/chunk.py": "tests/daq/mcap_file",
+        "daq/core/mcap_file/summary.py": "tests/daq/mcap_file",
+        "daq/core/mcap_file/damaged_file.py": "tests/daq/mcap_file",
     },
 }
 

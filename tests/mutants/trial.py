@@ -19,7 +19,7 @@ from cosmic_ray.testing import run_tests
 from cosmic_ray.work_db import use_db
 from cosmic_ray.work_item import MutationSpec, TestOutcome
 
-from rig.numerics.jit import machine_code_root
+from rig.core.numerics.jit import machine_code_root
 from tests.mutants.groups import EQUIVALENT, GROUPS
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +77,7 @@ def try_group(group: str, count: int, seed: int) -> list[Trial]:
                 f"-p tests.mutants.fast_failure {module} {GROUPS[group][module]}"
             )
             # Without numba: it would compile the engine's kernels for minutes with each mutation.
-            os.environ["NUMBA_DISABLE_JIT"] = str(int(module.startswith("rig/engine/")))
+            os.environ["NUMBA_DISABLE_JIT"] = str(int(module.startswith("rig/core/engine/")))
             start = time.monotonic()
             outcome, output = run_tests(command, 3600.0)
             if outcome is not TestOutcome.SURVIVED:

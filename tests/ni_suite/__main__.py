@@ -18,7 +18,7 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from pathlib import Path
 
-from daq.server.client_defaults import SERVER, STARTUP
+from daq.extras.ni_server.client_defaults import SERVER, STARTUP
 
 HERE = Path(__file__).resolve().parent
 # Features that a vibration rig does not have, and patterns of the names of their tests.

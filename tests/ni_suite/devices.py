@@ -10,16 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rig
-from daq.instrument.devices.measurements import MEASUREMENTS
-from daq.instrument.devices.modules import Module
-from daq.instrument.settings.channels import Channel
-from daq.instrument.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
-from daq.instrument.settings.storage import Storage
-from daq.instrument.task import Task
-from daq.instrument.values import Coupling, SampleMode, TerminalConfiguration, TimingType
-from daq.signal_chain.channel import ChannelInfo
-from daq.virtual_bench.bench import first_sample, samples_per_tick
-from rig.data_sheets.modules import Rates
+from daq.core.signal_chain.channel import ChannelInfo
+from daq.core.virtual_bench.bench import first_sample, samples_per_tick
+from daq.extras.ni_device.devices.measurements import MEASUREMENTS
+from daq.extras.ni_device.devices.modules import Module
+from daq.extras.ni_device.settings.channels import Channel
+from daq.extras.ni_device.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale
+from daq.extras.ni_device.settings.storage import Storage
+from daq.extras.ni_device.task import Task
+from daq.extras.ni_device.values import Coupling, SampleMode, TerminalConfiguration, TimingType
+from rig.core.data_sheets.modules import Rates
 
 # Codes of NI-DAQmx for product categories and bus types.
 _X_SERIES, _SC_EXPRESS, _DSA, _CHASSIS, _MODULE = 15858, 15886, 14649, 14658, 14659

@@ -7,11 +7,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from daq.instrument.chassis import Chassis
-from daq.instrument.clock import RealClock
-from daq.instrument.task import Task
-from daq.server.served_instrument import Limits
-from daq.server.service import Server
+from daq.extras.ni_device.chassis import Chassis
+from daq.extras.ni_device.clock import RealClock
+from daq.extras.ni_device.task import Task
+from daq.extras.ni_server.served_instrument import Limits
+from daq.extras.ni_server.service import Server
 from tests.ni_suite.devices import SimulatedSignals, modules, save_inputs, save_outputs
 
 if __name__ == "__main__":

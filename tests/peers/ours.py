@@ -15,9 +15,9 @@ from scipy import signal
 import analysis
 import daq
 import rig
-from analysis.exporting.export import export
-from analysis.recordings.slices import Slice
-from daq.recording.recording import Recording
+from analysis.core.recordings.slices import Slice
+from analysis.extras.formats.export import export
+from daq.core.recording.recording import Recording
 
 BLOCK_S = 8.0  # length of the blocks of the FRF estimate
 BODIES = ("body1", "body2", "body3")

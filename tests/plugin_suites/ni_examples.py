@@ -65,7 +65,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "test_examples.py").write_text(TESTS)
         Path(folder, "bench.yaml").write_text(BENCH)
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:shotrig", "-p", "daq.pytest_plugin.plugin"]
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:shotrig", "-p", "daq.extras.pytest_plugin.plugin"]
         command += ["--tb=line", "-p", "no:cacheprovider", "--nidaqmx", "--nidaqmx-bench=bench.yaml"]
         return subprocess.run(command, cwd=folder, env=environment, check=False).returncode
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.errors import RunError
-from rig.ranks import OneRankError, communicators, sum_over_ranks
+from rig.core.base.errors import RunError
+from rig.extras.grains.ranks import OneRankError, communicators, sum_over_ranks
 
 _MPIEXEC = Path(sys.prefix) / "bin" / "mpiexec"
 
@@ -31,7 +31,7 @@ def on_two_ranks(program: str) -> subprocess.CompletedProcess[str]:
 class Part:
     """A value on each rank: the given value times the number of the rank, counted from 1.
 
-    Tests call its methods on all ranks by `rig.ranks.Shared`.
+    Tests call its methods on all ranks by `rig.extras.grains.ranks.Shared`.
     """
 
     def __init__(self, value: float) -> None:

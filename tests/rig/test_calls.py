@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.results.response import Response
+from rig.core.results.response import Response
 from tests.rig.this_process import pieces_in_this_process
 
 # A scene of two bodies that a force drives near the first natural frequency, 19.7 Hz.
@@ -82,7 +82,7 @@ def test_map_and_cost_are_results() -> None:
     scene = rig.Scene(structure=STRUCTURE, dampers=[DAMPER], **EXCITATION)
     with pieces_in_this_process() as patch:
         # Each method of the study is measured once.
-        patch.setattr("rig.work_precision.motion_study.MIN_MEASURED_CPU_S", 0.0)
+        patch.setattr("rig.studies.cost.motion_study.MIN_MEASURED_CPU_S", 0.0)
         map_ = rig.map(scene, rows=2, first="18 Hz", last="20 Hz", points=2)
         cost = rig.cost(scene, periods=1)
     assert map_.motion.shape == (2, map_.frequency.size)

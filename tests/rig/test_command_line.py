@@ -16,10 +16,10 @@ from typing import Annotated
 import pytest
 import typer
 
-from rig import console
-from rig.command_line import create_application, run_command
-from rig.ending_signals import TERMINATION_SIGNALS
-from rig.errors import RunError, SceneError
+from rig.commands.command_line import create_application, run_command
+from rig.core.base import console
+from rig.core.base.ending_signals import TERMINATION_SIGNALS
+from rig.core.base.errors import RunError, SceneError
 
 # Name of a module that the fixture makes for a command.
 MODULE = "rig.command_for_the_tests"
@@ -174,14 +174,15 @@ def test_disk_failure_on_close_is_reported(command, capsys):
 def test_signal_during_cleanup_prints_no_traceback():
     script = """
 import signal, sys
-from rig import command_line, console
+from rig.commands import command_line
+from rig.core.base import console
 original = console.report_activity
 def report_activity(cleanup):
     cleanup.callback(signal.raise_signal, signal.SIGINT)
     original(cleanup)
 console.report_activity = report_activity
 sys.argv = ["rig", "scenes"]
-command_line.run_command("rig.cli")
+command_line.run_command("rig.commands.cli")
 """
     completed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert completed.returncode == -signal.SIGINT and not completed.stderr
@@ -205,7 +206,7 @@ def test_long_silence_prints_a_notice(command, capsys, monkeypatch):
 def test_compilation_is_reported_until_it_ends(command, capsys, monkeypatch):
     from numba.core.event import trigger_event
 
-    import rig.numerics.jit  # noqa: F401 - listens for compilations
+    import rig.core.numerics.jit  # noqa: F401 - listens for compilations
 
     monkeypatch.setattr(console, "MAX_SILENCE_S", -1.0)
     reported = []

@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.escaping import code_fence, escape_html, escape_markdown, escape_terminal
+from rig.core.base.escaping import code_fence, escape_html, escape_markdown, escape_terminal
 
 
 @given(st.text())

@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from rig.figure_style import log_axis, new_figure, save_figure
+from rig.core.base.figure_style import log_axis, new_figure, save_figure
 
 
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
@@ -54,7 +54,10 @@ def test_user_settings_do_not_affect_figures(tmp_path: Path) -> None:
 
 
 def test_unknown_backend_does_not_prevent_figures() -> None:
-    code = "import os; from rig.figure_style import new_figure\nwith new_figure(2.0): print(os.environ['MPLBACKEND'])"
+    code = (
+        "import os; from rig.core.base.figure_style import new_figure\n"
+        "with new_figure(2.0): print(os.environ['MPLBACKEND'])"
+    )
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
     result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert result.stdout == "nonsense\n"

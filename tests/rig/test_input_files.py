@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.importing.channel_table import read_table
-from daq.server.serve import Certificates
-from rig import input_files
-from rig.errors import SceneError
-from rig.input_files import read_file
+from daq.extras.importing.channel_table import read_table
+from daq.extras.ni_server.serve import Certificates
+from rig.core.base import input_files
+from rig.core.base.errors import SceneError
+from rig.core.base.input_files import read_file
 
 
 def test_file_is_read_up_to_the_size_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from rig.ending_signals import TERMINATION_SIGNALS
+from rig.core.base.ending_signals import TERMINATION_SIGNALS
 
 # Like the script that pip installs, but it sends itself a signal at the import of a module.
 COMMAND = """
@@ -31,7 +31,9 @@ sys.exit(main())
 
 @pytest.mark.parametrize("number", TERMINATION_SIGNALS)
 @pytest.mark.parametrize("program", ["rig", "daq", "analysis"])
-@pytest.mark.parametrize("module", ["rig.interruption", "signal", "lazy_loader", "rig.command_line", "typer"])
+@pytest.mark.parametrize(
+    "module", ["rig.core.base.interruption", "signal", "lazy_loader", "rig.commands.command_line", "typer"]
+)
 def test_signal_at_import_ends_without_traceback(program, module, number):
     # With -S, `signal` and `lazy_loader` are not yet imported; the module search path must be set.
     prepare = f"import sys; sys.path[:] = {sys.path!r}\n"

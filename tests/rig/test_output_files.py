@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import RunError, SceneError
-from rig.output_files import atomic_write, create_folder, csv_text, file_stem, prepare_outputs
+from rig.core.base.errors import RunError, SceneError
+from rig.core.base.output_files import atomic_write, create_folder, csv_text, file_stem, prepare_outputs
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_text_of_a_table_is_no_formula() -> None:
 def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     code = (
-        "import os, sys; from pathlib import Path; from rig.output_files import atomic_write\n"
+        "import os, sys; from pathlib import Path; from rig.core.base.output_files import atomic_write\n"
         "with atomic_write(Path(sys.argv[1]), True) as temporary:\n"
         "    temporary.write_text('half'); os.kill(os.getpid(), 9)"
     )

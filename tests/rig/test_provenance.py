@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.errors import SceneError
-from rig.figure_style import new_figure, save_with_table
-from rig.output_files import atomic_write
-from rig.provenance import allow_overwriting, output_source
+from rig.core.base.errors import SceneError
+from rig.core.base.figure_style import new_figure, save_with_table
+from rig.core.base.output_files import atomic_write
+from rig.core.base.provenance import allow_overwriting, output_source
 
 TEXTS = {".csv": "a,b\n1,2\n", ".svg": "<svg><a/></svg>\n", ".html": "<a>\n", ".yaml": "a: 1\n", ".md": "# a\n"}
 

@@ -9,13 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from rig import ranks
-from rig.errors import SceneError
-from rig.workers import Workers
+from rig.core.base.errors import SceneError
+from rig.core.base.workers import Workers
+from rig.extras.grains import ranks
 from tests.rig.mpi import on_two_ranks
 
 # Start of a program: the ranks share the object `part`, with the values 2 and 4.
-_JOINED = "from rig import ranks; ranks.join(); from tests.rig.mpi import Part; part = ranks.Shared(Part, 2.0); "
+_JOINED = (
+    "from rig.extras.grains import ranks; ranks.join(); from tests.rig.mpi import Part; "
+    "part = ranks.Shared(Part, 2.0); "
+)
 
 
 def test_second_rank_executes_operations_of_the_first() -> None:
@@ -32,7 +35,7 @@ def test_second_rank_executes_operations_of_the_first() -> None:
 
 def test_common_failure_is_reported_once() -> None:
     program = """
-from rig.errors import RunError
+from rig.core.base.errors import RunError
 try:
     part.fail()
 except RunError as error:
@@ -115,7 +118,7 @@ def test_missing_mpi4py_leaves_processes_separate(monkeypatch: pytest.MonkeyPatc
 
 
 def test_several_ranks_compute_pieces_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.workers.SERIAL", True)
+    monkeypatch.setattr("rig.core.base.workers.SERIAL", True)
     computed_numbers: list[float] = []
     pieces = [1.0, 2.0]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.shadowing import shadowing_files
+from rig.core.base.shadowing import shadowing_files
 
 
 def test_only_shadowing_files_are_listed(tmp_path):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.errors import RunError
-from rig.study import StoredValues, Study, code_digest, digest, read_rows
+from rig.core.base.errors import RunError
+from rig.core.base.study import StoredValues, Study, code_digest, digest, read_rows
 
 HEADER = ("level", "gap, m", "result")
 
@@ -94,7 +94,7 @@ def test_sorted_rows_replace_the_table(tmp_path: Path) -> None:
 
 def test_other_code_gives_another_digest(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [digest(("scene", 50.0)), digest(np.arange(3.0))]
-    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other sources")
+    monkeypatch.setattr("rig.core.base.study.code_digest", lambda *packages: "other sources")
 
     assert not set(rows) & {digest(("scene", 50.0)), digest(np.arange(3.0))}
 

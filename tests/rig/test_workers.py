@@ -16,8 +16,8 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
-from rig.errors import RunError, SceneError
-from rig.workers import Workers
+from rig.core.base.errors import RunError, SceneError
+from rig.core.base.workers import Workers
 from tests.rig.worker_pieces import (
     exit_at_first_call,
     exit_process,
@@ -63,7 +63,7 @@ def test_appended_pieces_are_computed_as_well() -> None:
 def test_one_worker_reports_that_it_compiles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("rig.workers.cores", lambda: 2)
+    monkeypatch.setattr("rig.core.base.workers.cores", lambda: 2)
     with Workers() as workers:
         assert len(list(workers.compute(log_compilation, [tmp_path] * 2))) == 2
 
@@ -84,7 +84,7 @@ def test_workers_end_no_other_process() -> None:
 def test_workers_do_not_rerun_the_script(tmp_path: Path) -> None:
     script = tmp_path / "study.py"
     script.write_text(
-        "from rig.workers import Workers\nprint('begun')\n"
+        "from rig.core.base.workers import Workers\nprint('begun')\n"
         "with Workers() as workers:\n    print(sorted(workers.compute(len, ['a', 'bb'])))\n"
     )
     process = subprocess.run([sys.executable, script], capture_output=True, text=True, check=True)
@@ -146,7 +146,7 @@ def test_ctrl_c_closes_a_starting_cluster(monkeypatch) -> None:
 @pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_cluster_without_workers_is_reported(monkeypatch) -> None:
-    monkeypatch.setattr("rig.workers._WORKER_CHECK_INTERVAL_S", 0.05)
+    monkeypatch.setattr("rig.core.base.workers._WORKER_CHECK_INTERVAL_S", 0.05)
     with LocalCluster(n_workers=0, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
         reported: list[str] = []
 
@@ -173,7 +173,7 @@ def test_dask_cluster_gives_the_same_results() -> None:
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 def test_piece_that_ends_cluster_workers_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     # One worker, which is restarted once: each start takes a second.
-    monkeypatch.setattr("rig.workers.cores", lambda: 1)
+    monkeypatch.setattr("rig.core.base.workers.cores", lambda: 1)
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         Workers("local") as workers,

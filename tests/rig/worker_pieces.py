@@ -8,7 +8,7 @@ import signal
 import threading
 from pathlib import Path
 
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
 
 
 def square(number: int) -> int:

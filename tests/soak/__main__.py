@@ -74,7 +74,7 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     # Most commands run in forks of this process: import their packages once, here.
     for package in PACKAGES:
-        __import__(f"{package}.cli")
+        __import__(f"{package}.commands.cli")
     tallies: dict[str, Tally] = {}
     try:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder, progress_bar() as progress:

@@ -19,9 +19,9 @@ import numpy as np
 import yaml
 
 import daq
-from daq.measurement.bench_loop import RAMP_S
-from rig.ending_signals import TERMINATION_SIGNALS
-from rig.errors import ShotrigError
+from daq.core.measurement.bench_loop import RAMP_S
+from rig.core.base.ending_signals import TERMINATION_SIGNALS
+from rig.core.base.errors import ShotrigError
 from tests.daq.importing import files
 from tests.soak import command_lines, recordings, scenes
 from tests.soak.command import CommandResult, is_own_traceback, processes_remain, run, run_new_process

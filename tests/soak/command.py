@@ -17,7 +17,7 @@ from typing import NoReturn
 
 import psutil
 
-from rig.ending_signals import TERMINATION_SIGNALS
+from rig.core.base.ending_signals import TERMINATION_SIGNALS
 
 # Longest time without output before a command counts as hanging.
 SILENCE_LIMIT_S = 20.0
@@ -101,7 +101,7 @@ def run(
         if prepare is not None:
             prepare()
         sys.argv = list(words)
-        import_module(f"{words[0]}.cli").main()
+        import_module(f"{words[0]}.commands.cli").main()
 
     return _watch(words, *_fork(folder, environment or {}, run_command), on_poll, time_limit)
 

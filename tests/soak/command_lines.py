@@ -181,7 +181,7 @@ def lost_files(before: dict[str, str], after: dict[str, str], words: list[str]) 
 def draw_command_line(rng: random.Random) -> list[str]:
     """Draw a command of any package, with some of its options and arguments; some values are unusual."""
     program = rng.choice(PACKAGES)
-    commands: Any = typer.main.get_command(import_module(f"{program}.cli").app)
+    commands: Any = typer.main.get_command(import_module(f"{program}.commands.cli").app)
     name = rng.choice(list(commands.commands))
     unusual_ratio = rng.choice((0.2, 0.5, 0.9))
     options, arguments = [], []

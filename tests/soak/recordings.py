@@ -8,11 +8,11 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from daq.mcap_file.compression import zstd
-from daq.mcap_file.reader import Container
-from daq.mcap_file.summary import with_checksum
-from daq.mcap_file.writer import ChunkedFile, Message
-from daq.recording import layout
+from daq.core.mcap_file.compression import zstd
+from daq.core.mcap_file.reader import Container
+from daq.core.mcap_file.summary import with_checksum
+from daq.core.mcap_file.writer import ChunkedFile, Message
+from daq.core.recording import layout
 from tests.soak.scenes import ESCAPE, MARKUP, UNUSUAL_NUMBERS, UNUSUAL_TEXTS, invalid_scene
 
 # Unusual values of metadata.
@@ -162,8 +162,8 @@ def _with_unusual_value(data: bytes, rng: random.Random) -> bytes:
 
 def shift_block(data: bytes, times: list[int], shift: int) -> tuple[bytes, list[int]]:
     """Shift a block of samples by a number of samples, with its times [ns]; unchanged if it cannot be encoded."""
-    from daq.recording.layout import Timebase
-    from daq.recording.sample_block import decode, encode
+    from daq.core.recording.layout import Timebase
+    from daq.core.recording.sample_block import decode, encode
 
     for schema in ("shotrig.BlockFloat64", "shotrig.BlockCounts", "shotrig.BlockFloat32"):
         try:

@@ -16,8 +16,9 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from analysis.damper_motion.comparison import (
+from analysis.commands.cli import app
+from analysis.commands.presentation.comparison import compare_peaks, describe_changes
+from analysis.core.damper_motion.comparison import (
     Peak,
     PeakChange,
     coarse_step_warnings,
@@ -26,9 +27,8 @@ from analysis.damper_motion.comparison import (
     resonance_peak,
     uncompared_highest_peaks,
 )
-from analysis.presentation.comparison import compare_peaks, describe_changes
-from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from tests.analysis.responses import synthetic
 
 ONE_BODY = """

@@ -7,13 +7,13 @@ import pytest
 
 import daq
 import rig
-from analysis.damper_motion.impact_detection import detect_impacts
-from analysis.damper_motion.landing_pulse import landing_pulse
-from analysis.damper_motion.matching_pursuit import DETECTION_MARGIN_SIGMAS, DETECTION_SIGMAS
-from analysis.responses.systematic import tolerance
-from daq.recording.markers import Marker
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError
+from analysis.core.damper_motion.impact_detection import detect_impacts
+from analysis.core.damper_motion.landing_pulse import landing_pulse
+from analysis.core.damper_motion.matching_pursuit import DETECTION_MARGIN_SIGMAS, DETECTION_SIGMAS
+from analysis.core.responses.systematic import tolerance
+from daq.core.recording.markers import Marker
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError
 from tests.analysis.responses import synthetic
 from tests.gauntlet.checks.impacts import check, detectable, score
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT, draw_finite_contact

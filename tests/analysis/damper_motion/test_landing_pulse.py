@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rig
-from analysis.damper_motion.landing_pulse import landing_pulse, transmissibility
-from rig.errors import RecordingError
+from analysis.core.damper_motion.landing_pulse import landing_pulse, transmissibility
+from rig.core.base.errors import RecordingError
 
 
 def with_damper(**damper):

@@ -18,16 +18,16 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from analysis.damper_motion import energy_balance
-from analysis.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
-from analysis.damper_motion.free_flight import BodyMotion, restitution
-from analysis.damper_motion.motion_types import DamperMotion, damper_motion
-from analysis.presentation.damper_findings import describe_motions, present_dampers
-from analysis.responses.curve_checks import find_jumps
-from analysis.responses.stepped_sine import sweeps
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError
+from analysis.commands.cli import app
+from analysis.commands.presentation.damper_findings import describe_motions, present_dampers
+from analysis.core.damper_motion import energy_balance
+from analysis.core.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
+from analysis.core.damper_motion.free_flight import BodyMotion, restitution
+from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
+from analysis.core.responses.curve_checks import find_jumps
+from analysis.core.responses.stepped_sine import sweeps
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError
 from tests.analysis.responses import synthetic
 
 

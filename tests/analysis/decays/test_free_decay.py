@@ -11,12 +11,12 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from analysis.decays.modal_decay import band_width, modal_decay, spectral_peaks
-from analysis.decays.sensor_correction import correct_motion
-from analysis.recordings.slices import hits
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, SceneError
+from analysis.commands.cli import app
+from analysis.core.decays.modal_decay import band_width, modal_decay, spectral_peaks
+from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.recordings.slices import hits
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
 MODAL_DAMPING = 0.005  # damping ratio of each mode of the synthetic structure and of `STIFF_BODY`

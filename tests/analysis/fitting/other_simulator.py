@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from rig.arrays import Array
+from rig.core.base.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.fitting.parameters import free_parameters, with_values
+from analysis.core.fitting.parameters import free_parameters, with_values
 
 # A body near its resonance, whose damper hits floor and ceiling.
 SCENE = """

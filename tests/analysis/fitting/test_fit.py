@@ -13,16 +13,16 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.fitting.diagnosis import _try_factors, find_cause
-from analysis.fitting.estimate import Estimate
-from analysis.fitting.figure import fit_figure
-from analysis.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
-from analysis.fitting.identifiability import LevelDamping, coupled_values
-from analysis.fitting.measured import measured_curves
-from analysis.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
-from analysis.fitting.presentation import describe
-from analysis.fitting.problem import Problem
-from rig.errors import RecordingError, SceneError
+from analysis.commands.figures.fit_figure import fit_figure
+from analysis.commands.presentation.fit_findings import describe
+from analysis.core.fitting.diagnosis import _try_factors, find_cause
+from analysis.core.fitting.estimate import Estimate
+from analysis.core.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
+from analysis.core.fitting.identifiability import LevelDamping, coupled_values
+from analysis.core.fitting.measured import measured_curves
+from analysis.core.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
+from analysis.core.fitting.problem import Problem
+from rig.core.base.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
 DEMO = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
@@ -39,7 +39,7 @@ def curves_of_demo():
 @pytest.fixture
 def one_random_start(monkeypatch):
     """Search the structure from a single initial value if its modes lead to no solution, as with a faulty channel."""
-    monkeypatch.setattr("analysis.fitting.estimate._RANDOM_STARTS", 1)
+    monkeypatch.setattr("analysis.core.fitting.estimate._RANDOM_STARTS", 1)
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,11 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.fitting.estimate import Estimate
-from analysis.fitting.identifiability import coupled_values
-from analysis.fitting.measured import measured_curves
-from analysis.fitting.parameters import free_parameters, with_ratio_per_mode
-from analysis.fitting.problem import Problem
+from analysis.core.fitting.estimate import Estimate
+from analysis.core.fitting.identifiability import coupled_values
+from analysis.core.fitting.measured import measured_curves
+from analysis.core.fitting.parameters import free_parameters, with_ratio_per_mode
+from analysis.core.fitting.problem import Problem
 
 SWEEP = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
 FORCE_TOLERANCE = 0.05

@@ -12,10 +12,10 @@ import yaml
 import analysis
 import daq
 import rig
-from analysis.fitting.diagnosis import find_cause
-from analysis.fitting.measured import measured_curves
-from analysis.fitting.parameters import free_parameters
-from analysis.fitting.problem import Problem
+from analysis.core.fitting.diagnosis import find_cause
+from analysis.core.fitting.measured import measured_curves
+from analysis.core.fitting.parameters import free_parameters
+from analysis.core.fitting.problem import Problem
 from tests.analysis.fitting.other_simulator import random_chain, random_test
 
 pytestmark = pytest.mark.filterwarnings("ignore::daq.RunWarning")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 import daq
-from analysis.fitting.diagnosis import list_omitted_points
-from analysis.fitting.measured import measured_curves
-from analysis.fitting.predicted import scene_of_test
-from analysis.fitting.sweep_orbits import SweepOrbits
+from analysis.core.fitting.diagnosis import list_omitted_points
+from analysis.core.fitting.measured import measured_curves
+from analysis.core.fitting.predicted import scene_of_test
+from analysis.core.fitting.sweep_orbits import SweepOrbits
 
 DAMPED = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
 
@@ -88,5 +88,5 @@ def test_largest_gap_is_zero_if_matrix_is_singular(monkeypatch):
     def raise_singular(*_):
         raise np.linalg.LinAlgError
 
-    monkeypatch.setattr("analysis.fitting.sweep_orbits.newton_solve", raise_singular)
+    monkeypatch.setattr("analysis.core.fitting.sweep_orbits.newton_solve", raise_singular)
     assert orbits.largest_gap(test_scene, level, frequency, 0) == 0.0

@@ -11,13 +11,13 @@ import pytest
 
 import analysis
 import daq
-from analysis.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
-from analysis.modal.pole_residue import Curves, fit
-from analysis.responses.systematic import UNSETTLED
-from rig.errors import RecordingError, SceneError
-from rig.results.response import Response
-from rig.results.uncertainty import SENSITIVITY, UncertaintyBudget
-from rig.system.structural_model import natural_modes, structure_matrices
+from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
+from analysis.core.modal.pole_residue import Curves, fit
+from analysis.core.responses.systematic import UNSETTLED
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
+from rig.core.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
 
 # Natural frequencies of the synthetic structure with the shaker's spring, rad/s.

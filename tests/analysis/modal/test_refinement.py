@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.modal import refinement
-from analysis.modal.pole_residue import Curves, Projection, fit
-from analysis.modal.refinement import Likelihood, take_step
-from rig.results.uncertainty import LineCovariance
+from analysis.core.modal import refinement
+from analysis.core.modal.pole_residue import Curves, Projection, fit
+from analysis.core.modal.refinement import Likelihood, take_step
+from rig.core.results.uncertainty import LineCovariance
 
 RESPONSES, LINES = 3, 60
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.presentation.demo import demonstrate
+from analysis.commands.presentation.demo import demonstrate
 
 
 @pytest.mark.thorough

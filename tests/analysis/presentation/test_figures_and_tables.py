@@ -16,19 +16,19 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from analysis.figures.decay_figure import decay_figure
-from analysis.figures.frf_figure import frf_figure
-from analysis.figures.modes_figure import modes_figure
-from analysis.fitting.presentation import present_fit
-from analysis.modal.lscf import ChartPole
-from analysis.modal.modes import Modes
-from analysis.presentation.decay_findings import present_decay
-from analysis.presentation.frf_findings import describe_frfs, present_frf
-from analysis.presentation.mode_findings import theory_warnings
-from analysis.presentation.theory import theoretical_modes
-from rig.errors import RecordingError
-from rig.results.response import Response
+from analysis.commands.cli import app
+from analysis.commands.figures.decay_figure import decay_figure
+from analysis.commands.figures.frf_figure import frf_figure
+from analysis.commands.figures.modes_figure import modes_figure
+from analysis.commands.presentation.decay_findings import present_decay
+from analysis.commands.presentation.fit_findings import present_fit
+from analysis.commands.presentation.frf_findings import describe_frfs, present_frf
+from analysis.commands.presentation.mode_findings import theory_warnings
+from analysis.commands.presentation.theory import theoretical_modes
+from analysis.core.modal.lscf import ChartPole
+from analysis.core.modal.modes import Modes
+from rig.core.base.errors import RecordingError
+from rig.core.results.response import Response
 from tests.analysis.responses import synthetic
 
 FREQUENCIES = np.linspace(8.0, 60.0, 53)
@@ -97,7 +97,7 @@ def test_overlaid_decays_are_named_by_file(folder, tmp_path):
 @pytest.mark.usefixtures("undrawn_figures")
 @pytest.mark.parametrize(("names", "count"), [(["hit"], 0), (["one"], 1), (["one", "hit"], 1)])
 def test_only_stepped_tests_have_jump_marks(folder, tmp_path, monkeypatch, names, count):
-    monkeypatch.setattr("analysis.presentation.frf_findings.find_jumps", lambda _: [(20.0, "jump down")])
+    monkeypatch.setattr("analysis.commands.presentation.frf_findings.find_jumps", lambda _: [(20.0, "jump down")])
     present_frf([folder / f"{name}.mcap" for name in names], tmp_path, ["body3"])
     [path] = tmp_path.glob("*.svg")
     assert path.read_text(encoding="utf-8").count(">jump down<") == count
@@ -300,7 +300,7 @@ def test_axis_of_constant_damping_has_distinct_labels(folder):
 
 def test_fit_command_reports_its_stages(folder, tmp_path, monkeypatch):
     stages = []
-    monkeypatch.setattr("analysis.fitting.presentation.show_activity", lambda: nullcontext(stages.append))
+    monkeypatch.setattr("analysis.commands.presentation.fit_findings.show_activity", lambda: nullcontext(stages.append))
     output = tmp_path / "fitted.yaml"
     present_fit([folder / "one.mcap"], rig.load("bare-structure"), ["structure.masses"], output, False, print)
     assert stages == ["reading the recordings", "fitting the structure"]

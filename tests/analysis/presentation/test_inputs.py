@@ -16,14 +16,14 @@ from typer.testing import CliRunner
 import analysis
 import daq
 import rig
-from analysis.cli import app
-from analysis.exporting.results import export_results
-from analysis.presentation.comparison import MeasurementPoints, present_compare
-from analysis.presentation.frf_findings import present_frf
-from analysis.presentation.inputs import check_recording
-from analysis.presentation.mode_findings import present_modes
-from daq.importing.channel_table import Column
-from rig.errors import RecordingError, SceneError
+from analysis.commands.cli import app
+from analysis.commands.presentation.comparison import MeasurementPoints, present_compare
+from analysis.commands.presentation.frf_findings import present_frf
+from analysis.commands.presentation.inputs import check_recording
+from analysis.commands.presentation.mode_findings import present_modes
+from analysis.extras.formats.results import export_results
+from daq.extras.importing.channel_table import Column
+from rig.core.base.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
 
 BRACKET = """\

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analysis.presentation.outputs import output_stem, with_channel_name, with_ending
-from analysis.presentation.tables import write_table
-from rig.errors import RunError, SceneError
-from rig.escaping import escape_terminal
+from analysis.commands.presentation.outputs import output_stem, with_channel_name, with_ending
+from analysis.commands.presentation.tables import write_table
+from rig.core.base.errors import RunError, SceneError
+from rig.core.base.escaping import escape_terminal
 
 
 def write_output(paths, output, kind):

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import daq
-from rig.errors import ShotrigError
+from rig.core.base.errors import ShotrigError
 from tests.analysis.responses import synthetic
 
 
@@ -23,7 +23,7 @@ def run_command(package: str, *arguments: str) -> Result:
     """Run a command of rig, daq or analysis."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", daq.RunWarning)
-        return CliRunner().invoke(import_module(f"{package}.cli").app, arguments)
+        return CliRunner().invoke(import_module(f"{package}.commands.cli").app, arguments)
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +140,12 @@ def test_unusable_folder_is_rejected_before_computing(
     def compute(*_: object, **__: object) -> None:
         raise AssertionError
 
-    for function in ("rig.cost", "rig.response", "rig.simulation.run_output.simulate", "rig.study.Workers"):
+    for function in (
+        "rig.cost",
+        "rig.response",
+        "rig.core.simulation.run_output.simulate",
+        "rig.core.base.study.Workers",
+    ):
         monkeypatch.setattr(function, compute)
     result = run_command(*command.split())
     assert isinstance(result.exception, ShotrigError) and "a file has this name" in str(result.exception)

@@ -8,8 +8,8 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.presentation.theory import linear_theory, theoretical_modes
-from rig.errors import SceneError
+from analysis.commands.presentation.theory import linear_theory, theoretical_modes
+from rig.core.base.errors import SceneError
 from tests.analysis.responses import synthetic
 
 FRAME = """

@@ -11,5 +11,5 @@ import pytest
 def few_lines() -> Iterator[None]:
     """Estimate responses at a third of the lines."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("analysis.responses.segment_fits._MAX_LINES", 330)
+        patch.setattr("analysis.core.responses.segment_fits._MAX_LINES", 330)
         yield

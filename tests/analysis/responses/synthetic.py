@@ -9,9 +9,9 @@ import numpy as np
 from scipy import signal
 
 import rig
-from daq.recording.recorder import Recorder
-from daq.signal_chain.channel import ChannelInfo
-from rig.system.structural_model import natural_modes, receptance, structure_matrices
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
 
 RATE = 2560.0  # Hz
 NATURAL_FREQUENCIES = (13.0365, 34.7773, 49.6629)  # Hz

@@ -14,10 +14,10 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
-from analysis.responses.systematic import ALIASING, ChannelContributions
-from daq.signal_chain.channel import ChannelInfo
-from rig.results.response import MOTIONS
+from analysis.core.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
+from analysis.core.responses.systematic import ALIASING, ChannelContributions
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.results.response import MOTIONS
 
 RATE = 5120.0  # Hz
 SAMPLES = 512  # Samples of a period of the drive.

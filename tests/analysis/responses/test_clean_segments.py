@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.responses.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
-from daq.recording.markers import Gap, Marker
-from daq.signal_chain.channel import ChannelInfo
+from analysis.core.responses.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
+from daq.core.recording.markers import Gap, Marker
+from daq.core.signal_chain.channel import ChannelInfo
 
 CHANNELS = ("a1", "a2", "force")
 SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.responses.curve_checks import find_jumps, reversed_force
-from rig.results.response import Response
+from analysis.core.responses.curve_checks import find_jumps, reversed_force
+from rig.core.results.response import Response
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
 FREQUENCY = np.arange(20.0, 300.0, 0.5)  # Hz

@@ -10,11 +10,11 @@ from typer.testing import CliRunner
 
 import analysis
 import daq
-from analysis.cli import app
-from analysis.presentation.tables import frf_table
-from rig.errors import RecordingError, SceneError
-from rig.results.response import Response, stack
-from rig.results.uncertainty import SENSITIVITY
+from analysis.commands.cli import app
+from analysis.commands.presentation.tables import frf_table
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results.response import Response, stack
+from rig.core.results.uncertainty import SENSITIVITY
 from tests.daq.importing.files import NAMES, RATE, make_scene, write_tdms
 
 # pyuff leaves a binary file open that it wrote.

@@ -10,13 +10,13 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.hits import Hits
-from daq.importing.channel_table import Column
-from daq.recording.markers import Marker
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError
-from rig.results.uncertainty import SENSITIVITY
-from rig.system.structural_model import natural_modes, receptance, structure_matrices
+from analysis.core.responses.hits import Hits
+from daq.core.recording.markers import Marker
+from daq.core.signal_chain.channel import ChannelInfo
+from daq.extras.importing.channel_table import Column
+from rig.core.base.errors import RecordingError
+from rig.core.results.uncertainty import SENSITIVITY
+from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
 
 pytestmark = pytest.mark.usefixtures("few_lines")
@@ -255,7 +255,7 @@ def test_hits_beyond_memory_limit_are_omitted(tmp_path, monkeypatch):
     )
     daq.record(scene, tmp_path / "a.mcap")
     with daq.open(tmp_path / "a.mcap") as recording:
-        monkeypatch.setattr("analysis.responses.segment_fits._MAX_VALUES", recording.samples)
+        monkeypatch.setattr("analysis.core.responses.segment_fits._MAX_VALUES", recording.samples)
         frf = analysis.frfs(recording)["a"]
     [warning] = [warning for warning in frf.warnings if "hits are used" in warning]
     assert warning.startswith("Only 2 of 6 hits")

@@ -12,10 +12,10 @@ from scipy import signal
 import analysis
 import daq
 import rig
-from analysis.responses.estimators import estimate
-from analysis.responses.multisine import LIFTED, best_linear_approximation
-from rig.errors import RecordingError, SceneError
-from rig.system.structural_model import receptance
+from analysis.core.responses.estimators import estimate
+from analysis.core.responses.multisine import LIFTED, best_linear_approximation
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.system.structural_model import receptance
 from tests.analysis.responses import synthetic
 
 pytestmark = pytest.mark.usefixtures("few_lines")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.responses.estimators import AveragedSpectra, square_root
-from analysis.responses.local_models.jitter import jitter_bound
-from analysis.responses.scatter import Scatter, moderate
-from analysis.responses.stepped_sine import LockIn, parts_of_whole_periods
-from daq.recording.recording import Recording
+from analysis.core.responses.estimators import AveragedSpectra, square_root
+from analysis.core.responses.local_models.jitter import jitter_bound
+from analysis.core.responses.scatter import Scatter, moderate
+from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
+from daq.core.recording.recording import Recording
 from tests.analysis.responses.synthetic import stepped_sine
 
 

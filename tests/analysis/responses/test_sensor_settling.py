@@ -10,8 +10,8 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.clean_segments import settling_flaws
-from rig.system.structural_model import receptance
+from analysis.core.responses.clean_segments import settling_flaws
+from rig.core.system.structural_model import receptance
 
 RATE = 200.0  # Hz
 DURATION = 60.0  # s

@@ -10,17 +10,17 @@ from scipy.io import loadmat
 import analysis
 import daq
 import rig
-from analysis.exporting.results import export_results
-from analysis.modal.modes import Modes
-from analysis.modal.several_references import separate
-from analysis.presentation.comparison import compare_peaks
-from analysis.presentation.mode_findings import present_modes
-from analysis.responses.measurands import driven_forces
-from analysis.responses.several_inputs import input_output_spectra, reciprocity
-from daq.excitation.station import Station
-from daq.recording.markers import Marker
-from rig.errors import RecordingError, SceneError
-from rig.system.structural_model import structure_matrices
+from analysis.commands.presentation.comparison import compare_peaks
+from analysis.commands.presentation.mode_findings import present_modes
+from analysis.core.modal.modes import Modes
+from analysis.core.modal.several_references import separate
+from analysis.core.responses.measurands import driven_forces
+from analysis.core.responses.several_inputs import input_output_spectra, reciprocity
+from analysis.extras.formats.results import export_results
+from daq.core.excitation.station import Station
+from daq.core.recording.markers import Marker
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.system.structural_model import structure_matrices
 
 pytestmark = [pytest.mark.filterwarnings("ignore::daq.RunWarning"), pytest.mark.usefixtures("few_lines")]
 

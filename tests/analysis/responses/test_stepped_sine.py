@@ -10,12 +10,12 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.spectral_lines import residual_transient
-from analysis.responses.stepped_sine import sweeps
-from daq.measurement.run_report import summary
-from daq.recording.recorder import Recorder
-from rig.errors import RecordingError, SceneError
-from rig.system.structural_model import receptance, transmissibility
+from analysis.core.responses.spectral_lines import residual_transient
+from analysis.core.responses.stepped_sine import sweeps
+from daq.core.measurement.run_report import summary
+from daq.core.recording.recorder import Recorder
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.system.structural_model import receptance, transmissibility
 from tests.analysis.responses import synthetic
 
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 
 import rig
-from analysis.responses.systematic import (
+from analysis.core.responses.systematic import (
     ChannelContributions,
     clock_bound,
     noise_gain_error,
@@ -25,7 +25,7 @@ from analysis.responses.systematic import (
     tone_gain_error,
     uncertain_reference_bound,
 )
-from daq.signal_chain.channel import ChannelInfo
+from daq.core.signal_chain.channel import ChannelInfo
 
 RATE = 5120.0
 SCENE = "{structure: {masses: [1 kg], springs: [4 kN/m]}, shaker: {kind: force, body: 1}, converter: {%s}}"

@@ -11,7 +11,7 @@ import pytest
 
 uvicorn = pytest.importorskip("uvicorn", reason="the extra 'bench' is not installed")
 
-from daq.bench_page.access import MAX_CONNECTIONS, LimitedConnection, TokenGate  # noqa: E402
+from daq.extras.bench_page.access import MAX_CONNECTIONS, LimitedConnection, TokenGate  # noqa: E402
 
 HOST = "127.0.0.1:8031"
 
@@ -143,7 +143,7 @@ def test_connections_are_limited(served_gate):
 
 
 def test_idle_connection_is_closed(served_gate, monkeypatch):
-    monkeypatch.setattr("daq.bench_page.access._MAX_REQUEST_S", 0.0)
+    monkeypatch.setattr("daq.extras.bench_page.access._MAX_REQUEST_S", 0.0)
     connection = served_gate()
     with contextlib.suppress(ConnectionResetError):
         assert connection.recv(1) == b""

@@ -17,14 +17,14 @@ from nidaqmx.constants import TaskMode
 import analysis
 import daq
 import rig
-from daq.bench_page.bench import _open_browser, _serve_page
-from daq.bench_page.live_bench import LiveBench
-from daq.instrument.connecting import connect_scene
-from daq.instrument.engines.log import MarkedRecording
-from daq.recording.committed_file import RESERVE, CommittedFile
-from daq.server.connection import connect
-from rig.errors import RunError, SceneError
-from rig.scene.yaml_reader import read_yaml
+from daq.core.recording.committed_file import RESERVE, CommittedFile
+from daq.extras.bench_page.bench import _open_browser, _serve_page
+from daq.extras.bench_page.live_bench import LiveBench
+from daq.extras.ni_device.connecting import connect_scene
+from daq.extras.ni_device.engines.log import MarkedRecording
+from daq.extras.ni_server.connection import connect
+from rig.core.base.errors import RunError, SceneError
+from rig.core.scene.yaml_reader import read_yaml
 
 BRACKET = """\
 name: bracket
@@ -95,7 +95,7 @@ def test_stuck_display_does_not_prevent_closing(bench, monkeypatch, capsys):
     released, monitor = threading.Event(), bench.monitor
     monitor.catch_up()
     monkeypatch.setattr(monitor, "_process", lambda *_: released.wait())
-    monkeypatch.setattr("daq.server.live.MAX_CLOSING_S", 0.0)
+    monkeypatch.setattr("daq.extras.ni_server.live.MAX_CLOSING_S", 0.0)
     block = SimpleNamespace(first=0, samples=np.zeros((3, 0)))
     for _ in range(300):
         monitor.on_block(bench.chassis.bench, block)
@@ -320,7 +320,7 @@ def test_unexpected_error_ends_the_recording(bench, monkeypatch):
 def test_stalled_disk_ends_the_recording(bench, monkeypatch):
     released = threading.Event()
     bench.recordings._jobs.put(released.wait)
-    monkeypatch.setattr("daq.bench_page.recordings._MAX_WAITING_JOBS", 3)
+    monkeypatch.setattr("daq.extras.bench_page.recordings._MAX_WAITING_JOBS", 3)
     bench.recordings.enabled = True
     bench.controller.start()
     pass_time(bench, 1.0)

@@ -21,7 +21,7 @@ import pytest
 
 import analysis
 import daq
-from daq.server.client_defaults import open_channel
+from daq.extras.ni_server.client_defaults import open_channel
 from tests.daq.bench_page.test_bench import BRACKET, SHAKER_TEST
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")

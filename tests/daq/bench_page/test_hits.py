@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.bench_page.hits import HitDetector
+from daq.extras.bench_page.hits import HitDetector
 
 RATE = 1000.0  # Hz
 MIN_PEAK = 20.0  # smallest accepted peak, N

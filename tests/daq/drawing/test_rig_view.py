@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rig
-from daq.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
-from daq.drawing.stack import COIL_LENGTH, DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
-from rig.scene.scene_files import SCENES
+from daq.core.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
+from daq.core.drawing.stack import COIL_LENGTH, DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
+from rig.core.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
 CHAIN = """

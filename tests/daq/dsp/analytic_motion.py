@@ -1,4 +1,4 @@
-"""Motions in closed form (objects of `rig.simulation.motion.Motion`), and signal chains that measure these motions.
+"""Motions in closed form (objects of `Motion`), and signal chains that measure these motions.
 
 A break is an instant between samples at which an impact changes the velocity abruptly.
 """
@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import rig
-from daq.signal_chain.chain import Chain
-from rig.simulation.motion import Motion
+from daq.core.signal_chain.chain import Chain
+from rig.core.simulation.motion import Motion
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.dsp.circuit import Circuit, Section, high_pass, integration, recovery, resonance
+from daq.core.dsp.circuit import Circuit, Section, high_pass, integration, recovery, resonance
 
 S = 2j * np.pi * np.array([0.01, 0.7, 12.0, 300.0, 4e3, 9e4])  # rad/s
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, trapezoid
 
-from daq.dsp.block_buffers import SharedScratch
-from daq.dsp.decimator import Decimator
-from daq.signal_chain.decimation_filter import (
+from daq.core.dsp.block_buffers import SharedScratch
+from daq.core.dsp.decimator import Decimator
+from daq.core.signal_chain.decimation_filter import (
     DELAY_SAMPLES,
     MOMENTS,
     PASSBAND_EDGE,

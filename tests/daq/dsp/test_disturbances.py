@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import legval
 
-from daq.dsp.disturbances import Disturbances, Offset
-from daq.dsp.noise import LOWEST, FastNoise, Noise, flicker_filter, generator
+from daq.core.dsp.disturbances import Disturbances, Offset
+from daq.core.dsp.noise import LOWEST, FastNoise, Noise, flicker_filter, generator
 
 
 class KnownValues:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from daq.dsp.noise import Noise, generator
-from daq.signal_chain.decimation_filter import DecimationFilter
+from daq.core.dsp.noise import Noise, generator
+from daq.core.signal_chain.decimation_filter import DecimationFilter
 from tests.daq.dsp.analytic_motion import at_rest, chain_of, scene_of
 
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.excitation.steady_tone import AmplitudeControl
-from rig.scene.excitation import FORCE_TOLERANCE
+from daq.core.excitation.steady_tone import AmplitudeControl
+from rig.core.scene.excitation import FORCE_TOLERANCE
 
 LEVEL = 2.6  # N
 

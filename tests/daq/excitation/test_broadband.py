@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import rig
-from daq.excitation.impulse import _wait_for_sensors
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import SceneError
-from rig.scene.excitation.impulse import half_sine
-from rig.system.assembly import assemble
-from rig.system.open_loop_drive import sampled_drive
+from daq.core.excitation.impulse import _wait_for_sensors
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import SceneError
+from rig.core.scene.excitation.impulse import half_sine
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import sampled_drive
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 RATE = 5120  # sample rate of the scenes, Hz

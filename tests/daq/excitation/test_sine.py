@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import rig
-from daq.excitation.lock_in import lock_in, whole_periods
-from daq.excitation.sweep_control import estimate_amplitudes, observation_samples
-from rig.errors import SceneError
-from rig.system.structural_model import receptance
+from daq.core.excitation.lock_in import lock_in, whole_periods
+from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
+from rig.core.base.errors import SceneError
+from rig.core.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 RATE = 5120  # sample rate of the scenes, Hz

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rig
-from daq.excitation.controlled import spring_force
-from daq.excitation.nearest_mode import NearestMode
-from daq.excitation.pretest import pretest
-from daq.excitation.station import Station
-from rig.arrays import Array
+from daq.core.excitation.controlled import spring_force
+from daq.core.excitation.nearest_mode import NearestMode
+from daq.core.excitation.pretest import pretest
+from daq.core.excitation.station import Station
+from rig.core.base.arrays import Array
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 ONE_BODY = """

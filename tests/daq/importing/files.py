@@ -18,7 +18,7 @@ from mcap.writer import Writer
 from scipy.io import savemat, wavfile
 
 import rig
-from rig.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 RATE = 2048.0  # Hz
 NAMES = ("body1", "body2", "force")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.importing import assignment
-from daq.importing.assignment import _signals_of_column
-from daq.importing.channel_table import Column
-from daq.importing.signal import Signal
+from daq.extras.importing import assignment
+from daq.extras.importing.assignment import _signals_of_column
+from daq.extras.importing.channel_table import Column
+from daq.extras.importing.signal import Signal
 
 
 def signals(count: int) -> list[Signal]:

@@ -21,10 +21,10 @@ from scipy.io import savemat, wavfile
 from typer.testing import CliRunner
 
 import daq
-from daq.cli import app
-from daq.importing.channel_table import Column
-from daq.importing.files import signals_of
-from rig.errors import RecordingError, RunWarning, SceneError, ShotrigError
+from daq.commands.cli import app
+from daq.extras.importing.channel_table import Column
+from daq.extras.importing.files import signals_of
+from rig.core.base.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from tests.daq.importing.files import NAMES, RATE, WRITERS, make_scene, random_samples, write_uff
 from tests.daq.recording.recordings import random_volts, write_recording
 

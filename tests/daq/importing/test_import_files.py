@@ -12,10 +12,10 @@ from scipy.io import wavfile
 from typer.testing import CliRunner
 
 import daq
-from daq.cli import app
-from daq.importing.channel_table import Column
-from daq.importing.units import quantity_and_scale
-from rig.errors import RecordingError, SceneError, ShotrigError
+from daq.commands.cli import app
+from daq.extras.importing.channel_table import Column
+from daq.extras.importing.units import quantity_and_scale
+from rig.core.base.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import (
     NAMES,
     RATE,

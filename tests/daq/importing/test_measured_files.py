@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import analysis
-from daq.importing.files import signals_of
-from rig.errors import RecordingError
+from daq.extras.importing.files import signals_of
+from rig.core.base.errors import RecordingError
 
 FOLDER = Path(__file__).parents[4] / "shared" / "data" / "measured"
 pytestmark = [

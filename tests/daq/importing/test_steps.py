@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 import analysis
 import daq
-from daq.cli import app
-from rig.errors import RecordingError
+from daq.commands.cli import app
+from rig.core.base.errors import RecordingError
 from tests.daq.importing.files import RATE, make_scene, write_npz
 from tests.daq.importing.test_import_files import import_recording
 

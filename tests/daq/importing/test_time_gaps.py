@@ -11,10 +11,10 @@ import pytest
 import pyuff
 
 import daq
-from daq.importing.channel_table import Column
-from daq.importing.clock import clock_of_times, missing_rows
-from daq.importing.text_table import BLOCK_LINES
-from rig.errors import RecordingError, RunWarning
+from daq.extras.importing.channel_table import Column
+from daq.extras.importing.clock import clock_of_times, missing_rows
+from daq.extras.importing.text_table import BLOCK_LINES
+from rig.core.base.errors import RecordingError, RunWarning
 from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
 RATE = 2560.0  # Hz

@@ -9,7 +9,7 @@ import lz4.frame
 import zstandard
 from mcap.opcode import Opcode
 
-from daq.mcap_file.chunk import MAGIC
+from daq.core.mcap_file.chunk import MAGIC
 
 COMPRESSORS = {b"": bytes, b"zstd": zstandard.compress, b"lz4": lz4.frame.compress}
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mcap.opcode import Opcode
 
-from daq.mcap_file import chunk as chunk_module
-from daq.mcap_file.chunk import CHUNK_HEAD, Damage, StoredMessage, messages_in, records_in, unpack_chunk
+from daq.core.mcap_file import chunk as chunk_module
+from daq.core.mcap_file.chunk import CHUNK_HEAD, Damage, StoredMessage, messages_in, records_in, unpack_chunk
 from tests.daq.mcap_file.mcap_records import COMPRESSORS, chunk, message, packed_chunk, record
 
 MESSAGE = message(1, bytes(range(40)))

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import pytest
 from mcap.opcode import Opcode
 
-from daq.mcap_file import damaged_file as damaged_file_module
-from daq.mcap_file.chunk import CHUNK_HEAD, MAGIC, RECORD_HEAD
-from daq.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
-from daq.mcap_file.summary import with_checksum
+from daq.core.mcap_file import damaged_file as damaged_file_module
+from daq.core.mcap_file.chunk import CHUNK_HEAD, MAGIC, RECORD_HEAD
+from daq.core.mcap_file.damaged_file import DamagedFile, Intact, Unreadable
+from daq.core.mcap_file.summary import with_checksum
 from tests.daq.mcap_file.mcap_records import DATA_END, attachment, beginning, chunk, message, record, text
 
 BEGINNING = beginning(b"hand")

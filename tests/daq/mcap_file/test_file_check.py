@@ -10,9 +10,9 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 import daq
-from daq.mcap_file.file_check import check_file
-from daq.mcap_file.reader import Container
-from rig.errors import RecordingError
+from daq.core.mcap_file.file_check import check_file
+from daq.core.mcap_file.reader import Container
+from rig.core.base.errors import RecordingError
 from tests.daq.recording.recordings import ONE_DAMPER, make_scene, random_volts, write_recording
 
 

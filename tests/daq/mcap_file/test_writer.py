@@ -7,8 +7,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from daq.mcap_file.compression import lz4, zstd, zstd_for_samples
-from daq.mcap_file.writer import ChunkedFile, Message, Messages
+from daq.core.mcap_file.compression import lz4, zstd, zstd_for_samples
+from daq.core.mcap_file.writer import ChunkedFile, Message, Messages
 
 # Messages of three chunks: channel, log time, publish time (ns, up to 64 bits), data, sequence number.
 CHUNKS = [

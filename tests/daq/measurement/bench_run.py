@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 import rig
-from daq.excitation import Excitation, Station, excitation
-from daq.virtual_bench.bench import Bench
-from rig.arrays import Array, ComplexArray
+from daq.core.excitation import Excitation, Station, excitation
+from daq.core.virtual_bench.bench import Bench
+from rig.core.base.arrays import Array, ComplexArray
 
 
 def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:

@@ -7,7 +7,7 @@ import pytest
 
 import daq
 import rig
-from rig.errors import RunError
+from rig.core.base.errors import RunError
 
 
 def test_clipped_control_channel_ends_test(tmp_path) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import rig
-from daq.measurement.estimate import CHANNEL_COPIES, check_resources, estimate
-from daq.recording.layout import block_length, flush_length
-from daq.recording.recorder import Recorder
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RunError
+from daq.core.measurement.estimate import CHANNEL_COPIES, check_resources, estimate
+from daq.core.recording.layout import block_length, flush_length
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RunError
 
 RATE = 5120.0  # Hz
 

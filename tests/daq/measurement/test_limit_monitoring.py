@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from daq.measurement.limits import ControlLoss, FlaggedIntervals, Limits
-from daq.signal_chain.channel import ChannelInfo
+from daq.core.measurement.limits import ControlLoss, FlaggedIntervals, Limits
+from daq.core.signal_chain.channel import ChannelInfo
 
 RATE = 8.0  # Hz
 INFOS = [
@@ -134,7 +134,7 @@ def test_channels_without_limits_are_not_monitored():
 )
 def test_long_overload_ends_controlled_test(changes, rows, monkeypatch):
     scene, calls = make_scene(**changes), []
-    monkeypatch.setattr("daq.measurement.limits.bias_overload", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr("daq.core.measurement.limits.bias_overload", lambda *arguments: calls.append(arguments))
     for row, info in enumerate(INFOS):
         clipped, clean = np.zeros((2, 3, 4), dtype=bool)
         clipped[row, 2] = True

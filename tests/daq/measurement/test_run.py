@@ -14,13 +14,13 @@ import pytest
 
 import daq
 import rig
-from daq.cli import main
-from daq.measurement.limits import FlaggedIntervals
-from daq.measurement.run_report import summary
-from daq.recording.committed_file import CommittedFile
-from daq.recording.recorder import Recorder
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, RunError, SceneError
+from daq.commands.cli import main
+from daq.core.measurement.limits import FlaggedIntervals
+from daq.core.measurement.run_report import summary
+from daq.core.recording.committed_file import CommittedFile
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError, RunError, SceneError
 
 HIT = {"kind": "impulse", "body": 1, "peak": "200 N", "width": "4 ms", "repeats": 1, "interval": "0.5 s"}
 STEPS = {
@@ -387,13 +387,13 @@ def test_ctrl_c_exits_with_130(
 ) -> None:
     from contextlib import contextmanager
 
-    import daq.measurement.run_report
+    import daq.core.measurement.run_report
 
     @contextmanager
     def progress_with_interrupt(title: str) -> Any:
         yield interrupt_after(2)
 
-    monkeypatch.setattr(daq.measurement.run_report, "progress", progress_with_interrupt)
+    monkeypatch.setattr(daq.core.measurement.run_report, "progress", progress_with_interrupt)
     output = scene_file.with_suffix(".mcap")
     assert run_command(monkeypatch, "record", str(scene_file), "-o", str(output)) == 130
     printed = capsys.readouterr()

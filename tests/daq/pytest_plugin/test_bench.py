@@ -8,9 +8,9 @@ import pytest
 from nidaqmx.constants import AcquisitionType, Coupling
 
 import rig
-from daq.pytest_plugin import transfers
-from daq.pytest_plugin.bench import open_bench
-from rig.errors import RecordingError, SceneError
+from daq.extras.pytest_plugin import transfers
+from daq.extras.pytest_plugin.bench import open_bench
+from rig.core.base.errors import RecordingError, SceneError
 from tests.daq.client import raises_code
 
 RATE = 5120.0

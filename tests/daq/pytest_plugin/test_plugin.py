@@ -12,7 +12,7 @@ import pytest
 GUIDE = Path(__file__).parents[3] / "daq" / "guide" / "test-your-code.md"
 EXAMPLES = dict(re.findall(r"[Ss]ave this as\s+`(\w+\.py)`.*?:\n\n```py\n(.*?)^```", GUIDE.read_text(), re.S | re.M))
 # The plugin, also in an environment in which its entry point is not installed.
-PLUGIN = ("-p", "no:shotrig", "-p", "daq.pytest_plugin.plugin")
+PLUGIN = ("-p", "no:shotrig", "-p", "daq.extras.pytest_plugin.plugin")
 PLAIN_TEST = """
 import nidaqmx, time
 
@@ -86,8 +86,9 @@ def test_unused_plugin_imports_nothing(run_pytest):
 import sys
 
 def test_imports(pytestconfig):
-    assert pytestconfig.pluginmanager.has_plugin("daq.pytest_plugin.plugin")
-    assert not {"nidaqmx", "numpy", "grpc", "pydantic", "daq.server", "daq.instrument"} & set(sys.modules)
+    assert pytestconfig.pluginmanager.has_plugin("daq.extras.pytest_plugin.plugin")
+    heavy = {"nidaqmx", "numpy", "grpc", "pydantic", "daq.extras.ni_server", "daq.extras.ni_device"}
+    assert not heavy & set(sys.modules)
 """
     result = run_pytest({"test_imports.py": source})
     assert result.returncode == 0, result.stdout

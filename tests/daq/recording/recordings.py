@@ -15,10 +15,10 @@ from mcap.records import Message
 from numpy.typing import NDArray
 
 import rig
-from daq.recording.markers import EVENT_TYPE
-from daq.recording.recorder import Recorder
-from daq.signal_chain.channel import ChannelInfo
-from rig.arrays import Array
+from daq.core.recording.markers import EVENT_TYPE
+from daq.core.recording.recorder import Recorder
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.arrays import Array
 
 RATE = 2560.0  # Hz
 # Sensitivities of the two channels.

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import daq
-from daq.importing.channel_table import Column
-from daq.recording import committed_file
-from daq.recording.committed_file import CommittedFile
-from daq.recording.recorder import Recorder
-from daq.recording.recovery import recover
-from rig.errors import RecordingError, RunError
+from daq.core.recording import committed_file
+from daq.core.recording.committed_file import CommittedFile
+from daq.core.recording.recorder import Recorder
+from daq.core.recording.recovery import recover
+from daq.extras.importing.channel_table import Column
+from rig.core.base.errors import RecordingError, RunError
 from tests.daq.recording.recordings import (
     FLUSH_LENGTH,
     RATE,

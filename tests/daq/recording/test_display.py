@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import daq
-from daq.recording.protobuf import message_class
-from daq.recording.recorder import Recorder
-from daq.recording.robot_description import TRANSFORMS_SCHEMA
+from daq.core.mcap_file.protobuf import message_class
+from daq.core.recording.recorder import Recorder
+from daq.core.recording.robot_description import TRANSFORMS_SCHEMA
 from tests.daq.recording.recordings import (
     DISPLAY_AND_TRUTH,
     ONE_DAMPER,

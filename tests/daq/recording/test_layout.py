@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
-from daq.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
-from daq.recording.layout import Timebase, block_length, flush_length
-from daq.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
-from daq.recording.protobuf import message_class, varint
-from daq.recording.robot_description import TRANSFORMS_SCHEMA
-from daq.recording.sample_block import (
+from daq.core.mcap_file.protobuf import message_class, varint
+from daq.core.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
+from daq.core.recording.layout import Timebase, block_length, flush_length
+from daq.core.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
+from daq.core.recording.robot_description import TRANSFORMS_SCHEMA
+from daq.core.recording.sample_block import (
     _HEADER,
     SAMPLE_TYPE,
     SCHEMAS,
@@ -26,7 +26,7 @@ from daq.recording.sample_block import (
     decode_contiguous,
     encode,
 )
-from rig.errors import RecordingError
+from rig.core.base.errors import RecordingError
 
 
 @pytest.mark.parametrize("rate", [1.0, 256.0, 5120.0, 51200.0 / 7, 51200.0, 1e6])

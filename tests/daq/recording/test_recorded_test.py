@@ -12,8 +12,8 @@ import yaml
 
 import daq
 import rig
-from daq.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
-from daq.recording.recorder import Recorder
+from daq.core.recording.recorded_test import SceneOutline, TestKind, kind_of_settings
+from daq.core.recording.recorder import Recorder
 from tests.analysis.responses import synthetic
 
 RECORDINGS = Path(__file__).parents[3] / "recordings"
@@ -89,8 +89,8 @@ def test_info_loads_no_scene(tmp_path: Path) -> None:
     scene = rig.load("fig10b-no-damper", {"test.repeats": 1, "test.interval": "0.3s"})
     path = daq.record(scene, tmp_path / "hit.mcap")
     code = (
-        "import sys\nfrom daq.cli import app\napp(sys.argv[1:], standalone_mode=False)\n"
-        "assert not {'rig.scene.scene', 'numba', 'scipy.linalg'} & set(sys.modules)"
+        "import sys\nfrom daq.commands.cli import app\napp(sys.argv[1:], standalone_mode=False)\n"
+        "assert not {'rig.core.scene.scene', 'numba', 'scipy.linalg'} & set(sys.modules)"
     )
     result = subprocess.run([sys.executable, "-c", code, "info", str(path)], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr

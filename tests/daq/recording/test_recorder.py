@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 
 import daq
 import rig
-from daq.recording.committed_file import RESERVE, CommittedFile
-from daq.recording.recorder import Recorder
-from daq.recording.recovery import recover
-from daq.signal_chain.channel import ChannelInfo
-from rig.ending_signals import delayed_interrupt
-from rig.errors import RecordingError, RunError
+from daq.core.recording.committed_file import RESERVE, CommittedFile
+from daq.core.recording.recorder import Recorder
+from daq.core.recording.recovery import recover
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.ending_signals import delayed_interrupt
+from rig.core.base.errors import RecordingError, RunError
 from tests.daq.recording.recordings import (
     CONVERTER_24_BIT,
     DISPLAY_AND_TRUTH,
@@ -256,7 +256,7 @@ def test_samples_are_flushed_each_half_second(tmp_path, truth, monkeypatch):
             if recorders:
                 flushed.append(recorders[0].position)
 
-    monkeypatch.setattr("daq.recording.recorder.CommittedFile", ObservedFile)
+    monkeypatch.setattr("daq.core.recording.recorder.CommittedFile", ObservedFile)
     recorders = []  # empty while the recorder writes the beginning of the file
     recorders.append(Recorder(path, scene, two_channels(), RATE))
     samples, first = random_volts(6 * FLUSH_LENGTH), 0

@@ -15,13 +15,13 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
 import daq
-from daq.mcap_file.chunk import MAGIC
-from daq.recording.markers import Gap
-from daq.recording.protobuf import message_class
-from daq.recording.recorder import Recorder
-from daq.recording.sample_block import block_schema
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError, ShotrigError
+from daq.core.mcap_file.chunk import MAGIC
+from daq.core.mcap_file.protobuf import message_class
+from daq.core.recording.markers import Gap
+from daq.core.recording.recorder import Recorder
+from daq.core.recording.sample_block import block_schema
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError, ShotrigError
 from tests.daq.mcap_file.mcap_records import DATA_END, attachment, beginning, chunk, packed_chunk, record, text
 from tests.daq.recording.recordings import (
     CONVERTER_24_BIT,
@@ -426,7 +426,7 @@ def test_large_range_needs_a_sixteenth_of_samples(tmp_path, monkeypatch, large_r
     """A range longer than `_LARGE_RANGE` is read only if the file may contain a sixteenth of its samples."""
     message, end_ns = block_message(10**9, [1.0, 2.0])
     path = write_messages(tmp_path / "far.mcap", message, end_ns)
-    monkeypatch.setattr("daq.recording.channel_series._LARGE_RANGE", large_range)
+    monkeypatch.setattr("daq.core.recording.channel_series._LARGE_RANGE", large_range)
     n_samples = len(message) // 4  # Upper bound: the smallest sample type has four bytes.
     longest_readable = large_range or n_samples * 16
     with daq.open(path) as recording:

@@ -18,12 +18,12 @@ from mcap.writer import Writer
 from typer.testing import CliRunner
 
 import daq
-from daq.cli import app
-from daq.recording.committed_file import CommittedFile
-from daq.recording.recorder import Recorder
-from daq.recording.recovery import _subtract
-from daq.recording.sample_block import encode
-from rig.errors import RecordingError, RunError, ShotrigError
+from daq.commands.cli import app
+from daq.core.recording.committed_file import CommittedFile
+from daq.core.recording.recorder import Recorder
+from daq.core.recording.recovery import _subtract
+from daq.core.recording.sample_block import encode
+from rig.core.base.errors import RecordingError, RunError, ShotrigError
 from tests.daq.recording.recordings import (
     FLUSH_LENGTH,
     ONE_DAMPER,
@@ -258,7 +258,7 @@ WRITER = """
 import os, sys
 from pathlib import Path
 from tests.daq.recording.recordings import FLUSH_LENGTH, RATE, two_channels, make_scene, random_volts
-from daq.recording.recorder import Recorder
+from daq.core.recording.recorder import Recorder
 samples = random_volts(400 * FLUSH_LENGTH)
 with Recorder(sys.argv[1], make_scene(), two_channels(), RATE) as recorder:
     for first in range(0, samples.shape[1], 100):
@@ -384,7 +384,7 @@ def write_damaged_blocks(tmp_path, monkeypatch):
                 data[..., position : position + len(content)] = np.frombuffer(content, np.uint8)
             return data
 
-        monkeypatch.setattr("daq.recording.recorder.encode", encode_damaged)
+        monkeypatch.setattr("daq.core.recording.recorder.encode", encode_damaged)
         return write_recording(tmp_path / "a.mcap", random_volts(SAMPLES))
 
     return write

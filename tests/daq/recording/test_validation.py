@@ -13,18 +13,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
-from daq.mcap_file.chunk import Damage, messages_in, unpack_chunk
-from daq.mcap_file.compression import zstd
-from daq.mcap_file.reader import Container
-from daq.mcap_file.writer import ChunkedFile, Message
-from daq.recording import recorder
-from daq.recording.layout import Timebase
-from daq.recording.markers import Marker, event_from_json
-from daq.recording.sample_block import block_schema, decode, encode
-from daq.signal_chain.channel import ChannelInfo
-from daq.viewing.description import describe
-from rig.errors import RecordingError, RunWarning, add_path
-from rig.escaping import is_single_line
+from daq.core.mcap_file.chunk import Damage, messages_in, unpack_chunk
+from daq.core.mcap_file.compression import zstd
+from daq.core.mcap_file.reader import Container
+from daq.core.mcap_file.writer import ChunkedFile, Message
+from daq.core.recording import recorder
+from daq.core.recording.layout import Timebase
+from daq.core.recording.markers import Marker, event_from_json
+from daq.core.recording.sample_block import block_schema, decode, encode
+from daq.core.signal_chain.channel import ChannelInfo
+from daq.extras.viewer.description import describe
+from rig.core.base.errors import RecordingError, RunWarning, add_path
+from rig.core.base.escaping import is_single_line
 from tests.daq.mcap_file.mcap_records import message, packed_chunk, record
 from tests.daq.recording.recordings import CONVERTER_24_BIT, FLUSH_LENGTH, make_scene, random_volts, write_recording
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 import rig
-from daq.dsp.circuit import Circuit, high_pass, integration, resonance
-from daq.signal_chain.chain import Chain
-from rig.errors import SceneError
+from daq.core.dsp.circuit import Circuit, high_pass, integration, resonance
+from daq.core.signal_chain.chain import Chain
+from rig.core.base.errors import SceneError
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, cut, motion_of, scene_of
 
 SENSOR = ", accelerometer: {sensitivity: 100 mV/g, resonance: 30 kHz, low_cutoff: 4 Hz}"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.channel import ChannelInfo
-from rig.errors import RecordingError
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.errors import RecordingError
 
 
 def channel(**fields):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.converter import Quantizer
-from rig.data_sheets.data_sheets import data_sheets
-from rig.errors import SceneError
-from rig.scene.measurement_chain import Accelerometer, Hammer
-from rig.scene.measurement_chain import Converter as Settings
-from rig.scene.presets import complete_from_preset
+from daq.core.signal_chain.converter import Quantizer
+from rig.core.base.errors import SceneError
+from rig.core.data_sheets.data_sheets import data_sheets
+from rig.core.scene.measurement_chain import Accelerometer, Hammer
+from rig.core.scene.measurement_chain import Converter as Settings
+from rig.core.scene.presets import complete_from_preset
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 

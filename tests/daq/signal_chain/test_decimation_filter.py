@@ -6,7 +6,7 @@ Frequencies are relative to the sample rate.
 import numpy as np
 import pytest
 
-from daq.signal_chain.decimation_filter import DELAY_SAMPLES, PASSBAND_EDGE, STOPBAND_EDGE, DecimationFilter
+from daq.core.signal_chain.decimation_filter import DELAY_SAMPLES, PASSBAND_EDGE, STOPBAND_EDGE, DecimationFilter
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, cut, motion_of, scene_of
 
 RATE = 1000.0  # Hz

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.channel import ChannelInfo
-from daq.virtual_bench.bench import Bench
+from daq.core.signal_chain.channel import ChannelInfo
+from daq.core.virtual_bench.bench import Bench
 
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
 FORCE = "{kind: force, body: 1}"

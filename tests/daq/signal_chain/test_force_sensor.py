@@ -9,12 +9,12 @@ import pytest
 
 import daq
 import rig
-from analysis.chain_cost.variants import expand_chain, without_noise
-from analysis.responses.frequency_responses import frequency_responses
-from daq.measurement.run import missing_force_reference
-from daq.virtual_bench.bench import Bench
-from rig.errors import RecordingError
-from rig.system.structural_model import receptance
+from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.studies.cost.variants import expand_chain, without_noise
+from daq.core.measurement.run import missing_force_reference
+from daq.core.virtual_bench.bench import Bench
+from rig.core.base.errors import RecordingError
+from rig.core.system.structural_model import receptance
 
 STRUCTURE = """
 structure: {masses: [1 kg, 1 kg], springs: [20 kN/m, 20 kN/m], damping: {modal: 5 %}}

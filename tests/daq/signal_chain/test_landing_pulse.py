@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.virtual_bench.bench import Bench
-from rig.system.assembly import assemble
+from daq.core.virtual_bench.bench import Bench
+from rig.core.system.assembly import assemble
 from tests.rig.landing_force import peak_force
 
 BODY_MASS = 0.8  # kg

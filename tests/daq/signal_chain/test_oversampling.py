@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rig
-from daq.signal_chain.oversampling import choose_oversampling
-from daq.virtual_bench.bench import Bench
-from rig.simulation.plant import Plant
+from daq.core.signal_chain.oversampling import choose_oversampling
+from daq.core.virtual_bench.bench import Bench
+from rig.core.simulation.plant import Plant
 
 # The second channel is sampled 0.7 ms after the first.
 SKEWED = "{rate: 1 kHz, filter: delta_sigma, skew: [0 s, 0.7 ms]}"

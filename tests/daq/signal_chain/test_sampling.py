@@ -7,9 +7,9 @@ import pytest
 from scipy.linalg import expm
 
 import rig
-from daq.dsp.circuit import Circuit, high_pass, resonance
-from daq.virtual_bench.bench import Bench
-from rig.errors import SceneError
+from daq.core.dsp.circuit import Circuit, high_pass, resonance
+from daq.core.virtual_bench.bench import Bench
+from rig.core.base.errors import SceneError
 from tests.daq.dsp.analytic_motion import PointMotion, chain_of, motion_of, scene_of
 
 

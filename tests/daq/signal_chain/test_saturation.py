@@ -14,8 +14,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import rig
-from daq.signal_chain.decimation_filter import DecimationFilter
-from daq.virtual_bench.bench import Bench
+from daq.core.signal_chain.decimation_filter import DecimationFilter
+from daq.core.virtual_bench.bench import Bench
 from tests.daq.dsp.analytic_motion import PointMotion, chain_of, cut, motion_of, scene_of
 
 RATES = (1000.0, 5120.0, 51200.0, 204800.0)  # Hz

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from daq.signal_chain.devices import accelerometer
-from rig.scene.measurement_chain import Accelerometer
+from daq.core.signal_chain.devices import accelerometer
+from rig.core.scene.measurement_chain import Accelerometer
 from tests.daq.dsp.analytic_motion import PointMotion, at_rest, chain_of, motion_of, scene_of
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench
 
 IEPE = "accelerometer: {sensitivity: 100 mV/g, iepe: true, bias: 9 V, noise: 1 ug/sqrt(Hz)}"
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.virtual_bench.bench import Bench
-from rig.errors import RunError
+from daq.core.virtual_bench.bench import Bench
+from rig.core.base.errors import RunError
 
 
 def modulated_tone(samples: int, level: float, rate: float = 5120.0) -> np.ndarray:

@@ -12,8 +12,8 @@ from nidaqmx.constants import AcquisitionType
 
 import daq
 import rig
-from daq.instrument.terminals import Terminals
-from daq.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench
+from daq.extras.ni_device.terminals import Terminals
 
 SCENE = """
 structure: {masses: [1 kg, 1 kg], springs: [40 kN/m, 40 kN/m], damping: {modal: 1 %}}

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import analysis
 import rig
-from rig.arrays import Array
-from rig.results.uncertainty import expand
+from rig.core.base.arrays import Array
+from rig.core.results.uncertainty import expand
 from tests.gauntlet.instant_contact import DECAY, GRAVITY
 from tests.gauntlet.result import Case, CheckResult, Outcome
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import Impacts, detect_impacts
-from analysis.responses.systematic import tolerance
-from daq.signal_chain.channel import ChannelInfo
-from rig.arrays import Array
-from rig.system.assembly import assemble
+from analysis.core.damper_motion.impact_detection import Impacts, detect_impacts
+from analysis.core.responses.systematic import tolerance
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.arrays import Array
+from rig.core.system.assembly import assemble
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
 from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.result import Case, CheckResult

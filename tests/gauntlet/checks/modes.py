@@ -10,11 +10,11 @@ from scipy import linalg
 
 import analysis
 import rig
-from analysis.modal.modes import Modes
-from rig.arrays import Array
-from rig.results.response import Response
-from rig.results.uncertainty import COVERAGE_FACTOR
-from rig.system.structural_model import structure_matrices
+from analysis.core.modal.modes import Modes
+from rig.core.base.arrays import Array
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import COVERAGE_FACTOR
+from rig.core.system.structural_model import structure_matrices
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED
 from tests.gauntlet.result import Case, CheckResult, Outcome
 

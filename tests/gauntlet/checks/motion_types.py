@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.damper_motion.impact_detection import detect_impacts
-from analysis.damper_motion.motion_types import damper_motion
-from analysis.responses.stepped_sine import sweeps
-from rig.numerics.runs import runs_of
-from rig.steady_response.motion_type import MIN_STAY_RATIO
-from rig.system.assembly import assemble
+from analysis.core.damper_motion.impact_detection import detect_impacts
+from analysis.core.damper_motion.motion_types import damper_motion
+from analysis.core.responses.stepped_sine import sweeps
+from rig.core.numerics.runs import runs_of
+from rig.core.steady_response.motion_type import MIN_STAY_RATIO
+from rig.core.system.assembly import assemble
 from tests.gauntlet.checks.impacts import MAX_DISTANCE_SAMPLES, detectable, score, true_impacts
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT
 from tests.gauntlet.instant_contact import STEPS

@@ -17,17 +17,17 @@ from scipy import special
 
 import analysis
 import rig
-from analysis.responses.multisine import LIFTED, NONLINEAR, ONE_REALIZATION
-from daq.recording.markers import Marker
-from daq.recording.recording import Recording
-from daq.signal_chain.devices import accelerometer, force_sensor
-from rig.errors import SceneError
-from rig.results.response import MOTIONS, Response
-from rig.results.uncertainty import CLOCK, SENSITIVITY
-from rig.scene.measurement_chain import Accelerometer, Hammer
-from rig.scene.presets import complete_from_preset
-from rig.scene.shaker import ForceShaker
-from rig.system.structural_model import receptance
+from analysis.core.responses.multisine import LIFTED, NONLINEAR, ONE_REALIZATION
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.devices import accelerometer, force_sensor
+from rig.core.base.errors import SceneError
+from rig.core.results.response import MOTIONS, Response
+from rig.core.results.uncertainty import CLOCK, SENSITIVITY
+from rig.core.scene.measurement_chain import Accelerometer, Hammer
+from rig.core.scene.presets import complete_from_preset
+from rig.core.scene.shaker import ForceShaker
+from rig.core.system.structural_model import receptance
 from tests.gauntlet.instant_contact import STEPS, TONE
 from tests.gauntlet.result import Case, CheckResult, Outcome
 from tests.gauntlet.two_shakers import exact_receptance

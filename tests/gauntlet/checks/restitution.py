@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from analysis.damper_motion.free_flight import BodyMotion, restitution
+from analysis.core.damper_motion.free_flight import BodyMotion, restitution
 from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.result import Case, CheckResult
 

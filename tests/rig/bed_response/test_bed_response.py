@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.bed_response.bed_response import BedResponse, bed_response, format_table
-from rig.bed_response.steady_bed import steady_grains, steady_mass
-from rig.errors import RunError, SceneError
-from tests.rig.grain_beds.scenes import with_grains, without_grains
+from rig.core.base.errors import RunError, SceneError
+from rig.extras.bed_response.bed_response import BedResponse, bed_response, format_table
+from rig.extras.bed_response.steady_bed import steady_grains, steady_mass
+from tests.rig.grains.scenes import with_grains, without_grains
 from tests.rig.this_process import pieces_in_this_process
 
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig
-from rig.data_sheets.data_sheets import data_sheets
-from rig.data_sheets.modules import Module, Rates, module
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
+from rig.core.data_sheets.data_sheets import data_sheets
+from rig.core.data_sheets.modules import Module, Rates, module
 
 NAMES = [name for name, sheet in data_sheets().items() if "module" in sheet.facts]
 

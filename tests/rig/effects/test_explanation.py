@@ -7,8 +7,8 @@ import re
 import pytest
 
 import rig
-from rig.scene.scene_files import bundled_scenes
-from rig.system.assembly import assemble
+from rig.core.scene.scene_files import bundled_scenes
+from rig.core.system.assembly import assemble
 
 
 @pytest.mark.parametrize("name", bundled_scenes())

@@ -6,7 +6,7 @@ from collections import OrderedDict
 
 import pytest
 
-from rig.engine import flow_tables
+from rig.core.engine import flow_tables
 
 
 @pytest.fixture(params=["series and steps", "steps", "nothing"])

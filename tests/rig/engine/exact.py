@@ -10,7 +10,7 @@ import mpmath
 from mpmath import mp, mpf
 
 import rig
-from rig.system.structural_model import structural_model, structure_matrices
+from rig.core.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
 SCALE = 2**200

@@ -18,8 +18,8 @@ import mpmath
 import numpy as np
 
 import rig
-from rig.scene.damper import TimedContact, Walls
-from rig.system.structural_model import structural_model, structure_matrices
+from rig.core.scene.damper import TimedContact, Walls
+from rig.core.system.structural_model import structural_model, structure_matrices
 
 DIGITS = 40
 #: The terms of a Taylor series that are smaller than this are omitted.

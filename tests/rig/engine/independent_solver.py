@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import rig
-from rig.system.structural_model import structural_model, structure_matrices
+from rig.core.system.structural_model import structural_model, structure_matrices
 
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 #: After a separation the gap is at rounding level, so the guard of this wall is ignored for this time, s.

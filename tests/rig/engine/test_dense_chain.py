@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.engine import flow_tables
+from rig.core.engine import flow_tables
 
 BODIES = 205
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import rig
-from rig.laws.landing import duration_and_restitution, spring_damper
-from rig.system.assembly import assemble
+from rig.core.laws.landing import duration_and_restitution, spring_damper
+from rig.core.system.assembly import assemble
 from tests.rig.engine.finite_contact_exact import SwitchedMotion
 from tests.rig.landing_force import peak_force
 

@@ -18,15 +18,15 @@ from hypothesis import strategies as st
 from scipy.interpolate import BPoly
 
 import rig
-from rig.engine.guards import bound_by_series, bound_by_tables, first_event
-from rig.engine.law_tables import BOUND, ELEMENT, HIGHEST, LOWER, LOWEST, UPPER
-from rig.engine.power_series import expand_state
-from rig.engine.propagator import Propagator, sampled_propagator
-from rig.engine.screening import _lower_bound, inside_margins, reset_envelope, screen, widen_envelope
-from rig.engine.state import load_signals
-from rig.laws.events import CEILING, FLIGHT, FLOOR
-from rig.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
-from rig.system.assembly import assemble
+from rig.core.engine.guards import bound_by_series, bound_by_tables, first_event
+from rig.core.engine.law_tables import BOUND, ELEMENT, HIGHEST, LOWER, LOWEST, UPPER
+from rig.core.engine.power_series import expand_state
+from rig.core.engine.propagator import Propagator, sampled_propagator
+from rig.core.engine.screening import _lower_bound, inside_margins, reset_envelope, screen, widen_envelope
+from rig.core.engine.state import load_signals
+from rig.core.laws.events import CEILING, FLIGHT, FLOOR
+from rig.core.numerics.bernstein import N_COEFFICIENTS, NO_CROSSING
+from rig.core.system.assembly import assemble
 
 TAU = np.linspace(0.0, 1.0, 201)[1:]
 VALUES = st.floats(-3.0, 3.0)

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.laws.events import CEILING, FLIGHT, FLOOR
-from rig.simulation.motion import Motion
-from rig.system.assembly import assemble
-from rig.system.hybrid_system import HybridSystem
+from rig.core.laws.events import CEILING, FLIGHT, FLOOR
+from rig.core.simulation.motion import Motion
+from rig.core.system.assembly import assemble
+from rig.core.system.hybrid_system import HybridSystem
 
 
 def log_uniform(low: float, high: float) -> st.SearchStrategy[float]:
@@ -40,7 +40,7 @@ def scenes(draw: st.DrawFn) -> rig.Scene:
         "damping": {"modal": draw(log_uniform(1e-4, 0.1))},
     }
     if draw(st.booleans()):
-        from rig.system.structural_model import chain_matrix
+        from rig.core.system.structural_model import chain_matrix
 
         mass = np.diag(masses)
         mass = mass + 0.15 * np.sqrt(np.outer(np.diag(mass), np.diag(mass))) * (1 - np.eye(bodies))

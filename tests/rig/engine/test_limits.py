@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.system.structural_model import receptance
+from rig.core.system.structural_model import receptance
 from tests.rig.bouncing_ball import fly, take_off_phase
 from tests.rig.engine.exact import Segment
 

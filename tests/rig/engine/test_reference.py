@@ -14,7 +14,7 @@ import pytest
 from mpmath import findroot, mpf
 
 import rig
-from rig.errors import RunError, SceneError
+from rig.core.base.errors import RunError, SceneError
 from tests.rig.engine.exact import Segment
 from tests.rig.engine.independent_solver import IndependentSolver
 
@@ -245,7 +245,7 @@ def test_critically_damped_return_is_closed_form() -> None:
 
 
 def test_response_without_dampers_is_linear_receptance() -> None:
-    from rig.system.structural_model import receptance
+    from rig.core.system.structural_model import receptance
 
     scene = rig.load("reference-C").replace(dampers=())
     frequencies = [10.0, 13.04, 25.0, 49.7, 60.0]

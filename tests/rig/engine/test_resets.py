@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.engine.law_tables import HIGH, LOW, NONE
-from rig.engine.propagator import Propagator
-from rig.engine.resets import (
+from rig.core.engine.law_tables import HIGH, LOW, NONE
+from rig.core.engine.propagator import Propagator
+from rig.core.engine.resets import (
     _close_slow_openings,
     _rebound_is_negligible,
     _separate_coupled,
@@ -28,11 +28,11 @@ from rig.engine.resets import (
     impact,
     separate_tensile,
 )
-from rig.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State
-from rig.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
-from rig.numerics.complementarity import ROUNDING
-from rig.system.assembly import assemble
-from rig.system.hybrid_system import pure_tone
+from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State
+from rig.core.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
+from rig.core.numerics.complementarity import ROUNDING
+from rig.core.system.assembly import assemble
+from rig.core.system.hybrid_system import pure_tone
 from tests.rig.numerics.test_complementarity import solve_by_enumeration
 
 CLEARANCE = 2e-3  # m

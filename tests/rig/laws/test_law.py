@@ -6,9 +6,9 @@ from math import inf
 
 import pytest
 
-from rig.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, faults
-from rig.laws.particle_bed import particle_bed
-from rig.laws.wall_contact import wall_contact
+from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, faults
+from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.wall_contact import wall_contact
 
 STAY = Exit(("rest",))
 

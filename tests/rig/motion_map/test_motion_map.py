@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
-from rig.motion_map.motion_map import KINDS, summarize_map, write_map
-from rig.output_files import create_folder
-from rig.system.open_loop_drive import with_ideal_force
-from rig.system.structural_model import receptance
-from tests.rig.grain_beds.scenes import with_grains
+from rig.core.base.errors import SceneError
+from rig.core.base.output_files import create_folder
+from rig.core.system.open_loop_drive import with_ideal_force
+from rig.core.system.structural_model import receptance
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
+from rig.studies.motion_map.motion_map import KINDS, summarize_map, write_map
+from tests.rig.grains.scenes import with_grains
 from tests.rig.this_process import pieces_in_this_process
 
 
@@ -118,7 +118,7 @@ def test_linear_scene_is_rejected() -> None:
 
 
 def test_bed_of_grains_is_rejected_without_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.study.Workers", lambda cluster: pytest.fail("workers were started"))
+    monkeypatch.setattr("rig.core.base.study.Workers", lambda cluster: pytest.fail("workers were started"))
     with pytest.raises(SceneError, match=r"dampers\[1\] is a bed of grains"):
         rig.map_motion(with_grains(), values=[1.0], frequencies=[30.0])
 
@@ -134,7 +134,7 @@ def test_errors_name_the_invalid_range() -> None:
 
 
 def test_interrupted_map_stops_its_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.workers.SERIAL", False)
+    monkeypatch.setattr("rig.core.base.workers.SERIAL", False)
 
     def interrupt(n_completed: int, total: int) -> None:
         raise KeyboardInterrupt
@@ -165,7 +165,7 @@ def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch:
     assert reported == [6]
     for name in ("kind", "motion", "impacts", "repetition", "periods", "cpu"):
         np.testing.assert_array_equal(getattr(result, name), getattr(second_result, name))
-    monkeypatch.setattr("rig.study.code_digest", lambda *packages: "other code")
+    monkeypatch.setattr("rig.core.base.study.code_digest", lambda *packages: "other code")
     assert map_and_report()[1] == [2, 4, 6], "rows computed by other code were reused"
 
 

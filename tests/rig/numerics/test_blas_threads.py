@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from rig.numerics.blas_threads import with_one_blas_thread
+from rig.core.numerics.blas_threads import with_one_blas_thread
 
 
 def _thread_counts() -> set[int]:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.numerics.complementarity import allocate_contact_workspace, solve_complementarity
+from rig.core.numerics.complementarity import allocate_contact_workspace, solve_complementarity
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.numerics.continuation import NoConvergence, Steps, Vector, locate_folds, solve_at, trace
+from rig.core.numerics.continuation import NoConvergence, Steps, Vector, locate_folds, solve_at, trace
 
 
 def circle(x: Vector) -> tuple[Vector, Vector]:

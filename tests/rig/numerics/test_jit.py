@@ -14,19 +14,22 @@ from pathlib import Path
 
 import pytest
 
+from rig.core.numerics import jit
+
+ROOT = Path(__file__).parents[3]
 # Modules of the package.
 OUTER = """
 from kernels.constant import CONSTANT
 from kernels.inner import inner
 from kernels.pair import Pair
-from rig.numerics.jit import kernel
+from rig.core.numerics.jit import kernel
 
 @kernel
 def outer(pair: Pair) -> float:
     return inner(pair.x) + CONSTANT + pair.y
 """
 INNER = """
-from rig.numerics.jit import inlined_kernel
+from rig.core.numerics.jit import inlined_kernel
 
 @inlined_kernel
 def inner(x: float) -> float:
@@ -34,7 +37,7 @@ def inner(x: float) -> float:
 """
 # A kernel that calls another kernel twice.
 TWICE = """
-from rig.numerics.jit import kernel
+from rig.core.numerics.jit import kernel
 
 @kernel
 def inner(x: float, factor: int) -> float:
@@ -61,15 +64,15 @@ class Pair(NamedTuple):
     {1}: float
 """
 # Script that prints all bits of the zero of a guard, and of a matrix product in vector registers. With `plain`, the
-# script hides `rig.numerics.callees`, so that only the public options of numba are used.
+# script hides `rig.core.numerics.callees`, so that only the public options of numba are used.
 BITS = """
 import sys
 if {plain}:
-    sys.modules["rig.numerics.callees"] = None
+    sys.modules["rig.core.numerics.callees"] = None
 import numpy as np
-from rig.numerics import jit
-from rig.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, first_crossing
-from rig.numerics.simd import aligned_zeros, multiply
+from rig.core.numerics import jit
+from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, first_crossing
+from rig.core.numerics.simd import aligned_zeros, multiply
 
 assert (jit.callees is None) == {plain}
 series, out, matrix = aligned_zeros(N_COEFFICIENTS), aligned_zeros(8), aligned_zeros(1, 5, 8)
@@ -187,7 +190,7 @@ def test_unwritable_cache_is_reported(kernels: Path) -> None:
 
 
 def test_compilation_of_program_kernels_is_logged(kernels: Path) -> None:
-    code = "from rig.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
+    code = "from rig.core.numerics.jit import kernel\ndef f(x):\n    return x\nf.__module__ = 'rig.f'\nkernel(f)(1.0)"
     # The interval of the garbage collector is the user's again afterwards.
     code = f"import gc\nthresholds = gc.get_threshold()\n{code}\nassert gc.get_threshold() == thresholds"
     script = kernels / "script.py"
@@ -205,7 +208,9 @@ def test_public_options_give_the_same_bits(kernels: Path, capsys: pytest.Capture
 
 def test_public_options_count_no_references(kernels: Path) -> None:
     # Counting the references to arrays would make the engine ten times slower.
-    hidden = 'import sys; sys.modules["rig.numerics.callees"] = None; from rig.numerics.simd import multiply; '
+    hidden = (
+        'import sys; sys.modules["rig.core.numerics.callees"] = None; from rig.core.numerics.simd import multiply; '
+    )
     assert run(kernels, hidden + 'print(multiply.targetoptions["_nrt"])').stdout == "False\n"
 
 
@@ -249,3 +254,16 @@ def test_full_disk_of_machine_code_is_reported(kernels: Path) -> None:
     result = run(kernels, full + CALL)
     assert result.stdout == "112.0\n" and result.stderr.count("cannot be stored") == 1
     assert not [file for file in kernels.rglob("*.code*") if file.is_file()]
+
+
+def test_digest_covers_imported_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(ROOT / "rig", tmp_path / "rig", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(jit, "_ROOT", tmp_path)
+    engine, digest = tmp_path / "rig" / "core" / "engine", jit._digest.__wrapped__
+    before = digest(engine)
+    for changed in (engine / "kernel.py", engine.parent / "numerics" / "bernstein.py"):
+        source = changed.read_bytes()
+        changed.write_bytes(source + b"\n")
+        assert digest(engine) != before
+        changed.write_bytes(source)
+    assert digest(engine) == before

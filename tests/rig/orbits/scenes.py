@@ -1,8 +1,8 @@
 """Scenes for the tests of periodic orbits: with an ideal force, a driven table, or finite-duration contact."""
 
 import rig
-from rig.scene.scene import Scene
-from rig.system.open_loop_drive import with_ideal_force
+from rig.core.scene.scene import Scene
+from rig.core.system.open_loop_drive import with_ideal_force
 
 
 def scene_with(name: str, force: float, mass_ratio: float, clearance: float, restitution: float = 0.0) -> Scene:

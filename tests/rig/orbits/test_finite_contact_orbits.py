@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import rig
-from rig.orbits import event_kinds as kinds
-from rig.orbits.periodic_orbit import set_to_orbit, simulate_cycle, start_propagator
-from rig.orbits.problem import OrbitProblem
-from rig.scene.scene import Scene
+from rig.core.orbits import event_kinds as kinds
+from rig.core.orbits.periodic_orbit import set_to_orbit, simulate_cycle, start_propagator
+from rig.core.orbits.problem import OrbitProblem
+from rig.core.scene.scene import Scene
 from tests.rig.orbits.scenes import finite_contact_scene
 
 

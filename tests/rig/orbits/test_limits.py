@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import rig
-from rig.scene.scene import Scene
-from rig.system.open_loop_drive import with_ideal_force
-from rig.system.structural_model import receptance
+from rig.core.scene.scene import Scene
+from rig.core.system.open_loop_drive import with_ideal_force
+from rig.core.system.structural_model import receptance
 from tests.rig.bouncing_ball import FULL_PERIOD_ACCELERATION_G, fly, take_off_phase
 
 GRAVITY = 9.80665  # m/s^2

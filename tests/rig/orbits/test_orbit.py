@@ -18,18 +18,18 @@ import numpy as np
 import pytest
 
 import rig
-from rig.engine.propagator import Propagator
-from rig.errors import RunError, SceneError
-from rig.laws.events import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
-from rig.orbits.branches import OrbitCurve, follow_orbits
-from rig.orbits.orbit import Orbit
-from rig.orbits.periodic_orbit import period_steps, periodic_orbit, set_to_orbit, simulate_cycle, start_propagator
-from rig.orbits.problem import OrbitProblem, Parameter
-from rig.scene.scene import Scene
-from rig.single_mode.approximate_response import Approximation, follow_mode
-from rig.single_mode.reduction import SingleMode, single_mode
-from rig.system.open_loop_drive import with_ideal_force
-from rig.system.structural_model import receptance, structure_matrices
+from rig.core.base.errors import RunError, SceneError
+from rig.core.engine.propagator import Propagator
+from rig.core.laws.events import CEILING_IMPACT, FLOOR_IMPACT, SEPARATION
+from rig.core.orbits.branches import OrbitCurve, follow_orbits
+from rig.core.orbits.orbit import Orbit
+from rig.core.orbits.periodic_orbit import period_steps, periodic_orbit, set_to_orbit, simulate_cycle, start_propagator
+from rig.core.orbits.problem import OrbitProblem, Parameter
+from rig.core.scene.scene import Scene
+from rig.core.system.open_loop_drive import with_ideal_force
+from rig.core.system.structural_model import receptance, structure_matrices
+from rig.studies.single_mode.approximate_response import Approximation, follow_mode
+from rig.studies.single_mode.reduction import SingleMode, single_mode
 from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene, scene_with
 
 

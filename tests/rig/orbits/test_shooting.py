@@ -9,11 +9,11 @@ import pytest
 from scipy.linalg import expm
 
 import rig
-from rig.orbits.matrix_exponential import exponential
-from rig.orbits.orbit import OrbitFamily
-from rig.orbits.periodic_orbit import periodic_orbit
-from rig.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
-from rig.scene.scene import Scene
+from rig.core.orbits.matrix_exponential import exponential
+from rig.core.orbits.orbit import OrbitFamily
+from rig.core.orbits.periodic_orbit import periodic_orbit
+from rig.core.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
+from rig.core.scene.scene import Scene
 from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene
 
 # Scene, frequency [Hz], tolerance of the derivatives.

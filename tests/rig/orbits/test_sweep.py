@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.system.open_loop_drive import with_ideal_force
+from rig.core.base.errors import SceneError
+from rig.core.system.open_loop_drive import with_ideal_force
 from tests.rig.orbits.scenes import scene_with
 
 # Scene, mass ratio, clearance [m], force [N], frequencies [Hz].

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rig.arrays import Array, ComplexArray
-from rig.errors import SceneError
-from rig.results.interpolation import SPACING
-from rig.results.response import Response, stack
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+from rig.core.results.interpolation import SPACING
+from rig.core.results.response import Response, stack
 
 MODES = ((30.49, 0.0045, 1.0), (48.1, 0.006, -0.7), (68.5, 0.005, 0.5))
 

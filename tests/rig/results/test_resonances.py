@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rig.results.resonances import find_resonances
-from rig.results.response import Response
+from rig.core.results.resonances import find_resonances
+from rig.core.results.response import Response
 from tests.rig.results.test_interpolation import MODES, exact, measured
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rig.errors import SceneError
-from rig.results.response import Point, Response, stack
-from rig.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
+from rig.core.base.errors import SceneError
+from rig.core.results.response import Point, Response, stack
+from rig.core.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
 
 # Frequency lines, Hz.
 LINES = np.linspace(10.0, 30.0, 41)

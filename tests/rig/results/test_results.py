@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import analysis
 import daq
 import rig
-from rig.errors import RunError, SceneError
+from rig.core.base.errors import RunError, SceneError
 from tests.rig.this_process import pieces_in_this_process
 
 SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no-damper.mcap"

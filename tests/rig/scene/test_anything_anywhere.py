@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import rig
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
 from tests.soak.scenes import UNUSUAL_NUMBERS, UNUSUAL_TEXTS, VALID_SCENES, key_paths
 
 # Texts, numbers and nested values that a user or a program might write by mistake.
@@ -32,7 +32,7 @@ def set_value(content: Any, path: tuple[Any, ...], value: Any) -> None:
     content[last] = value
 
 
-@pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
+@pytest.mark.filterwarnings("ignore::rig.core.base.errors.SceneWarning")
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_value_anywhere_loads_or_is_rejected(data: st.DataObject, tmp_path: Path) -> None:

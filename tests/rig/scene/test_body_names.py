@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.scene.body_names import body_number
-from rig.scene.structure import Structure
+from rig.core.base.errors import SceneError
+from rig.core.scene.body_names import body_number
+from rig.core.scene.structure import Structure
 
 NAMED_BODIES = {
     "structure": {"masses": {"base": "4.2 kg", "arm": "1.1 kg"}, "springs": ["1.2 MN/m", "0.8 MN/m"]},

@@ -9,8 +9,8 @@ import pytest
 import typer
 
 import rig
-from rig.arguments import load_scene
-from rig.errors import SceneError
+from rig.commands.arguments import load_scene
+from rig.core.base.errors import SceneError
 
 # Two dampers share their settings by a YAML alias.
 SCENE_WITH_ALIAS = """
@@ -64,7 +64,7 @@ def test_invalid_change_is_rejected_with_its_expectation(file, change, message) 
 
 @pytest.mark.parametrize("package", ["rig", "daq", "analysis"])
 def test_scene_commands_have_the_changes_option(package) -> None:
-    group = typer.main.get_command(import_module(f"{package}.cli").app)
+    group = typer.main.get_command(import_module(f"{package}.commands.cli").app)
     for name, command in group.commands.items():
         keys = {parameter.name for parameter in command.params}
         assert ("changes" in keys) == bool(keys & {"scene", "scenes"}), name

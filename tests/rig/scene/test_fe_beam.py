@@ -7,8 +7,8 @@ import runpy
 import numpy as np
 
 import rig
-from rig.scene.scene_files import SCENES
-from rig.system.structural_model import natural_modes, structure_matrices
+from rig.core.scene.scene_files import SCENES
+from rig.core.system.structural_model import natural_modes, structure_matrices
 
 
 def test_beam_script_reproduces_the_matrices_of_the_scene() -> None:

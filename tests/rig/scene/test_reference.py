@@ -9,10 +9,10 @@ from __future__ import annotations
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.scene.reference import EFFECTS, help_on, keys, reference_page
-from rig.scene.scene_files import bundled_scenes, scene_text
-from rig.scene.yaml_reader import read_yaml
+from rig.core.base.errors import SceneError
+from rig.core.scene.reference import EFFECTS, help_on, keys, reference_page
+from rig.core.scene.scene_files import bundled_scenes, scene_text
+from rig.core.scene.yaml_reader import read_yaml
 
 
 def test_every_key_is_explained_with_its_values() -> None:

@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.scene.excitation import Impulse, Sine, SteppedSine
-from rig.scene.scene import STANDARD_GRAVITY
-from rig.scene.scene_files import bundled_scenes, summary
-from rig.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
-from rig.scene.structure import Dashpots, ModalDamping, RayleighDamping
+from rig.core.base.errors import SceneError
+from rig.core.scene.excitation import Impulse, Sine, SteppedSine
+from rig.core.scene.scene import STANDARD_GRAVITY
+from rig.core.scene.scene_files import bundled_scenes, summary
+from rig.core.scene.shaker import ElectrodynamicShaker, ForceShaker, TableShaker
+from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping
 
 TYPICAL_SCENE = """
 name: three dampers, no ceiling

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig
-from rig.errors import SceneError
+from rig.core.base.errors import SceneError
 
 # Lines of scenes. The structure is one line, usually line 1.
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [1 kN/m, 1 kN/m]}\n"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import daq
 import rig
-from rig.errors import RunError, SceneWarning
+from rig.core.base.errors import RunError, SceneWarning
 from tests.rig.scene.test_scene_mistakes import error_of
 
 # Positive definite stiffness matrix, N/m.

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import rig
-from rig.cli import app
-from rig.scene.json_schema import schema_text
-from rig.scene.loading import loads_si
-from rig.scene.scene import Scene
-from rig.scene.scene_files import SCENES, bundled_scenes
-from rig.settings.quantities import (
+from rig.commands.cli import app
+from rig.core.scene.json_schema import schema_text
+from rig.core.scene.loading import loads_si
+from rig.core.scene.scene import Scene
+from rig.core.scene.scene_files import SCENES, bundled_scenes
+from rig.core.settings.quantities import (
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,
     FREQUENCY,
@@ -111,7 +111,7 @@ def scenes(draw: st.DrawFn) -> Scene:
 
 
 # A ratio is written without a unit, which causes a warning where the unit may have been forgotten.
-@pytest.mark.filterwarnings("ignore::rig.errors.SceneWarning")
+@pytest.mark.filterwarnings("ignore::rig.core.base.errors.SceneWarning")
 @settings(max_examples=40)
 @given(scenes())
 def test_any_scene_is_written_without_loss(scene: Scene) -> None:
@@ -201,7 +201,7 @@ def test_written_quantity_is_parsed_without_loss(value: float, kind: Kind) -> No
 
 def test_packaged_schema_is_current() -> None:
     shipped = (SCENES.parent / "scene.schema.json").read_text(encoding="utf-8")
-    assert json.loads(shipped) == json.loads(schema_text()), "run: rig schema > rig/scene/data/scene.schema.json"
+    assert json.loads(shipped) == json.loads(schema_text()), "run: rig schema > rig/core/scene/data/scene.schema.json"
 
 
 def test_scene_list_has_one_described_scene_per_line() -> None:

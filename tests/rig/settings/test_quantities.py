@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.errors import SceneError
-from rig.settings import quantities
-from rig.settings.quantities import (
+from rig.core.base.errors import SceneError
+from rig.core.settings import quantities
+from rig.core.settings.quantities import (
     ACCELERATION,
     ACCELERATION_NOISE,
     ACCELERATION_SENSITIVITY,

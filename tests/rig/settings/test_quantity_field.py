@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 from pydantic_core import PydanticCustomError
 
-from rig.settings.quantities import LENGTH, MASS, RATIO
-from rig.settings.quantity_field import Quantity, format_value, printable, quantity_of
+from rig.core.settings.quantities import LENGTH, MASS, RATIO
+from rig.core.settings.quantity_field import Quantity, format_value, printable, quantity_of
 
 NUMBERS = st.sampled_from([-3.0, -1.0, 0.0, 1.0, 2.0, 5.0, float("inf"), -float("inf")])
 

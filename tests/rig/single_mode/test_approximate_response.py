@@ -11,13 +11,19 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rig
-from rig.errors import SceneError
-from rig.single_mode.admissibility import Batch, flaws
-from rig.single_mode.approximate_response import Approximation, Branch, approximate_response, dimensionless, follow_mode
-from rig.single_mode.motion_search import solutions
-from rig.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
-from rig.single_mode.reduction import SingleMode, single_mode
-from rig.system.structural_model import receptance
+from rig.core.base.errors import SceneError
+from rig.core.system.structural_model import receptance
+from rig.studies.single_mode.admissibility import Batch, flaws
+from rig.studies.single_mode.approximate_response import (
+    Approximation,
+    Branch,
+    approximate_response,
+    dimensionless,
+    follow_mode,
+)
+from rig.studies.single_mode.motion_search import solutions
+from rig.studies.single_mode.periodic_motion import INSTANTS, MotionParameters, MotionType, PeriodicMotion, jacobian
+from rig.studies.single_mode.reduction import SingleMode, single_mode
 from tests.rig.bouncing_ball import fly, take_off_phase
 
 

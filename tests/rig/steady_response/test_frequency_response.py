@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from rig.system.structural_model import receptance
+from rig.core.system.structural_model import receptance
 
 FORCE_SHAKER: dict[str, object] = {"kind": "force", "body": 1}
 TABLE_SHAKER: dict[str, object] = {"kind": "table", "body": 1, "spring": 6600.0}

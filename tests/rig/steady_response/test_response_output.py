@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig.steady_response.frequency_response import SteadyResponse
-from rig.steady_response.response_output import format_response
+from rig.core.steady_response.frequency_response import SteadyResponse
+from rig.core.steady_response.response_output import format_response
 
 
 @pytest.fixture

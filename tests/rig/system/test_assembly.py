@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.laws.landing import duration_and_restitution
-from rig.system.assembly import assemble, force_row
-from rig.system.hybrid_system import HybridSystem
+from rig.core.base.errors import SceneError
+from rig.core.laws.landing import duration_and_restitution
+from rig.core.system.assembly import assemble, force_row
+from rig.core.system.hybrid_system import HybridSystem
 
 # Masses [kg], springs [N/m] and dashpots [N s/m] of the chain, body 1 first.
 M1, M2, K1, K2, C1, C2 = 1.0, 0.5, 4e3, 2e3, 3.0, 1.0

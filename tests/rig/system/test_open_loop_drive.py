@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rig
-from rig.system.assembly import assemble
-from rig.system.open_loop_drive import drive_per_level, riding_response, sampled_drive, tone_drive
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import drive_per_level, riding_response, sampled_drive, tone_drive
 
 
 @pytest.mark.parametrize("spacing", ["linear", "log"])

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 import rig
-import rig.system.structural_model as structural_model_module
-from rig.errors import SceneError
-from rig.scene.scene import Scene
-from rig.system.structural_model import receptance, structural_model, transmissibility
+import rig.core.system.structural_model as structural_model_module
+from rig.core.base.errors import SceneError
+from rig.core.scene.scene import Scene
+from rig.core.system.structural_model import receptance, structural_model, transmissibility
 
 FREQUENCIES = np.linspace(1.0, 60.0, 60)  # Hz
 # Coil spring and spring of body 1 of the bundled scenes, N/m.

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.system.assembly import assemble
-from rig.system.open_loop_drive import with_ideal_force
-from rig.system.structural_model import receptance
+from rig.core.base.errors import SceneError
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import with_ideal_force
+from rig.core.system.structural_model import receptance
 
 STRUCTURE = "structure: {masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m], damping: {modal: 1 %}}\n"
 FORCE = "{kind: force, body: 1}"

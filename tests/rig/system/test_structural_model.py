@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rig
-from rig.errors import SceneError
-from rig.scene.structure import Structure
-from rig.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
+from rig.core.base.errors import SceneError
+from rig.core.scene.structure import Structure
+from rig.core.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
 
 # The structure of Inoue, Yokomichi, Hiraki (2011).
 MASSES = (0.74, 0.71, 0.64)  # kg

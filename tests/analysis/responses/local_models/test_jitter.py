@@ -8,8 +8,8 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.responses.local_models.jitter import JITTER
-from rig.system.structural_model import receptance
+from analysis.core.responses.local_models.jitter import JITTER
+from rig.core.system.structural_model import receptance
 
 HITS_SCENE = """
 structure: {{masses: [1 kg, 0.2 kg], springs: [395 kN/m, 2370 kN/m], damping: {{modal: 1 %}}}}

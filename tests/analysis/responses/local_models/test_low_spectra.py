@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.responses.local_models.low_spectra import low_spectra
+from analysis.core.responses.local_models.low_spectra import low_spectra
 
 
 def recording_of(samples: NDArray[np.float64]) -> Any:

@@ -1,0 +1,1 @@
+"""Command line, tables, figures and report page."""

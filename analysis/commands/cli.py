@@ -1,0 +1,416 @@
+"""The `analysis` command line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rig.commands.arguments import Changes, Cluster, Overwrite, SceneName, load_scene
+from rig.commands.command_line import create_application, run_command
+from rig.core.base.console import count_progress, report_written, resumable
+from rig.core.base.provenance import allow_overwriting
+
+if TYPE_CHECKING:
+    from analysis.commands.presentation.outputs import CommandOutput
+
+app = create_application("Curves, modes and reports from recordings.")
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
+Curves = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE...", help="Recordings (.mcap), or responses from other programs (.uff, .csv)."),
+]
+Compared = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE...", help="Recordings (.mcap). The others are compared with the first."),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: the folder of the first FILE."),
+]
+Reference = Annotated[
+    str,
+    typer.Option(
+        metavar="force|table", help="Input of the responses: force on the structure, or displacement of the table."
+    ),
+]
+Block = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Average blocks of this length in seconds, in random and impact tests."),
+]
+Unit = Annotated[
+    str | None,
+    typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE without a unit, such as g/N."),
+]
+Count = Annotated[
+    int | None, typer.Option("--modes", metavar="N", help="Largest number of modes. Default: all significant modes.")
+]
+Table = Annotated[
+    Path,
+    typer.Option(
+        "--output", "-o", metavar="FILE", help="CSV table of results. Points that it contains are not computed again."
+    ),
+]
+
+
+@app.command(example="analysis frf sweep.mcap --response body3")
+def frf(
+    files: Curves,
+    output: Output = None,
+    response: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all channels on bodies."),
+    ] = None,
+    reference: Reference = "force",
+    motion: Annotated[
+        str,
+        typer.Option(
+            metavar="QUANTITY",
+            help="Motion of the response: displacement (receptance), velocity (mobility) or acceleration "
+            "(accelerance).",
+        ),
+    ] = "displacement",
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="H1|H2|Hv",
+            help="Average spectra of blocks, in random and impact tests. H1 assumes noise in the response, H2 in the "
+            "force, Hv in both. Default: a fit to the whole record, without leakage.",
+        ),
+    ] = None,
+    block: Block = None,
+    overlap: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Overlap of blocks, as a fraction of their length. Default: 0.5."),
+    ] = None,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Window of the blocks, such as hann or flattop. Default: hann in random tests, none in impact tests.",
+        ),
+    ] = None,
+    unit: Unit = None,
+    theory: Annotated[
+        bool, typer.Option("--theory", help="Add the exact response of the scene without dampers.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Estimate frequency responses with 95 % intervals and coherence."""
+    from analysis.commands.presentation.frf_findings import present_frf
+
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
+        result = present_frf(
+            files, output, response, reference, motion, estimator, block, theory, progress, overlap, window, unit
+        )
+    _print_output(result)
+
+
+@app.command(example="analysis decay impulse.mcap --channel body3")
+def decay(
+    files: Recordings,
+    output: Output = None,
+    channel: Annotated[
+        str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
+    ] = None,
+    hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit to analyze, counted from 1.")] = 1,
+    overwrite: Overwrite = False,
+) -> None:
+    """Estimate natural frequencies and damping from a free decay."""
+    from analysis.commands.presentation.decay_findings import present_decay
+
+    with allow_overwriting(overwrite):
+        result = present_decay(files, output, channel, hit)
+    _print_output(result)
+
+
+@app.command(example="analysis modes sweep.mcap")
+def modes(
+    files: Curves,
+    output: Output = None,
+    reference: Reference = "force",
+    modes: Count = None,
+    block: Block = None,
+    unit: Unit = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Estimate natural frequencies, damping ratios and mode shapes."""
+    from analysis.commands.presentation.mode_findings import present_modes
+
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
+        result = present_modes(files, output, reference, modes, block, progress, unit)
+    _print_output(result)
+
+
+@app.command(example="analysis dampers sweep.mcap")
+def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+    """Estimate the impacts of dampers, and the energy they dissipate.
+
+    It evaluates each frequency of a sine or stepped sine test.
+    """
+    from analysis.commands.presentation.damper_findings import present_dampers
+
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
+        result = present_dampers(files, output, progress)
+    _print_output(result)
+
+
+@app.command(example="analysis compare without.mcap with.mcap")
+def compare(files: Compared, output: Output = None, overwrite: Overwrite = False) -> None:
+    """Compare height and frequency of resonance peaks.
+
+    It prints the changes relative to the first recording, with 95 % intervals.
+    """
+    from analysis.commands.presentation.comparison import present_compare
+
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
+        result = present_compare(files, output, progress)
+    _print_output(result)
+
+
+@app.command(example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml")
+def fit(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING...", help="Recordings of one structure, with or without dampers, at any level."
+        ),
+    ],
+    scene: SceneName,
+    changes: Changes = None,
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY",
+            help="Value to fit, such as structure.masses or dampers[1].clearance. May be repeated. Default: masses, "
+            "springs, damping and all values of the dampers.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Fitted scene to write; the figures are written next to it."
+        ),
+    ] = Path("fitted.yaml"),
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
+) -> None:
+    """Fit the values of a scene to recordings, with 95 % intervals."""
+    from analysis.commands.presentation.fit_findings import present_fit
+
+    files_written, warnings = present_fit(files, load_scene(scene, changes), free, output, overwrite, print)
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    report_written(*files_written)
+
+
+@app.command(example="analysis report without.mcap with.mcap -o report.html")
+def report(
+    files: Compared,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR|FILE.html",
+            help="Folder or page to write. Default: the folder of the first FILE.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write an interactive HTML page about recordings."""
+    from analysis.commands.report_page.report import write_report
+
+    with allow_overwriting(overwrite), count_progress("analyzing") as progress:
+        result = write_report(files, output, progress)
+    _print_output(result)
+
+
+@app.command(example="analysis demo -o recordings")
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the recordings and figures.")
+    ] = Path("recordings"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Record and analyze tests of Inoue, Yokomichi, Hiraki (2011).
+
+    It makes two stepped sines and two impulse tests, and draws Figs 8 and 10b of the paper from the recordings.
+    """
+    from analysis.commands.presentation.demo import demonstrate
+
+    with allow_overwriting(overwrite):
+        demonstrate(output, _print_line)
+
+
+@app.command(example="analysis export sweep.mcap -o sweep.uff")
+def export(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav.")
+    ],
+    channel: Annotated[
+        list[str] | None, typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all.")
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(
+            "--from", metavar="S", help="Start of the exported part, in seconds from the beginning of the recording."
+        ),
+    ] = None,
+    stop: Annotated[
+        float | None,
+        typer.Option(
+            "--to", metavar="S", help="End of the exported part, in seconds from the beginning of the recording."
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(metavar="X", help="Playback speed of a .wav file. At 10, a tone of 30 Hz sounds at 300 Hz.")
+    ] = 1.0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
+    what: Annotated[
+        str,
+        typer.Option(
+            metavar="samples|frfs|modes",
+            help="Write the samples, or the frequency responses (frfs) or modes estimated from them. The latter two "
+            "require a .uff or .mat file.",
+        ),
+    ] = "samples",
+) -> None:
+    """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
+    from analysis.core.recordings.slices import Slice
+    from analysis.extras.formats.export import expected_bytes, kind_of
+    from analysis.extras.formats.export import export as export_segment
+    from analysis.extras.formats.results import export_results
+    from daq.core.recording.recording import open as open_recording
+
+    if what != "samples":
+        if channel or start is not None or stop is not None or speed != 1.0:
+            raise typer.BadParameter(
+                "--channel, --from, --to and --speed apply to samples only. Leave them out, or leave out --what."
+            )
+        with count_progress("analyzing") as progress:
+            lines = export_results(file, output, what, overwrite, progress)
+        print(*lines, sep="\n")
+        return
+    with open_recording(file) as recording:
+        segment = Slice.of(recording, channel, start, stop)
+        n_bytes = expected_bytes(segment, kind_of(output))
+        print(f"writing {output}: about {n_bytes / 1e6:.3g} MB", file=sys.stderr)
+        with count_progress("exporting") as progress:
+            lines = export_segment(segment, output, speed, overwrite, progress)
+    for line in lines:
+        print(line)
+    report_written(output)
+
+
+@app.command(example="analysis cost fig9")
+def cost(
+    scene: SceneName,
+    changes: Changes = None,
+    frequency: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="HZ",
+            help="Frequency to measure. May be repeated. Default: both ends of the test, and the frequency of largest "
+            "acceleration.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the figure and the table.")
+    ] = Path(),
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure error and computing time of the measurement chain.
+
+    One part of the chain is changed at a time.
+    """
+    from analysis.studies.cost.figure import output_files, table, write
+    from analysis.studies.cost.study import chain_study
+    from rig.core.base.output_files import prepare_outputs
+    from rig.core.base.provenance import output_source
+
+    loaded_scene = load_scene(scene, changes)
+    with allow_overwriting(overwrite), output_source("chain-cost", loaded_scene.to_yaml()):
+        prepare_outputs(*output_files(loaded_scene, output))
+        with count_progress("recording and analyzing") as progress:
+            study = chain_study(loaded_scene, frequency, progress)
+        files = write(study, output)
+    print(table(study))
+    report_written(*files)
+
+
+@app.command(example="analysis paper -o paper")
+def paper(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for data, figures and the page.")
+    ] = Path("recordings/paper"),
+    fresh: Annotated[
+        list[str] | None, typer.Option(metavar="PART", help="Part to compute again, such as rec-fig9. May be repeated.")
+    ] = None,
+    cluster: Cluster = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Repeat and check the paper of Inoue, Yokomichi, Hiraki (2011).
+
+    It draws the figures and gives a verdict on each claim. A repeated command computes only what is missing.
+    """
+    from analysis.studies.paper.reproduce import reproduce
+
+    with resumable(), allow_overwriting(overwrite):
+        reproduce(output, _print_line, fresh or (), cluster)
+
+
+@app.command(example="analysis beds --points 6")
+def beds(
+    output: Table = Path("recordings/beds.csv"),
+    points: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Number of operating points to compute, spread over the study. Six take minutes. Default: all."
+        ),
+    ] = None,
+    cluster: Cluster = None,
+) -> None:
+    """Compare beds of grains with the single-mass model.
+
+    It tests claim C7 of the paper, that a bed moves as a single mass. All points take over half an hour.
+    """
+    from analysis.studies.paper.bed_study import follow
+
+    with resumable():
+        follow(output, points, _print_line, cluster)
+    report_written(output)
+
+
+@app.command(example="analysis contacts")
+def contacts(output: Table = Path("recordings/contacts.csv"), cluster: Cluster = None) -> None:
+    """Simulate the single-mass model on compliant walls.
+
+    It computes the operating points of `analysis beds` at 50 Hz, with several contact durations and restitutions,
+    and takes minutes.
+    """
+    from analysis.studies.paper.contact_study import follow
+
+    with resumable():
+        follow(output, _print_line, cluster)
+    report_written(output)
+
+
+def _print_line(line: str) -> None:
+    print(line, flush=True)
+
+
+def _print_output(result: CommandOutput) -> None:
+    for line in result.lines:
+        print(line)
+    for warning in result.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    report_written(*result.files)
+
+
+def main() -> None:
+    """Run the `analysis` command."""
+    run_command("analysis.commands.cli")

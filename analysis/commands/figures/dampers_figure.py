@@ -1,0 +1,119 @@
+"""Figure of damper motion in a stepped-sine test: type of motion in each body, and energy per period."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.damper_motion.energy_balance import CycleEnergy
+from analysis.core.damper_motion.motion_types import DamperMotion
+from analysis.core.responses.spectral_lines import Lines
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import COLORS, add_legend_below, add_title, frequency_axis, log_axis, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Legend entries of the motions by name (`DamperMotion.name`), in the order of the legend.
+_LEGEND_TEXTS = {
+    "riding": "at rest on the floor",
+    "I": "type I: flies, hits the floor once a period",
+    "II": "type II: hits floor and ceiling once a period",
+    "III": "type III: as type II, but stays at the ceiling",
+    "other": "other pattern of impacts",
+    "unseen": "may fly, impacts below the detection limit",
+    "uncertain": "impacts missed, or irregular",
+}
+# Color of each motion.
+_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
+
+
+def dampers_figure(dampers: Dampers) -> Figure:
+    """Draw the motion of each damper at each frequency and, if available, the energy per period."""
+    motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
+    frequencies = np.append(lines.frequency, lines.left_out)
+    low, high = 0.98 * float(frequencies.min()), 1.02 * float(frequencies.max())
+    with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
+        heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
+        rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
+        _draw_motions(rows[0], motions)
+        add_title(rows[0], dampers.label)
+        if energy is not None:
+            _draw_energies(rows[1], energy, lines, dampers.true_impact_energy)
+        for frequency in lines.left_out:
+            rows[0].plot(
+                frequency, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
+            )
+        for axes in rows:
+            frequency_axis(axes, low, high, axes is rows[-1])
+        add_legend_below(figure, *_caption(energy, lines))
+        return figure
+
+
+def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
+    """Draw one row for each body, with a bar in the color of its motion at each measured frequency."""
+    drawn: set[str] = set()
+    for row, body in enumerate(motions):
+        axes.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
+        frequencies: dict[str, list[float]] = {}
+        for motion in body:
+            frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
+        for kind, frequency in frequencies.items():
+            axes.vlines(frequency, row - 0.35, row + 0.35, color=_MOTION_COLORS[kind], lw=2.4)
+        drawn |= frequencies.keys()
+    axes.set_ylim(len(motions) - 0.4, -0.6)
+    axes.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
+    axes.grid(False, axis="y")
+    for kind, text in _LEGEND_TEXTS.items():
+        if kind in drawn:
+            axes.plot([], [], "|", color=_MOTION_COLORS[kind], ms=8, mew=2.4, label=text)
+
+
+def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
+    """Draw the energies against frequency, with upper bounds for damper energies whose interval includes zero."""
+    order = np.argsort(energy.frequency, kind="stable")
+    frequency = energy.frequency[order]
+    gaps = np.searchsorted(frequency, np.sort(lines.left_out))
+    frequency_with_gaps = np.insert(frequency, gaps, np.nan)
+
+    def draw_energy(joules: np.ndarray, **style: Any) -> None:
+        axes.plot(frequency_with_gaps, np.insert(1e3 * joules[order], gaps, np.nan), **style)
+
+    is_determined = energy.dampers > energy.bound
+    into_dampers = np.where(is_determined, energy.dampers, np.nan)
+    draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
+    draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
+    draw_energy(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
+    axes.errorbar(
+        energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
+    )
+    upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
+    axes.plot(
+        energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=4.5, mew=0.8,
+        color=COLORS[1], label="into the dampers, upper bound",
+    )  # fmt: skip
+    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
+    if true_loss is not None:
+        positive_loss = np.where(true_loss > 0, true_loss, np.nan)
+        draw_energy(positive_loss, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
+        plotted.append(1e3 * positive_loss)
+    if lines.unsteady is not None and lines.unsteady.any():
+        axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
+    log_axis(axes, plotted)
+    axes.set_ylabel("energy per period / mJ")
+
+
+def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
+    """Explain error bars and markers in sentences."""
+    sentences = []
+    if energy is not None:
+        sentences.append("Bars: 95 % intervals of the energy, with scatter and systematic errors.")
+    if lines.unsteady is not None and lines.unsteady.any():
+        sentences.append("Crosses: steady state not reached.")
+    if lines.left_out.size:
+        sentences.append("Crosses at the axis: omitted frequencies (see the warnings).")
+    return sentences

@@ -1,0 +1,151 @@
+"""Figure of free decays: acceleration, envelope on a logarithmic scale, damping ratio against amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.decays.free_decay import Decay
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import add_caption, add_title, color_of, new_figure, set_log_scale
+from rig.core.results.text import format_decimals
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from analysis.core.decays.modal_decay import ModalDecay
+
+
+# Modes of different recordings share a panel if their frequencies differ by less than this fraction.
+_MAX_FREQUENCY_DIFFERENCE = 0.15
+# Maximum number of frequencies in the title of a panel; more are replaced with their range.
+_MAX_LISTED_FREQUENCIES = 3
+
+
+def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
+    """Overlay decays: measured acceleration, logarithmic envelope, and damping ratio of each mode.
+
+    `decays`: one decay for each recording.
+    """
+    modes = _group_modes(decays)
+    gravity = decays[0].gravity
+    with new_figure(8.2) as figure:
+        rows = figure.add_gridspec(3, max(len(modes), 1), height_ratios=[1.25, 1.0, 1.0 if modes else 0.02])
+        waveform_axes = figure.add_subplot(rows[0, :])
+        envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
+        duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
+        for index, decay in enumerate(decays):
+            color = color_of(index)
+            shown = decay.time <= duration
+            waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=color, lw=0.6, alpha=0.75)
+            envelope = decay.envelope
+            for sign in (1.0, -1.0):
+                waveform_axes.plot(
+                    decay.time[shown], sign * envelope[shown], color=color, lw=1.4,
+                    label=escape_figure(decay.label) if sign > 0 else None,
+                )  # fmt: skip
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2)
+            lowest = min(lowest, float(envelope[shown].min()))
+            envelope_axes.plot(
+                decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=color, lw=1.6, ls="--"
+            )
+        highest = max(float(decay.peak.max()) for decay in decays)
+        waveform_axes.set_ylim(-1.1 * highest, 1.1 * highest)
+        waveform_axes.set_xlim(0.0, duration)
+        for sign in (1.0, -1.0):
+            waveform_axes.axhline(sign * gravity, color="#777777", lw=0.8, ls=":")
+        waveform_axes.set_ylabel("acceleration / (m/s²)")
+        waveform_axes.tick_params(labelbottom=False)
+        add_title(waveform_axes, title)
+        if waveform_axes.get_legend_handles_labels()[0]:
+            waveform_axes.legend(loc="upper right")
+        set_log_scale(envelope_axes.yaxis, 5)
+        envelope_axes.set_ylim(max(0.6 * lowest, 1e-3 * highest), 1.6 * highest)
+        envelope_axes.axhline(gravity, color="#777777", lw=0.8, ls=":")
+        envelope_axes.set_ylabel("envelope / (m/s²)")
+        envelope_axes.set_xlabel("time / s")
+        add_caption(
+            figure, "Envelope: largest acceleration within half a period of the lowest mode on either side.",
+            "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to start at the envelope. "
+            "Dotted: 1 g.",
+            *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
+        )  # fmt: skip
+        _draw_damping(figure, rows, modes, gravity)
+        return figure
+
+
+def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, ModalDecay]]], gravity: float) -> None:
+    """Draw the damping ratio against amplitude, one panel for each mode; `modes`: from `_group_modes`."""
+    first: Axes | None = None
+    for column, decays_of_mode in enumerate(modes):
+        axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
+        first = first or axes
+        for index, mode in decays_of_mode:
+            color, (percent, expanded) = color_of(index), mode.percent
+            axes.fill_between(mode.amplitude, percent - expanded, percent + expanded, color=color, alpha=0.25, lw=0)
+            axes.plot(mode.amplitude, percent, "o-", color=color)
+        amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
+        axes.set_xlim(0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max()))
+        set_log_scale(axes.xaxis, 5)
+        axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
+        axes.set_xlabel("amplitude / (m/s²)")
+        axes.set_title(_frequency_title(decays_of_mode), y=1.0, fontsize=9, fontweight="normal")
+        if column == 0:
+            axes.set_ylabel("damping ratio / %")
+        else:
+            axes.tick_params(labelleft=False)
+    if first is not None:
+        values = [100.0 * m.damping for decays_of_mode in modes for _, m in decays_of_mode]
+        positive = np.concatenate(values)
+        positive = positive[positive > 0]
+        if positive.size:
+            low, high = float(positive.min()), float(positive.max())
+            # The axis includes the edges of uncertainty bands unless the curves would then become too small.
+            bounds = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
+            edges = np.concatenate(
+                [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]
+            )
+            included_edges = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
+            low, high = min(low, *included_edges) / 1.3, max(high, *included_edges) * 1.3
+            set_log_scale(first.yaxis, 6)
+            first.set_ylim(low, high)
+
+
+def _frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
+    """Return the frequencies of a mode in the order of the recordings, or their range if there are many."""
+    listed = list(
+        dict.fromkeys(
+            format_decimals(mode.frequency, 1) for _, mode in sorted(decays_of_mode, key=lambda pair: pair[0])
+        )
+    )
+    if len(listed) > _MAX_LISTED_FREQUENCIES:
+        low, *_, high = sorted(listed, key=float)
+        return f"{low} to {high} Hz"
+    return f"{', '.join(listed)} Hz"
+
+
+def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
+    """Group the modes of all decays by frequency; a group has pairs (index of the decay, its mode).
+
+    Modes without a damping ratio are omitted.
+    """
+    modes = sorted(
+        ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
+        key=lambda pair: pair[1].frequency,
+    )
+    groups: list[list[tuple[int, ModalDecay]]] = []
+    for pair in modes:
+        if groups and pair[1].frequency < (1.0 + _MAX_FREQUENCY_DIFFERENCE) * groups[-1][0][1].frequency:
+            groups[-1].append(pair)
+        else:
+            groups.append([pair])
+    return groups
+
+
+def _relevant_duration(decay: Decay) -> float:
+    """Return the time after which the acceleration stays below 2 % of its maximum, otherwise the duration, s."""
+    end = decay.time_below(0.02 * float(abs(decay.acceleration).max()))
+    return float(decay.time[-1]) if np.isnan(end) or end <= 0 else end

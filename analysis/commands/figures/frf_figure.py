@@ -1,0 +1,226 @@
+"""Figure of frequency responses: magnitude with its 95 % band, phase and coherence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import add_legend_below, add_title, color_of, frequency_axis, log_axis, new_figure
+from rig.core.results.response import MAX_MARKERS, Response
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Number of points over which the median roughness of a curve is computed.
+_ROUGHNESS_POINTS = 25
+# A point with a smaller coherence than this is drawn as noise.
+_MIN_COHERENCE = 0.5
+# A systematic error below this fraction of the magnitude is not visible, and is not drawn.
+_MIN_VISIBLE_RATIO = 3e-3
+# On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
+_ZERO_RATIO = 1e-9
+# A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude.
+_MAX_ERROR_RATIO = 0.5
+# A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
+_MAX_ROUGHNESS = 0.35
+_THEORY_COLOR = "#555555"
+_NOISE_COLOR = "#c4c4c4"
+
+
+def frf_figure(
+    frfs: Sequence[Response], title: str, theory: Sequence[Response] = (), marks: Sequence[tuple[float, str]] = ()
+) -> Figure:
+    """Draw measured frequency responses on common axes.
+
+    `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
+    bars, drawn thin and dashed in the color of their response. `marks`: frequency, Hz, and text of vertical lines.
+    """
+    frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
+    low, high = float(frequencies.min()), float(frequencies.max())
+    if high <= low:
+        low, high = low / 1.2, high * 1.2
+    colors = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
+    has_several_responses = len(colors) > 1
+    with new_figure(6.8) as figure:
+        magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
+        for curve in theory:
+            color = colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
+            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
+            magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
+            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
+        if theory:
+            magnitude_axes.plot(
+                [], [], color=_THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
+            )
+        for index, measured in enumerate(frfs):
+            _draw_curve(measured, color_of(index), magnitude_axes, phase_axes, coherence_axes)
+        for frequency, text in marks:
+            magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
+            magnitude_axes.annotate(
+                text, (frequency, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3),
+                textcoords="offset points", va="top", fontsize=7.5, color="#555555",
+            )  # fmt: skip
+        unit, factor = frfs[0].shown_in
+        log_axis(
+            magnitude_axes,
+            [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _visible_edges(frf) for frf in frfs],
+        )
+        for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
+            frequency_axis(axes, low, high, last)
+        name = escape_figure(frfs[0].name)
+        magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
+        add_title(magnitude_axes, title)
+        phase_axes.set_ylabel("phase / °")
+        phase_axes.set_yticks([-270, -180, -90, 0, 90])
+        phase_axes.set_ylim(-285, 105)
+        coherence_axes.set_ylabel("coherence")
+        coherence_axes.set_ylim(-0.03, 1.06)
+        coherence_axes.set_yticks([0, 0.5, 1])
+        notes = []
+        if not any(exceeds_noise(frf).any() for frf in frfs):
+            notes.append((phase_axes, "phase not determined at any line"))
+        if not any(_has_scatter(frf) for frf in frfs):
+            text = "no coherence and no random error: a single average, or not in the file"
+            notes.append((coherence_axes, text))
+        for axes, text in notes:
+            axes.annotate(
+                text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
+            )
+        figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
+        add_legend_below(figure, *_caption(frfs))
+        return figure
+
+
+def _caption(frfs: Sequence[Response]) -> list[str]:
+    """Explain bands and markers in sentences."""
+    sentences = []
+    if any(_has_scatter(frf) for frf in frfs):
+        sentences.append("Dark band: random error (95 %).")
+    causes = visible_systematic_errors(frfs)
+    if causes:
+        sentences.append(f"Light band: also limits of error: {', '.join(causes)}.")
+    if any(np.any(exceeds_noise(frf) & (frf.expanded() >= abs(frf.value))) for frf in frfs):
+        sentences.append("A band down to the axis includes zero.")
+    if not all(exceeds_noise(frf).all() for frf in frfs):
+        sentences.append("Gray: within the noise; phase not shown.")
+    if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
+        sentences.append("Crosses: steady state not reached.")
+    if any(frf.omitted.size for frf in frfs):
+        sentences.append("Gaps with a mark at the axis: omitted frequencies.")
+    return sentences
+
+
+def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
+    """Draw one measured curve into the three panels."""
+    # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
+    is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
+    has_markers = frf.frequency.size <= MAX_MARKERS
+    curve, frf = frf.sorted(), frf.with_gaps()
+    is_above_noise = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
+    marker, zorder = "o" if has_markers else None, 2.9 if is_downward else 3
+    line_style: dict[str, Any] = {"marker": marker, "color": color, "zorder": zorder}
+    if is_downward:
+        line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
+    factor = frf.shown_in[1]
+    magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
+    total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
+    for half_width, opacity in ((total, 0.13), (random, 0.25)):
+        magnitude_axes.fill_between(
+            frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
+            np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
+            where=is_above_noise, color=color, alpha=opacity, lw=0,
+        )  # fmt: skip
+    for frequencies in _omitted_ranges(frf):
+        magnitude_axes.plot(
+            frequencies, [0.0, 0.0], "x-", color=color, ms=5, clip_on=False,
+            transform=magnitude_axes.get_xaxis_transform(),
+        )  # fmt: skip
+    if not (is_above_noise | np.isnan(magnitude)).all():
+        # One more point on either side makes the line continuous where its color changes to gray.
+        noisy = ~is_above_noise | ~np.roll(is_above_noise, 1) | ~np.roll(is_above_noise, -1)
+        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=_NOISE_COLOR, lw=0.7, zorder=2)
+    magnitude_axes.plot(
+        frf.frequency, np.where(is_above_noise, magnitude, np.nan), label=escape_figure(frf.label), **line_style
+    )
+    if frf.unsteady is not None and frf.unsteady.any():
+        magnitude_axes.plot(
+            frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
+        )
+    angle = np.where(is_above_noise, phase_degrees(frf), np.nan)
+    for half_width, opacity in ((total, 0.13), (random, 0.25)):
+        phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
+        frequency, center = break_at_wraps(frf.frequency, angle)
+        width = break_at_wraps(frf.frequency, angle, phase_width)[1]
+        phase_axes.fill_between(frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
+    phase_axes.plot(*break_at_wraps(frf.frequency, angle), **line_style)
+    if _has_scatter(frf):
+        coherence_axes.plot(frf.frequency, frf.coherence, color=color, zorder=3)
+
+
+def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
+    """Return the first and last of the omitted frequencies in each gap between lines of a sorted curve, Hz."""
+    omitted = np.sort(frf.omitted)
+    gap = np.searchsorted(frf.frequency[np.isfinite(frf.value)], omitted)
+    return [(omitted[gap == number][0], omitted[gap == number][-1]) for number in np.unique(gap)]
+
+
+def _has_scatter(frf: Response) -> bool:
+    """Return whether a curve has a random error: from several averages, or stated in its file."""
+    return bool(np.any((frf.degrees > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
+
+
+def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
+    """Return the names of the systematic errors that are visible at any point of the curves, the largest first."""
+    ratios: dict[str, float] = {}
+    for frf in frfs:
+        for name, limit in frf.limits.items():
+            ratio = limit / np.maximum(abs(frf.value), 1e-300)
+            if np.any(ratio > _MIN_VISIBLE_RATIO):
+                ratios[name] = max(ratios.get(name, 0.0), float(np.nanmedian(ratio)))
+    return sorted(ratios, key=ratios.__getitem__, reverse=True)
+
+
+def _visible_edges(frf: Response) -> Array:
+    """Return the edges of the light band that the axis must include: at most a decade beyond the curve."""
+    magnitude, total = abs(frf.value), np.nan_to_num(frf.expanded(), posinf=np.inf)
+    visible = exceeds_noise(frf) & np.isfinite(magnitude) & (magnitude > 0)
+    if not visible.any():
+        return np.empty(0)
+    magnitude, total = magnitude[visible], total[visible]
+    edges = np.concatenate([np.minimum(magnitude + total, 10.0 * magnitude.max()), magnitude - total])
+    return np.asarray(edges[edges > 0.1 * magnitude.min()])
+
+
+def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
+    """Return whether each point exceeds its noise, so that its phase is determined.
+
+    The criterion is error and coherence if the curve has them, otherwise its roughness from point to point.
+    """
+    magnitude = np.maximum(abs(frf.value), 1e-300)
+    if np.isfinite(frf.error).all():
+        return np.asarray((frf.error < _MAX_ERROR_RATIO * magnitude) & (frf.coherence > _MIN_COHERENCE))
+    if magnitude.size < 2 * _ROUGHNESS_POINTS:
+        return np.ones(magnitude.size, dtype=bool)
+    roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
+    local_roughness = scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest")
+    return np.asarray(local_roughness < _MAX_ROUGHNESS)
+
+
+def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
+    """Insert gaps (NaN) into a line where the phase wraps; `values`: the line, by default the angle itself."""
+    with np.errstate(invalid="ignore"):
+        wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
+    between = (frequency[wraps - 1] + frequency[wraps]) / 2.0
+    return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
+
+
+def phase_degrees(frf: Response) -> Array:
+    """Return the phase in degrees, from -270 to 90, so that a phase near ±180° does not wrap."""
+    return 90.0 - np.mod(90.0 - np.degrees(np.angle(frf.value)), 360.0)

@@ -1,0 +1,83 @@
+"""Figure of a modal identification: measured FRFs with the model, stabilization chart, mode shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.modal.modes import Modes
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import add_title, color_of, frequency_axis, log_axis, new_figure
+from rig.core.results.response import MAX_MARKERS, Response
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Number of mode shapes side by side; with more, their titles would overlap.
+_MAX_COLUMNS = 5
+
+
+def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
+    """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
+
+    `frfs`: the FRFs from which `analysis.core.modal.identification.identify` estimated the modes; of several inputs,
+    those of the input of the modes are drawn.
+    """
+    several = len({frf.input for frf in frfs}) > 1
+    curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]
+    low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
+    count = modes.frequency.size
+    shape_rows = max(-(-count // _MAX_COLUMNS), 1)  # rounded up
+    columns = max(-(-count // shape_rows), 1)
+    with new_figure(5.6 + 2.0 * shape_rows) as figure:
+        rows = figure.add_gridspec(2 + shape_rows, columns, height_ratios=[2.2, 1.3, *[1.3] * shape_rows])
+        magnitude_axes = figure.add_subplot(rows[0, :])
+        chart_axes = figure.add_subplot(rows[1, :])
+        # Frequencies are dense around each resonance, so that the drawn model reaches its peaks.
+        near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
+        dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
+        dense = dense[(dense >= low) & (dense <= high)]
+        # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
+        is_sparse = curves[0].frequency.size <= MAX_MARKERS
+        for index, curve in enumerate(curves):
+            color = color_of(index)
+            magnitude_axes.plot(
+                curve.frequency, 1e6 * abs(curve.value), "o" if is_sparse else "-", ms=2.4, color=color,
+                lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),
+            )  # fmt: skip
+            model = 1e6 * abs(modes.receptance(dense)[index])
+            magnitude_axes.plot(dense, model, color=color if is_sparse else "black", lw=0.9)
+        log_axis(magnitude_axes, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
+        frequency_axis(magnitude_axes, low, high, False)
+        magnitude_axes.set_ylabel("|compliance| / (µm/N)")
+        add_title(magnitude_axes, title)
+        legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
+        magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)
+        pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
+        for stable, marker, marker_color, text in pole_styles:
+            poles = np.array([(pole.frequency, pole.order) for pole in modes.chart if pole.stable == stable])
+            frequency, order = poles.reshape(-1, 2).T
+            chart_axes.plot(frequency, order, marker, ms=2.6, color=marker_color, label=text, ls="")
+        frequency_axis(chart_axes, low, high, True)
+        chart_axes.set_ylabel("order")
+        # The legend is above the axes because poles can lie anywhere inside.
+        chart_axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
+        for frequency in modes.frequency:
+            for axes in (magnitude_axes, chart_axes):
+                axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
+        bodies = modes.of_bodies()
+        heights = np.arange(1, len(bodies.names) + 1)
+        for i in range(count):
+            row, column = divmod(i, columns)
+            axes = figure.add_subplot(rows[2 + row, column])
+            axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, heights), "o-", color="#333333")
+            axes.set(xlim=(-1.25, 1.25), xlabel="shape" if row == shape_rows - 1 else "")
+            axes.axvline(0.0, color="#777777", lw=0.7)
+            names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
+            axes.set_yticks(np.append(0, heights), names)
+            axes.set_title(
+                f"{modes.frequency_text(i)}\n{modes.damping_text(i)}", y=1.0, fontsize=9, fontweight="normal"
+            )
+        return figure

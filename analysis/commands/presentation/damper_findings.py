@@ -1,0 +1,200 @@
+"""Output of `analysis dampers`: damper motion in stepped-sine tests as text, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from analysis.commands.presentation.inputs import check_recording
+from analysis.commands.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+)
+from analysis.commands.presentation.tables import write_table
+from analysis.core.damper_motion.dampers import Dampers, dampers_in
+from analysis.core.damper_motion.energy_balance import CycleEnergy
+from analysis.core.damper_motion.motion_types import DamperMotion
+from analysis.core.recordings.names import open_existing, scene_labels
+from rig.core.base.progress import CountProgress
+from rig.core.results import format_frequencies, format_interval, format_number
+from rig.core.results.text import table_lines
+from rig.core.results.uncertainty import expand
+
+# Number of frequencies in the printed energy table; the CSV file contains all frequencies.
+_PRINTED_FREQUENCIES = 2
+# Printed descriptions of the motions by name (`DamperMotion.name`).
+_AT_REST = "at rest on the floor"
+_NEAR_GRAVITY = "near 1 g, may fly"
+_IRREGULAR = "irregular, or impacts missed"
+# Impacts once a period: type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
+_TYPES = ("type I", "type II", "type III")
+_OTHER = "other patterns, or irregular"
+# Maximum number of rows for the moving dampers of a body; with more kinds of motion, all irregular or other patterns
+# share a row.
+_MAX_KINDS = 3
+_HEADING = (
+    "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
+    "channel", "motion", "floor_per_period", "ceiling_per_period",
+)  # fmt: skip
+
+
+def present_dampers(
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+) -> CommandOutput:
+    """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
+
+    `paths`: recordings of stepped-sine tests with dampers; `output`: folder for figures and tables; default: the
+    folder of the first recording.
+    """
+    from analysis.commands.figures.dampers_figure import dampers_figure
+    from rig.core.base.figure_style import save_figure
+
+    files: list[Path] = []
+    lines: list[str] = []
+    warnings: list[str] = []
+    for path in paths:
+        check_outputs([path], output, "dampers", "csv")
+    for path, label in zip(paths, scene_labels(paths), strict=True):
+        with open_existing(path) as rec:
+            check_recording(rec, path, "dampers")
+            results = dampers_in(rec, label, progress)
+        warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
+        lines += [line for dampers in results for line in describe(dampers)]
+        with output_stem([path], output, "dampers", "csv") as stem:
+            for number, dampers in enumerate(results, 1):
+                numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
+                if dampers.bodies:
+                    files += save_figure(dampers_figure(dampers), numbered)
+            rows = chain.from_iterable(map(_rows, results))
+            files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
+    return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
+
+
+def _rows(dampers: Dampers) -> list[tuple[str | float, ...]]:
+    if not dampers.bodies:
+        return []
+    columns = [column.tolist() for column in dampers.columns().values()]
+    return [(dampers.label, *row) for row in zip(*columns, strict=True)]
+
+
+def describe(dampers: Dampers) -> list[str]:
+    """Return the printed lines for one sweep: motions, restitution, detection limits and energies."""
+    lines = [dampers.label, *(f"  {reason}" for reason in dampers.missing)]
+    if dampers.bodies:
+        lines += [f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())]
+    if dampers.energy is not None:
+        lines += [f"  {line}" for line in describe_energy(dampers.energy, dampers.true_impact_energy)]
+    return lines
+
+
+def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[float] = ()) -> list[str]:
+    r"""Return a table of the motions in each body with their frequencies, then restitution and detection limits.
+
+    Parameters
+    ----------
+    bodies : sequence of list of DamperMotion
+        One list for each body, from one channel.
+    left_out : sequence of float
+        Frequencies without a result, Hz, which interrupt the printed frequency ranges.
+
+    Examples
+    --------
+    >>> hit = DamperMotion(30.0, "body2", 1.0, 0.0, False, 1.6e-3, False)
+    >>> at_rest = DamperMotion(31.0, "body2", 0.0, 0.0, False, 1.6e-3, True)
+    >>> print(*describe_motions([[hit, at_rest]]), sep="\n")
+    channel  motion                frequency
+    body2    type I                30 Hz
+             at rest on the floor  elsewhere
+    Impacts with a velocity step below 1.6 mm/s (body2) are not detected.
+    """
+    rows = [("channel", "motion", "frequency")]
+    for motions in bodies:
+        rows += _motion_rows(motions, left_out)
+    restitutions = [text for motions in bodies for text in _restitution(motions)]
+    return [
+        *table_lines(rows, "<<<"),
+        *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
+        f"Impacts with a velocity step below {detection_limits(bodies)} are not detected.",
+    ]
+
+
+def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
+    """List the largest detection limit of each body, at any frequency."""
+    limits = [(max(motion.threshold for motion in body), body[0].channel) for body in bodies]
+    return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
+
+
+def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
+    """Return the rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
+    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in left_out]
+    kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
+    if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
+        separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
+        kind_at_frequency = [(f, kind if kind in separate_kinds else _OTHER) for f, kind in kind_at_frequency]
+        kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
+    frequency = [f for f, _ in kind_at_frequency]
+    order = sorted(kinds, key=lambda kind: (kind == _AT_REST, kind == _NEAR_GRAVITY))
+    rows = []
+    for kind in order:
+        printed_frequencies = format_frequencies(frequency, [kind == other for _, other in kind_at_frequency])
+        # The other rows list all other frequencies.
+        rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else printed_frequencies))
+    return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
+
+
+def _restitution(motions: list[DamperMotion]) -> list[str]:
+    """Return the text on the mean restitution of one body; an empty list if no impact determines it."""
+    estimates = [motion.restitution for motion in motions if motion.restitution is not None]
+    if not estimates:
+        return []
+    value = np.array([estimate.value for estimate in estimates])
+    weight = np.array([estimate.error**-2.0 for estimate in estimates])
+    mean = float(np.sum(weight * value) / weight.sum())
+    # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
+    # reduce them. The uncertainty is also at least the observed scatter.
+    scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
+    expanded = float(expand(max(float(weight.mean() ** -0.5), scatter)))
+    text = format_interval(mean, expanded).replace("-0.000", "0.000")
+    return [f"{text} ({motions[0].channel}, {len(estimates)} frequencies)"]
+
+
+def _kind(motion: DamperMotion) -> str:
+    """Translate a motion name into printed text."""
+    kind, _, counts = motion.name.partition(": ")
+    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
+    return printed_names.get(kind, f"type {kind}")
+
+
+def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) -> list[str]:
+    """Return a table of the energy per period at the frequencies with the largest supplied energy.
+
+    The fourth column is the change of the dampers' share if the structural damping of the scene is 10 % too high. The
+    last column, if the recording contains `true_loss`, is the true share of the impacts.
+    """
+    indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
+    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %"]
+    rows = [heading if true_loss is None else [*heading, "true impact loss / %"]]
+    for i in indices:
+        share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))
+        damper_share = (
+            format_interval(share, bound) if not abs(share) <= bound else f"below {format_number(share + bound)}"
+        )
+        # Change of the dampers' share in %, if the structural damping changes by 10 %.
+        change = 10.0 * energy.structure[i] / energy.supplied[i]
+        row = [
+            f"{energy.frequency[i]:.4g}",
+            format_number(1e3 * energy.supplied[i]),
+            damper_share,
+            f"{change:+.2g}",
+        ]
+        rows.append(row if true_loss is None else [*row, f"{100.0 * true_loss[i] / energy.supplied[i]:.3g}"])
+    return [
+        "Energy per period, at the frequencies where the force supplies most:",
+        *table_lines(rows, ">" * len(rows[0])),
+    ]

@@ -1,0 +1,95 @@
+"""Output of `analysis decay`: free decays as text, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.commands.presentation.inputs import check_recording, duplicate_warnings
+from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_recording_name
+from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
+from analysis.core.recordings.names import open_existing, relabel, scene_labels
+from rig.core.results.text import format_interval, table_lines
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from analysis.core.decays.modal_decay import ModalDecay
+
+_COLUMNS = (
+    "mode / Hz",
+    "initial damping ratio / %",
+    "at / (m/s²)",
+    "final damping ratio / %",
+    "at / (m/s²)",
+    "noise / (m/s²)",
+)
+# Cells of a mode whose decay is too short, or too small relative to its noise, for a damping ratio.
+_TOO_SHORT = ("too short", "-")
+
+
+def present_decay(
+    paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
+) -> CommandOutput:
+    """Draw and tabulate free decays; the curves of several recordings are overlaid.
+
+    `paths`: recordings of impulse tests or free decays; `output`: folder for figures and tables, by default the folder
+    of the first recording; `channel`: motion channel, by default the channel of the last body; `hit`: number of the
+    hit, from 1.
+    """
+    from analysis.commands.figures.decay_figure import decay_figure
+    from analysis.commands.presentation.tables import damping_table, envelope_table
+    from rig.core.base.figure_style import save_figure
+
+    decays: list[Decay] = []
+    warnings = duplicate_warnings(paths)
+    check_outputs(paths, output, "decay", "png", "svg")
+    for path, label in zip(paths, scene_labels(paths), strict=True):
+        with open_existing(path) as rec:
+            check_recording(rec, path, "decay")
+            decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
+            has_hits = rec.test.drives
+        warnings += with_recording_name(path, decays[-1].warnings)
+    first = decays[0]
+    title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"
+    with output_stem(paths, output, "decay", "png", "svg") as stem:
+        files = save_figure(decay_figure(decays, title), stem)
+        files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
+        files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
+    return CommandOutput(
+        tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(warnings)
+    )
+
+
+def describe_decay(decay: Decay) -> list[str]:
+    """Describe a decay: the time from which it stays below 1 g, and damping ratios with 95 % intervals."""
+    time_below_gravity = decay.quiet_from
+    below_text = (
+        "does not stay below 1 g within the recording"
+        if np.isnan(time_below_gravity)
+        else f"stays below 1 g after {time_below_gravity:.3g} s"
+    )
+    time_of_6_db = decay.halving
+    energy_text = (
+        f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
+        if np.isnan(time_of_6_db)
+        else f"falls by 6 dB in {time_of_6_db:.3g} s (slope from -1 to -11 dB)"
+    )
+    rows = [_COLUMNS]
+    for mode in decay.modes:
+        initial, final = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_TOO_SHORT] * 2
+        frequency = format_interval(mode.frequency, float(expand(mode.frequency_error)))
+        rows.append((frequency, *initial, *final, f"{mode.noise:.1g}"))
+    table = table_lines(rows, ">>>>>>") if decay.modes else []
+    return [
+        f"{decay.label}, {decay.channel}: acceleration {below_text}; backward-integrated energy {energy_text}",
+        *(f"  {line}" for line in table),
+    ]
+
+
+def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
+    """Format the damping ratio, %, with its expanded uncertainty, and the amplitude at which it was estimated, m/s²."""
+    percent, expanded = mode.percent
+    return format_interval(percent[index], expanded[index]), f"{mode.amplitude[index]:.3g}"

@@ -1,0 +1,115 @@
+"""The demonstration: record tests of Inoue, Yokomichi, Hiraki (2011) and reproduce its Figs 8 and 10b from them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.commands.presentation.decay_findings import present_decay
+from analysis.commands.presentation.frf_findings import present_frf
+from analysis.commands.presentation.mode_findings import present_modes
+from daq.core.measurement.run_report import is_recorded
+from rig.core.base.errors import SceneError
+from rig.core.base.output_files import create_folder
+from rig.core.base.provenance import may_overwrite
+from rig.core.base.workers import Workers
+
+if TYPE_CHECKING:
+    from rig.core.scene.scene import Scene
+
+# Built-in scenes of the stepped sines and of the impulse tests, which are also the names of the recordings.
+SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
+IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
+
+# Coarse frequency grid over the band, Hz.
+_COARSE_HZ = np.linspace(8.0, 60.0, 34)
+# Fine grids around the resonances, Hz. They include the lower frequencies with dampers at rest, whose mass is added.
+_FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
+
+
+def frequencies() -> list[float]:
+    """Return the frequencies of the demonstration's sweeps, Hz.
+
+    >>> frequencies()[0], frequencies()[-1]
+    (8.0, 60.0)
+    """
+    return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE_HZ, *_FINE_HZ]), 3))]
+
+
+def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Sequence[float] | None = None) -> list[Path]:
+    """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
+
+    `folder`: output folder for recordings, figures and tables; `print_line`: called with each line of text; `sweep_hz`:
+    frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
+    """
+    start = time.monotonic()
+    create_folder(folder)
+    print_line("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
+    recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
+    # The long sweeps are first, so that the short impulse tests use the cores that become free.
+    jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
+    for name, path, frequencies_hz in jobs:
+        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, frequencies_hz), path)):
+            raise SceneError(
+                f"{path}: exists and is not a recording of the demonstration. Choose another folder with --output, or "
+                "pass --overwrite."
+            )
+    with Workers() as workers:
+        for number, seconds in workers.compute(_record, jobs):
+            elapsed = time.monotonic() - start
+            print_line(f"  {jobs[number][1]}: {seconds:.0f} s of test, recorded {elapsed:.0f} s after the start")
+    files = list(recordings.values())
+    print_line("Estimating compliance, decay and modes from the recordings alone ...")
+    sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
+    for result in (
+        present_frf(sweeps, folder, theory=True),
+        present_decay(hits, folder, "body3"),
+        present_modes(sweeps[:1], folder),
+    ):
+        for line in result.lines:
+            print_line(f"  {line}")
+        for warning in result.warnings:
+            print_line(f"  note: {warning}")
+        files += result.files
+    print_line(f"Done in {time.monotonic() - start:.0f} s. Written:")
+    for path in files:
+        print_line(f"  {path}")
+    print_line("Next commands:")
+    for command in (
+        f"daq replay {recordings['fig8-three-dampers']}",
+        f"daq info {recordings['fig10b-three-dampers']}",
+        f"analysis report {' '.join(str(path) for path in sweeps)}",
+        "rig scenes",
+    ):
+        print_line(f"  {command}")
+    return files
+
+
+def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
+    """Return a built-in scene; a stepped sine has the frequencies `sweep_hz`, Hz."""
+    import rig
+
+    scene = rig.load(name)
+    if name not in SWEEPS:
+        return scene
+    test = {"kind": "stepped_sine", "frequencies": sweep_hz, "force": 2.6, "settle": {"longest": 20.0}}
+    return scene.replace(test=test)
+
+
+def _record(job: tuple[str, Path, tuple[float, ...]]) -> float:
+    """Record one scene and return the duration of the recording in s."""
+    import warnings
+
+    import daq
+
+    name, path, sweep_hz = job
+    with warnings.catch_warnings():
+        # The recording's markers contain the same warnings, and the analysis reports them.
+        warnings.simplefilter("ignore", daq.RunWarning)
+        daq.record(_scene(name, sweep_hz), path, overwrite=True)
+    with daq.open(path) as rec:
+        return rec.samples / rec.rate

@@ -1,0 +1,94 @@
+"""Output of `analysis fit`: printed lines, the figure of residuals and the fitted scene."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from math import isnan
+from pathlib import Path
+
+from analysis.commands.figures.fit_figure import fit_figure
+from analysis.core.fitting.fit import STATUS_TEXTS, Fit, fit
+from rig.core.base.console import show_activity
+from rig.core.base.errors import RunError, SceneError
+from rig.core.base.figure_style import save_figure
+from rig.core.base.output_files import atomic_write, prepare_outputs
+from rig.core.base.provenance import allow_overwriting, output_source, relative_paths
+from rig.core.results.text import format_interval, format_number, table_lines
+from rig.core.scene.scene import Scene
+
+
+def present_fit(
+    recordings: Sequence[Path],
+    scene: Scene,
+    free: Sequence[str] | None,
+    output: Path,
+    overwrite: bool,
+    print_line: Callable[[str], None],
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Fit a scene to recordings; print the result, write the figure of residuals, and the scene if it fits.
+
+    Raises `SceneError` if the output exists, or the fit is impossible. Raises `RunError` if the scene does not fit
+    the recordings; the figure is written nevertheless.
+    """
+    if output.suffix not in (".yaml", ".yml"):
+        raise SceneError(f"--output {output}: not the name of a scene file. Give a name such as fitted.yaml.")
+    with (
+        allow_overwriting(overwrite),
+        output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
+    ):
+        residuals = output.with_name(f"{output.stem}-residuals")
+        prepare_outputs(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
+        with show_activity() as report:
+            result = fit(list(recordings), scene, free, report)
+        files = save_figure(fit_figure(result), residuals)
+        if result.misfit:
+            for warning in result.warnings:
+                warnings.warn(warning, stacklevel=2)
+            for path in files:
+                print_line(f"wrote {path}")
+            raise RunError(f"{output}: not written, because the scene does not fit the recordings. {result.misfit}")
+        for line in describe(result):
+            print_line(line)
+        with atomic_write(output) as part:
+            part.write_text(result.scene.to_yaml(), encoding="utf-8")
+        return [output, *files], result.warnings
+
+
+def describe(result: Fit) -> list[str]:
+    """Return the printed lines: fitted values, sensors, modes and residuals, with 95 % intervals."""
+    values = [("value", "fitted", "unit", "initial", "status")]
+    for parameter in result.parameters:
+        value = f"{parameter.value:.6g}"
+        if parameter.status != "undetermined":
+            value = format_interval(parameter.value, parameter.half_width * abs(parameter.value))
+        status = STATUS_TEXTS.get(parameter.status, parameter.status)
+        values.append((parameter.key, value, parameter.unit, format_number(parameter.start), status))
+    sensors = [("sensor", "sensitivity deviation / %")] + [
+        (name, format_interval(100 * deviation, 100 * bound))
+        for name, (deviation, bound) in result.sensitivities.items()
+    ]
+    modes = [("mode of the structure", "frequency / Hz", "damping ratio / %")] + [
+        (
+            str(number),
+            format_interval(mode.frequency, mode.frequency_bound),
+            format_interval(100 * mode.damping, 100 * mode.damping_bound),
+        )
+        for number, mode in enumerate(result.modes, 1)
+    ]
+    levels = [("sweep", "dampers", "largest acceleration / (m/s²)", "damping")]
+    for level in result.damping:
+        damping = ", ".join(
+            "undetermined" if isnan(value) else format_interval(value, bound)
+            for value, bound in zip(level.value, level.bound, strict=True)
+        )
+        levels.append((level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping))
+    residuals = [("recording", "residual / % of the curves, rms")] + [
+        (comparison.curves.label, f"{100 * comparison.relative:.2g}") for comparison in result.compared
+    ]
+    tables = ((values, "<><><"), (sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))
+    lines = [f"{result.summary()} (95 % intervals)"]
+    for rows, alignment in tables:
+        if len(rows) > 1:
+            lines += [f"  {line}" for line in table_lines(rows, alignment)]
+    return lines + [f"  {line}" for line in result.together]

@@ -1,0 +1,251 @@
+"""Output of `analysis frf`: frequency responses as text, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
+from analysis.commands.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_channel_name,
+    with_ending,
+    with_recording_name,
+)
+from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance_peaks
+from analysis.core.recordings.names import open_existing, relabel
+from analysis.core.responses.curve_checks import find_jumps
+from analysis.core.responses.estimator import Blocks, estimator_of
+from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.responses.systematic import tolerance
+from analysis.extras.formats.frf_files import is_frf_file
+from rig.core.base.progress import CountProgress
+from rig.core.results import format_interval, format_percent, format_quantity
+from rig.core.results.resonances import MIN_LINES, Resonance
+from rig.core.results.response import MOTIONS, Response
+from rig.core.results.text import table_lines
+from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
+from rig.core.scene.presets import preset_note
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+# Maximum number of resonances that are listed individually.
+_MAX_LISTED = 8
+# A relative deviation of the highest point from the interpolated peak up to this value is not reported.
+_MAX_PEAK_DEVIATION = 0.01
+# An interpolated peak is reported if its relative bound is at most this.
+_MAX_PEAK_UNCERTAINTY = 0.5
+
+
+def present_frf(
+    paths: Sequence[Path],
+    output: Path | None = None,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    estimator: str | None = None,
+    block: float | None = None,
+    theory: bool = False,
+    progress: CountProgress | None = None,
+    overlap: float | None = None,
+    window: str | None = None,
+    unit: str | None = None,
+) -> CommandOutput:
+    """Draw and tabulate frequency responses; several files are overlaid in one figure for each response.
+
+    `output`: folder, by default the folder of the first file; `theory`: add the linear theory; `unit`: unit of files
+    that give none; the other options are as in `frequency_responses`.
+    """
+    from analysis.commands.presentation.tables import frf_table
+
+    curves: list[Response] = []
+    theory_curves: list[Response] = []
+    blocks = Blocks(estimator, block, overlap, window)
+    warnings = check_inputs(paths, "frf", blocks, theory, unit)
+    check_outputs(paths, output, "frf", "csv")
+    tolerance_remarks: list[str] = []
+    for path, label in zip(paths, labels(paths), strict=True):
+        if is_frf_file(path):
+            file_curves = read_curves(path, reference, channels, unit)
+            curves += [replace(frf.to(motion), label=label) for frf in file_curves]
+            warnings += with_recording_name(path, file_curves[0].warnings)
+            continue
+        with open_existing(path) as rec:
+            options = vars(blocks.for_kind(rec.test.kind))
+            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
+            curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
+            warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
+            tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
+            if theory:
+                from analysis.commands.presentation.theory import linear_theory
+
+                theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
+    with output_stem(paths, output, "frf", "csv") as stem:
+        files = _draw_figures(curves, theory_curves, stem)
+        files.append(frf_table(with_ending(stem, "csv"), curves))
+    return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
+
+
+def describe_frfs(curves: Sequence[Response]) -> list[str]:
+    """Return a table of the highest value of each response; responses of one sweep and band share a heading."""
+    lines: list[str] = []
+
+    def heading(frf: Response) -> str:
+        points, lowest, highest = frf.frequency.size, frf.frequency.min(), frf.frequency.max()
+        return f"{frf.label}, {frf.name}, {frf.input}: {points} points, {lowest:.4g} to {highest:.4g} Hz"
+
+    for title, group in groupby(curves, heading):
+        frfs = list(group)
+        unit, factor = frfs[0].shown_in
+        rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest uncertainty")]
+        remarks: dict[str, list[str]] = {}
+        for frf in frfs:
+            if not np.isfinite(frf.value).any():
+                rows.append((frf.response, "no value", "", "", ""))
+                continue
+            peak_index = frf.peak_line()
+            height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.expanded()[peak_index])
+            force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
+            cause = frf.parts()[peak_index] if bound > 0.0 else ""
+            rows.append(
+                (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
+            )
+            for text in (*frf.uncertain_peak(), *_peaks_between_points(frf)):
+                remarks.setdefault(text, []).append(frf.response)
+        notes = [f"{', '.join(names)}: {text}" for text, names in remarks.items()]
+        lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *notes))]
+    return lines
+
+
+def _peaks_between_points(frf: Response) -> list[str]:
+    """Report the highest interpolated peak of a response, and resonances whose points are too far apart."""
+    line = frf.peak_line()
+    frequency, height = float(frf.frequency[line]), float(abs(frf.value[line]))
+    if not np.isfinite(frf.expanded()[line]) or frf.resolution > 0.0:
+        return []
+    if is_next_to_omitted(frf, frequency):
+        return [
+            f"highest next to frequencies that were left out, {frequency:.4g} Hz: the peak may be among them. Remove "
+            "the cause, and measure again"
+        ]
+    # `resonance_peaks` estimates displacement.
+    n_derivatives = MOTIONS.index(frf.motion)
+    peaks = [(r, p, (2.0 * np.pi * p.frequency) ** n_derivatives) for r, p in resonance_peaks(frf)]
+    uncertain = {r for r, p, _ in peaks if not p.bound - p.common_bound <= _MAX_PEAK_UNCERTAINTY * p.value}
+    value, scale, highest = max(
+        ((scale * p.value, scale, None if r in uncertain else p) for r, p, scale in peaks),
+        default=(0.0, 1.0, None),
+        key=lambda peak: peak[0],
+    )
+    # The tolerances of the sensors scale the peak and the highest point alike.
+    point = (1.0 + _MAX_PEAK_DEVIATION) * height + float(frf.without(SENSITIVITY, SYSTEMATIC).expanded()[line])
+    remarks = []
+    if highest is not None and value + scale * highest.interpolation_bound > point:
+        unit, factor = frf.shown_in
+        remarks.append(
+            f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
+            f"at {highest.frequency:.2f} Hz"
+        )
+    elif frequency in (frf.frequency.min(), frf.frequency.max()):
+        remarks.append(
+            f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"
+        )
+    coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
+    return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
+
+
+def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
+    """Return the advice on resonances whose half-power width has too few points."""
+    *frequencies, last = (f"{resonance.frequency:.4g}" for resonance in coarse[:_MAX_LISTED])
+    where = f"{', '.join(frequencies)} and {last}" if frequencies else last
+    more = f", and {len(coarse) - _MAX_LISTED} others" if len(coarse) > _MAX_LISTED else ""
+    needed = min(resonance.needed_spacing for resonance in coarse)
+    remedy = estimator_of(frf.test).peak_remedy(needed)
+    return (
+        f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: a peak there may be higher than "
+        f"measured. {remedy}"
+    )
+
+
+def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:
+    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files."""
+    from analysis.commands.figures.frf_figure import frf_figure
+    from rig.core.base.figure_style import save_figure
+
+    sweep_labels = list(dict.fromkeys(frf.label for frf in curves))
+    quantity = curves[0].name.capitalize()
+    groups = _by_ratio(curves)
+    if len(sweep_labels) == 1:
+        labeled = [replace(frf, label=frf.ratio) for frf in curves]
+        return save_figure(
+            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(labeled)),
+            stem,
+        )
+    inputs = {labeled[0].input for labeled in groups}
+    files = []
+    for labeled in groups:
+        first = labeled[0]
+        same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
+        name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
+        figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
+        files += save_figure(
+            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(labeled)),
+            figure_stem,
+        )
+    return files
+
+
+def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
+    """Group curves by output and input; a curve without an input joins the first group of its output."""
+    groups: dict[tuple[str, str], list[Response]] = {}
+    for curve in sorted(curves, key=lambda response: not response.input_at):
+        existing = next((key for key in groups if key[0] == curve.response and not curve.input_at), None)
+        groups.setdefault(existing or (curve.response, curve.input), []).append(curve)
+    return list(groups.values())
+
+
+def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
+    """List the jumps of curves of stepped and swept tests, and of files, whose test is unknown, without duplicates.
+
+    In other tests, the level does not depend on the frequency, so that dampers do not change to another branch at one
+    frequency.
+    """
+    jumping = [curve for curve in curves if estimator_of(curve.test).jumps]
+    return sorted({(round(frequency, 6), text) for curve in jumping for frequency, text in find_jumps(curve)})
+
+
+def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
+    """Keep one theoretical curve for each output and input, and one legend entry for all of them."""
+    distinct: list[Response] = []
+    for curve in curves:
+        if all(curve.ratio != other.ratio for other in distinct):
+            distinct.append(replace(curve, label=curve.label if not distinct else ""))
+    return distinct
+
+
+def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
+    """Report the sensor tolerances and their source if they are the largest contribution at most points."""
+    largest_contributions = [name for frf in frfs for name in frf.parts()]
+    if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
+        return []
+    groups: dict[str, list[str]] = {}
+    settings = {channel.name: channel.accelerometer or channel.hammer for channel in rec.scene.channels or ()}
+    for name, info in rec.channels.items():
+        if tolerance(info):
+            source = preset_note(settings.get(name), "sensitivity_tolerance")
+            groups.setdefault(f"{format_percent(tolerance(info))}{source}", []).append(name)
+    stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
+    remark = (
+        f"{rec.scene.name}: at most frequencies, the tolerance of the sensors ({stated}) is the largest "
+        "contribution to the uncertainty. If the sensors were calibrated, state the calibrated tolerance in the scene, "
+        "such as sensitivity_tolerance: 1 %"
+    )
+    return [remark]

@@ -1,0 +1,175 @@
+"""Output of `analysis modes`: modal parameters as text, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
+from analysis.commands.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+    with_sweep_name,
+)
+from analysis.core.modal.identification import identify
+from analysis.core.modal.modes import Modes, mac
+from analysis.core.recordings.names import open_existing, relabel
+from analysis.core.responses.estimator import Blocks
+from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.extras.formats.frf_files import is_frf_file
+from rig.core.base.progress import CountProgress
+from rig.core.results import format_interval
+from rig.core.results.response import Response
+from rig.core.results.text import table_lines
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from analysis.commands.presentation.theory import TheoreticalModes
+
+#: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
+MIN_SAME_SHAPE_MAC = 0.9
+# A mode is compared with the modes of the scene up to this ratio of their frequencies, and with the nearest. The
+# spacing of close modes may be smaller than the error of the scene's values. With a wrong sign, a shape can be that of
+# a distant mode.
+_MAX_FREQUENCY_RATIO = 1.25
+# Largest order (sum of the factors) of a combination of natural frequencies.
+_MAX_COMBINATION_ORDER = 5
+# Largest relative error of a combination: natural frequencies depend on amplitude if dampers move.
+_MAX_COMBINATION_ERROR = 0.015
+
+
+def present_modes(
+    paths: Sequence[Path],
+    output: Path | None = None,
+    reference: str = "force",
+    count: int | None = None,
+    block: float | None = None,
+    progress: CountProgress | None = None,
+    unit: str | None = None,
+) -> CommandOutput:
+    """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
+    from analysis.commands.figures.modes_figure import modes_figure
+    from analysis.commands.presentation.tables import modes_table
+    from rig.core.base.figure_style import save_figure
+
+    all_modes: list[Modes] = []
+    files: list[Path] = []
+    lines: list[str] = []
+    warnings = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
+    check_outputs(paths, output, "modes", "csv")
+    for path, label in zip(paths, labels(paths), strict=True):
+        identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
+        if is_frf_file(path):
+            curves = read_curves(path, reference, None, unit)
+            identified = [(curves, replace(identify(curves, count), label=label), None)]
+        else:
+            from analysis.commands.presentation.theory import theoretical_modes
+
+            with open_existing(path) as rec:
+                options = vars(Blocks(block=block).for_kind(rec.test.kind))
+                for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
+                    modes = relabel(identify(sweep, count), rec.scene.name, label)
+                    theory = theoretical_modes(rec, modes) if reference == "force" else None
+                    identified.append((sweep, modes, theory))
+        for number, (frfs, modes, theory) in enumerate(identified, 1):
+            all_modes.append(modes)
+            with output_stem([path], output, "modes", "png", "svg") as first:
+                stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
+                files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
+            lines += describe_modes(modes, theory)
+            notes = [*modes.warnings, *theory_warnings(modes, theory)]
+            warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
+    with output_stem(paths, output, "modes", "csv") as stem:
+        files.append(modes_table(with_ending(stem, "csv"), all_modes))
+    return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
+
+
+def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:
+    """Return a table of natural frequency, damping ratio, shape and MAC with `theory` of each mode."""
+    count = modes.frequency.size
+    bodies = modes.of_bodies()
+    rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
+    mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
+    for i, frequency in enumerate(modes.frequency):
+        elements = zip(bodies.shapes[:, i].real, expand(bodies.errors[:, i]), strict=True)
+        ratio = modes.damping_text(i).strip("(%) ")
+        cells = (format_interval(frequency, float(expand(modes.frequency_error[i]))), ratio, mac_texts[i])
+        rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
+    reference = f", {modes.input}" if modes.input else ""
+    heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}"
+    return [heading, *(f"  {line}" for line in table_lines(rows, ">" * len(rows[0])) if count)]
+
+
+def nearest_mac(modes: Modes, theory: TheoreticalModes) -> NDArray[np.float64]:
+    """Return the largest MAC of each mode shape with a theoretical shape of similar frequency, shape (modes,)."""
+    with np.errstate(divide="ignore"):
+        distance = abs(np.log(modes.frequency[:, None] / theory.frequency))
+    is_similar = distance <= np.maximum(np.log(_MAX_FREQUENCY_RATIO), distance.min(axis=1, keepdims=True))
+    return np.where(is_similar, mac(modes.shapes, theory.shapes), 0.0).max(axis=1)
+
+
+def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
+    """Warn of mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
+    if theory is None:
+        return []
+    nearest = nearest_mac(modes, theory)
+    # Upper bound of the decrease of the MAC due to the uncertainty of the shape.
+    mac_uncertainty = np.sum(expand(modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    is_mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
+    mismatched = zip(modes.frequency[is_mismatched], nearest[is_mismatched], strict=True)
+    matched = modes.frequency[~is_mismatched].tolist() if modes.model_error else []
+    combined, others = [], []
+    for f, largest_mac in mismatched:
+        if combination := combination_of(f, matched):
+            combined.append(f"{f:.4g} Hz (about {combination})")
+        else:
+            others.append(f"{f:.4g} Hz (MAC {largest_mac:.2f})")
+    warnings = []
+    if combined:
+        warnings.append(
+            f"{', '.join(combined)}: probably combination frequencies of a nonlinear response, because the shape "
+            "matches no mode of the scene's structure. Measure at a lower level."
+        )
+    if others:
+        warnings.append(
+            f"{', '.join(others)}: the shape matches no mode of the scene's structure near this frequency (a match has "
+            f"a MAC above {MIN_SAME_SHAPE_MAC:g}). Check whether channels are swapped, reversed or at other locations. "
+            "`analysis fit` checks the values of the scene. If dampers fly, measure at a lower level."
+        )
+    return warnings
+
+
+def combination_of(frequency: float, natural: Sequence[float]) -> str:
+    """Return the sum or difference of multiples of natural frequencies that a frequency is close to, or "".
+
+    The response of a nonlinear structure contains such frequencies. The combination of lowest order is returned.
+
+    >>> [combination_of(frequency, [80.0, 140.0]) for frequency in (240.0, 299.8, 60.2, 110.0)]
+    ['3 x 80 Hz', '140 + 2 x 80 Hz', '140 - 80 Hz', '']
+    """
+    for order in range(2, _MAX_COMBINATION_ORDER + 1):
+        candidates = [(order * f, f"{order} x {f:.4g} Hz") for f in natural]
+        for first, second in combinations(natural, 2):
+            for factor in range(1, order):
+                multiples = [_multiple(factor, first), _multiple(order - factor, second)]
+                (low, low_text), (high, high_text) = sorted(multiples)
+                candidates.append((low + high, f"{low_text} + {high_text} Hz"))
+                candidates.append((high - low, f"{high_text} - {low_text} Hz"))
+        for value, text in candidates:
+            if abs(value - frequency) < _MAX_COMBINATION_ERROR * frequency:
+                return text
+    return ""
+
+
+def _multiple(factor: int, frequency: float) -> tuple[float, str]:
+    """Return a multiple of a frequency, Hz, and its text."""
+    return factor * frequency, f"{factor} x {frequency:.4g}" if factor > 1 else f"{frequency:.4g}"

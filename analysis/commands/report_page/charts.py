@@ -1,0 +1,166 @@
+"""Charts of a report: panels of curves and images, written as JSON that `browser/charts.js` draws."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.core.base.arrays import Array
+from rig.core.base.escaping import escape_html
+from rig.core.base.figure_style import COLORS
+
+# A frequency axis is logarithmic if the ratio of its highest to its lowest frequency exceeds this value.
+_MIN_LOGARITHMIC_RATIO = 3.0
+# Significant digits of a number in a chart: more than a screen can resolve.
+_DIGITS = 5
+# Significant digits of an abscissa, which zooming resolves further.
+_ABSCISSA_DIGITS = 8
+# Difference between the brightest and the darkest level of an image, dB.
+IMAGE_SPAN_DB = 80.0
+# Columns with more values are written as 32-bit binary, which halves their size.
+_MAX_TEXT_VALUES = 4000
+
+
+@dataclass(frozen=True)
+class EvenlySpaced:
+    """Evenly spaced abscissa: `size` values from `start`, `step` apart."""
+
+    start: float
+    step: float
+    size: int
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve of a panel, with its uncertainty bounds if they are known.
+
+    All arrays have the shape (n,).
+    """
+
+    label: str
+    x: ArrayLike | EvenlySpaced
+    y: ArrayLike
+    low: ArrayLike | None = None  # lower bound of `y`
+    high: ArrayLike | None = None  # upper bound of `y`
+    color: int = 0  # index into the palette
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes that share their abscissa with the other panels of a chart."""
+
+    label: str
+    unit: str
+    curves: Sequence[Curve] = ()
+    height: int = 170  # px
+    logarithmic: bool = False  # vertical axis
+    limits: tuple[float, float] | None = None  # of the vertical axis
+    ticks: Sequence[float] | None = None  # of the vertical axis
+    image: dict[str, Any] | None = None  # from `level_image`
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Panels one below the other, with a caption and a text alternative for screen readers."""
+
+    caption: str
+    alternative: str
+    panels: Sequence[Panel]
+    x_name: str = "frequency"
+    x_unit: str = "Hz"
+    logarithmic: bool = False  # horizontal axis
+
+
+@dataclass
+class ChartWriter:
+    """Writer of charts as HTML, with identifiers that are unique in the page."""
+
+    _numbers: count[int] = field(default_factory=count)
+
+    def write(self, chart: Chart) -> str:
+        """Return the HTML of a chart: a figure that the page's script fills, and its data."""
+        identifier, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {_divisor(chart.x_unit)}"
+        data = {
+            "x": {"label": label, "name": chart.x_name, "unit": chart.x_unit, "log": chart.logarithmic},
+            "panels": [_panel(panel) for panel in chart.panels],
+        }
+        # The text "</script>" inside the data would end the script element.
+        text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+        return (
+            f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
+            f'data-source="{identifier}"></div>'
+            f"<figcaption>{escape_html(chart.caption)}</figcaption>"
+            f'<script type="application/json" id="{identifier}">{text}</script></figure>'
+        )
+
+
+def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
+    """Return whether these frequencies span so wide a band that their axis is logarithmic."""
+    values = np.asarray(frequencies, dtype=float)
+    return bool(values.size and values.min() > 0 and values.max() > _MIN_LOGARITHMIC_RATIO * values.min())
+
+
+def _panel(panel: Panel) -> dict[str, Any]:
+    return {
+        "label": f"{panel.label} / {_divisor(panel.unit)}" if panel.unit else panel.label,
+        "unit": panel.unit,
+        "log": panel.logarithmic,
+        "height": panel.height,
+        "range": panel.limits,
+        "ticks": panel.ticks,
+        "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
+        "image": panel.image,
+    }
+
+
+def _divisor(unit: str) -> str:
+    """Return a unit for an axis label, in parentheses if it is a quotient.
+
+    >>> _divisor("µm/N"), _divisor("dB")
+    ('(µm/N)', 'dB')
+    """
+    return f"({unit})" if "/" in unit else unit
+
+
+def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
+    content: dict[str, Any] = {
+        "label": curve.label,
+        "color": COLORS[curve.color % len(COLORS)],
+        "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, digits=_ABSCISSA_DIGITS),
+        "y": _column(curve.y, positive_only),
+    }
+    if curve.low is not None and curve.high is not None:
+        content["low"], content["high"] = _column(curve.low, positive_only), _column(curve.high, positive_only)
+    return content
+
+
+def _column(values: ArrayLike, positive_only: bool = False, digits: int = _DIGITS) -> Any:
+    """Convert numbers to JSON, with null for undefined values; long columns become 32-bit binary.
+
+    `positive_only`: replace values of zero and below with null, because a logarithmic axis cannot show them; `digits`:
+    significant digits.
+    """
+    column = np.asarray(values, dtype=float)
+    is_drawn = np.isfinite(column) & (column > 0 if positive_only else True)
+    if column.size > _MAX_TEXT_VALUES:
+        binary = np.where(is_drawn, column, np.nan).astype("<f4")
+        return {"float32": base64.b64encode(binary.tobytes()).decode()}
+    return [float(f"{value:.{digits}g}") if drawn else None for value, drawn in zip(column, is_drawn, strict=True)]
+
+
+def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
+    """Return the image of a spectrogram as JSON data.
+
+    `levels`, shape (rows, columns): dB, first row at the top; `x`, `y`: limits of the image on the axes.
+    """
+    brightness = np.clip((levels - float(np.max(levels))) / IMAGE_SPAN_DB + 1.0, 0.0, 1.0)
+    rows, columns = levels.shape
+    pixels = base64.b64encode(np.round(255 * brightness).astype(np.uint8).tobytes()).decode()
+    return {"levels": pixels, "rows": rows, "columns": columns, "x": x, "y": y}

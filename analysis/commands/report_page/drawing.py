@@ -1,0 +1,161 @@
+"""SVG drawings of a report: the test rig of a scene, and animated mode shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from rig.core.base.escaping import escape_html
+from rig.core.results import format_number
+
+if TYPE_CHECKING:
+    from analysis.core.modal.modes import BodyShapes
+    from rig.core.scene.scene import Scene
+    from rig.core.scene.shaker import Shaker
+
+# Size of a body, px.
+_BODY_WIDTH = 150
+_BODY_HEIGHT = 54
+# Distance between two bodies, px.
+_SPACING = 48
+# Position of the left edge of the bodies, px.
+_LEFT = 190
+# Margin above and below the drawing, px.
+_MARGIN = 20
+# Size of a body in a mode shape, px.
+_SHAPE_WIDTH = 90
+_SHAPE_HEIGHT = 26
+# Amplitude of the largest element of an animated mode shape, px.
+_MAX_AMPLITUDE = 16.0
+# Number of zigzag corners of a drawn spring.
+_COILS = 8
+
+
+def rig_drawing(scene: Scene) -> str:
+    """Draw the bodies, springs, dampers, shakers and sensors of a scene, not to scale.
+
+    >>> import rig
+    >>> drawing = rig_drawing(rig.load("fig8-three-dampers"))
+    >>> drawing.count('class="body"'), drawing.count('class="damper"')
+    (3, 3)
+    """
+    structure = scene.structure
+    count = structure.bodies
+    height = 2 * _MARGIN + count * _BODY_HEIGHT + count * _SPACING
+    tops = [height - _MARGIN - (body * (_BODY_HEIGHT + _SPACING)) for body in range(1, count + 1)]
+    elements = [_ground(height - _MARGIN)]
+    for body in range(1, count + 1):
+        elements += _body(scene, body, tops[body - 1])
+    for number, shaker in enumerate(scene.shakers, 1):
+        for body in shaker.bodies:
+            elements += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
+    elements += _channels(scene, tops)
+    names = ", ".join(structure.labels)
+    return (
+        f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 620 {height}" width="620" '
+        f'height="{height}" stroke-width="1.3" fill="none">{"".join(elements)}</svg>'
+    )
+
+
+def _ground(y: float) -> str:
+    hatching = "".join(f"M{x} {y + 8}l10 -8" for x in range(_LEFT, _LEFT + _BODY_WIDTH, 12))
+    return f'<path stroke="currentColor" d="M{_LEFT} {y}h{_BODY_WIDTH}{hatching}"/>'
+
+
+def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
+    """Draw a body, the spring below it (dashed if the scene gives matrices) and the dampers inside."""
+    structure = scene.structure
+    middle = _LEFT + _BODY_WIDTH / 2
+    body_mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
+    yield (
+        f'<rect class="body" x="{_LEFT}" y="{top:g}" width="{_BODY_WIDTH}" height="{_BODY_HEIGHT}" rx="3" '
+        'stroke="currentColor" fill="currentColor" fill-opacity="0.07"/>'
+        f'<text x="{_LEFT + 6}" y="{top + 16:g}">{escape_html(structure.label(body))}{body_mass}</text>'
+    )
+    stiffness = None if structure.springs is None else structure.springs[body - 1]
+    if stiffness:
+        yield _spring(_LEFT + 24, top + _BODY_HEIGHT, top + _BODY_HEIGHT + _SPACING)
+        yield f'<text x="{_LEFT + 40}" y="{top + _BODY_HEIGHT + 28:g}">{stiffness / 1e3:.4g} kN/m</text>'
+    elif stiffness is None:
+        yield (f'<path stroke="currentColor" stroke-dasharray="3 4" d="M{middle} {top + _BODY_HEIGHT:g}v{_SPACING}"/>')
+    dampers = [damper for damper in scene.dampers if damper.body == body]
+    for k, damper in enumerate(dampers):
+        x = _LEFT + 12 + k * (_BODY_WIDTH - 24) / max(len(dampers), 1)
+        ceiling = "h-26" if isfinite(damper.clearance) else ""
+        yield (
+            f'<g class="damper"><path stroke="currentColor" d="M{x:g} {top + 26:g}v22h26v-22{ceiling}"/>'
+            f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="#d67a2e"/></g>'
+        )
+        if len(dampers) == 1:
+            clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
+            mass = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
+            locked = ", locked" if damper.locked else ""
+            yield f'<text x="{x + 32:g}" y="{top + 44:g}">{mass}{locked}{clearance}</text>'
+
+
+def _spring(x: float, top: float, bottom: float) -> str:
+    step = (bottom - top) / (_COILS + 2)
+    zigzag = "".join(f"L{x + (7 if k % 2 else -7):g} {top + (k + 1) * step:g}" for k in range(1, _COILS + 1))
+    return f'<path stroke="currentColor" d="M{x:g} {top:g}v{step:g}{zigzag}L{x:g} {bottom:g}"/>'
+
+
+def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
+    """Draw a shaker to the left of the body that it drives, with its coil spring if it has one."""
+    yield f'<text x="4" y="{y - 30:g}">{escape_html(shaker.glyph.title)}{"" if number is None else f" {number}"}</text>'
+    if shaker.coil_spring is not None:
+        coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
+        yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
+        yield f'<path stroke="#009E73" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
+        yield f'<text x="62" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
+    else:
+        yield f'<path stroke="#009E73" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
+
+
+def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
+    """Write the names of the channels next to the body or table at which their sensor is mounted."""
+    names_at: dict[str, list[str]] = {}
+    tables, other_channels = dict(scene.tables), []
+    for channel in scene.channels or ():
+        names_at.setdefault(channel.at, []).append(channel.name)
+    for place, names in names_at.items():
+        if place.startswith("body "):
+            y = tops[int(place.removeprefix("body ")) - 1] + _BODY_HEIGHT / 2
+            x = _LEFT + _BODY_WIDTH
+            yield (
+                f'<path stroke="#0072B2" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
+                f'fill="#0072B2"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
+            )
+        elif place in tables:
+            y = tops[tables[place].bodies[0] - 1] + _BODY_HEIGHT / 2
+            yield (
+                f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="#0072B2"/>'
+                f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
+            )
+        else:
+            other_channels.append(f"{', '.join(names)} ({place})")
+    if other_channels:
+        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {escape_html("; ".join(other_channels))}</text>'
+
+
+def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
+    """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest."""
+    count = len(shapes.names)
+    height = count * (_SHAPE_HEIGHT + 22) + 30
+    parts = []
+    for k, name in enumerate(shapes.names):
+        y = height - 30 - k * (_SHAPE_HEIGHT + 22) - _SHAPE_HEIGHT
+        element = float(shapes.shapes[k, mode].real)
+        box = f'x="24" y="{y}" width="{_SHAPE_WIDTH}" height="{_SHAPE_HEIGHT}" rx="3"'
+        parts.append(
+            f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
+            f'<g class="moving" style="--swing:{_MAX_AMPLITUDE * element:.2f}px">'
+            f'<rect {box} stroke="#0072B2" fill="#0072B2" fill-opacity="0.18"/>'
+            f'<text x="30" y="{y + 17}">{escape_html(name)}</text></g>'
+            f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}</text>'
+        )
+    return (
+        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 170 {height}" '
+        f'width="170" height="{height}" fill="none">{"".join(parts)}</svg>'
+        f"<figcaption>{escape_html(title)}</figcaption></figure>"
+    )

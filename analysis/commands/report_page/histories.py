@@ -1,0 +1,109 @@
+"""Charts of time histories and spectrograms; a recording longer than memory is read block by block."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft
+
+from analysis.commands.report_page.charts import IMAGE_SPAN_DB, Chart, Curve, EvenlySpaced, Panel, level_image
+from rig.core.base.arrays import Array
+from rig.core.system.structural_model import structural_model
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+# Every sample of a recording is drawn up to this number of samples, summed over the channels. A longer recording is
+# divided into intervals, and the smallest and largest value of each interval are drawn.
+_MAX_SAMPLES = 60_000
+# A long recording is divided into this number of intervals.
+_INTERVALS = 1500
+# Maximum number of spectra in a spectrogram.
+_SPECTRA = 240
+# Number of spectral lines in each spectrum.
+_LINES = 128
+# A spectrogram ends at this multiple of the highest natural frequency of the structure.
+_MAX_FREQUENCY_RATIO = 3.0
+# A block has at least this number of samples; a shorter block has too little frequency resolution.
+_MIN_BLOCK = 64
+
+
+def time_histories(rec: Recording) -> Chart:
+    """Return a chart of all channels against time: every sample, or the envelope of a long recording."""
+    names = list(rec.channels)
+    is_complete = rec.samples * len(names) <= _MAX_SAMPLES
+    time: Array | EvenlySpaced = EvenlySpaced(0.0, 1.0 / rec.rate, rec.samples)
+    if is_complete:
+        rows = np.stack([rec.read(name) for name in names])
+    else:
+        time, rows = _extremes(rec, names)
+    units = list(dict.fromkeys(rec.channels[name].unit for name in names))
+    panels = []
+    for unit in units:
+        selected = [name for name in names if rec.channels[name].unit == unit]
+        scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+        curves = [Curve(name, time, scale * rows[names.index(name)], color=names.index(name)) for name in selected]
+        # The largest motion is drawn first, so that it hides no other channel.
+        curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
+        panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))
+    resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
+    return Chart(
+        f"Time histories, {resolution}.",
+        f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
+        panels,
+        x_name="time",
+        x_unit="s",
+    )
+
+
+def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
+    """Return the minimum and maximum of each interval, alternating: time in s, (2 n,), and values, (channels, 2 n)."""
+    edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
+    smallest = np.full((len(names), _INTERVALS), np.inf)
+    largest = -smallest
+    for first, block in rec.blocks(names):
+        interval = np.searchsorted(edges, np.arange(first, first + block.shape[1]), side="right") - 1
+        starts = np.flatnonzero(np.diff(interval, prepend=interval[0] - 1))
+        touched = interval[starts]
+        smallest[:, touched] = np.fmin(smallest[:, touched], np.fmin.reduceat(block, starts, axis=1))
+        largest[:, touched] = np.fmax(largest[:, touched], np.fmax.reduceat(block, starts, axis=1))
+    # Each pair is drawn at one and three quarters of its interval.
+    time = (edges[:-1, None] + np.diff(edges)[:, None] * [0.25, 0.75]).ravel() / rec.rate
+    values = np.stack([smallest, largest], axis=2).reshape(len(names), -1)
+    return time, np.where(np.isfinite(values), values, np.nan)
+
+
+def spectrograms(rec: Recording) -> list[Chart]:
+    """Return one spectrogram for each channel, from equally spaced Hann windows; none if the recording is short."""
+    natural = structural_model(rec.scene).modes.frequency
+    highest = min(rec.rate / 2, _MAX_FREQUENCY_RATIO * float(natural.max()))
+    block = int(min(rec.samples, rec.rate * _LINES / highest))
+    if block < _MIN_BLOCK:
+        return []
+    # A length with small prime factors, which the FFT transforms fast.
+    block = fft.prev_fast_len(block, real=True)
+    starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(int)
+    window = np.hanning(block)
+    lines = int(block * highest / rec.rate)
+    charts = []
+    for name, info in rec.channels.items():
+        levels = np.empty((lines, starts.size))
+        for k, start in enumerate(starts):
+            samples = np.nan_to_num(rec.read(name, int(start), int(start) + block))
+            power = np.abs(fft.rfft((samples - samples.mean()) * window)[:lines]) ** 2
+            levels[:, k] = 10.0 * np.log10(np.maximum(power, np.finfo(float).tiny))
+        band = (0.0, lines * rec.rate / block)
+        image = level_image(levels[::-1], (0.0, rec.duration), band)
+        charts.append(
+            Chart(
+                f"Spectrogram of {name} ({info.quantity}); the colors span {IMAGE_SPAN_DB:g} dB below the highest "
+                f"level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
+                f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
+                [Panel("frequency", "Hz", height=190, limits=band, image=image)],
+                x_name="time",
+                x_unit="s",
+            )
+        )
+    return charts

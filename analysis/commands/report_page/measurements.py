@@ -1,0 +1,198 @@
+"""Results of all analyses of the recordings of a report, computed once for its summary, tables and charts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import ParamSpec, Self, TypeVar
+
+import numpy as np
+
+from analysis.commands.presentation.comparison import MeasurementPoints
+from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
+from analysis.core.damper_motion.comparison import (
+    Peak,
+    PeakChange,
+    peak_bands,
+    peak_changes,
+    resonance_peak,
+    resonance_peaks,
+)
+from analysis.core.damper_motion.dampers import Dampers, dampers_in
+from analysis.core.decays.free_decay import Decay, decay
+from analysis.core.modal.identification import identify
+from analysis.core.modal.modes import Modes
+from analysis.core.recordings.names import open_existing, relabel, scene_labels
+from analysis.core.responses.frequency_responses import frequency_responses
+from daq.core.recording.recording import Recording
+from rig.core.base.errors import ShotrigError
+from rig.core.base.progress import CountProgress
+from rig.core.results.response import Response
+
+# A peak without an identified mode is interpolated between the frequencies divided and multiplied by this factor.
+_PEAK_BAND_FACTOR = 1.1
+
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+
+
+@dataclass(frozen=True)
+class SweepResults:
+    """Results of one sweep, or of another test.
+
+    Attributes
+    ----------
+    frfs : list of Response
+        One frequency response for each pair of response and reference.
+    modes : Modes or None
+        None if the identification failed.
+    peaks : tuple
+        For each mode, the response with the highest compliance peak near it; None if no response has a peak.
+    highest : tuple or None
+        The highest compliance peak of all frequencies, whether or not a mode was identified there.
+    """
+
+    frfs: list[Response]
+    modes: Modes | None
+    peaks: tuple[tuple[Response, Peak] | None, ...] = ()
+    highest: tuple[Response, Peak] | None = None
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One open recording and its results; a result is empty or None if the test does not determine it."""
+
+    path: Path
+    label: str  # name of the recording in legends and sentences
+    rec: Recording
+    sweeps: tuple[SweepResults, ...] = ()
+    dampers: tuple[Dampers, ...] = ()
+    decay: Decay | None = None
+
+
+@dataclass
+class Measurements:
+    """The recordings of a report, which stay open inside the `with` block, and the warnings about them."""
+
+    paths: Sequence[Path]
+    progress: CountProgress | None = None
+    results: list[Measurement] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    _open: ExitStack = field(default_factory=ExitStack)
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            for path, label in zip(self.paths, scene_labels(self.paths), strict=True):
+                self.results.append(self._measure(path, label, stack.enter_context(open_existing(path))))
+            self._open = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open.close()
+
+    def changes(self) -> list[tuple[Measurement, Measurement, PeakChange]]:
+        """Compute the change of each resonance peak from the first recording to every other recording."""
+        first, *others = self.results
+        if not first.sweeps or first.sweeps[0].modes is None:
+            return []
+        return [
+            (first, other, change)
+            for other in others
+            if other.sweeps
+            for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
+        ]
+
+    def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
+        frfs_of_sweeps = None
+        if rec.test.drives:
+            frfs_of_sweeps = self._attempt(
+                path, "Frequency responses", frequency_responses, rec, progress=self.progress
+            )
+        sweeps = tuple(self._evaluate_sweep(path, label, rec, frfs) for frfs in frfs_of_sweeps or ())
+        has_damper_results = rec.test.kind.steady and rec.scene.dampers
+        dampers = None
+        if has_damper_results:
+            dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress)
+        for sweep_dampers in dampers or ():
+            self._warn(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
+        free_decay = None
+        if rec.test.decays:
+            free_decay = self._attempt(path, "Free decay", decay, rec)
+            if free_decay is not None:
+                free_decay = relabel(free_decay, rec.scene.name, label)
+                self._warn(path, free_decay.warnings)
+        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay)
+
+    def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
+        frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
+        self._warn(path, frfs[0].warnings)
+        (analysis,) = with_sweep_name(frfs[0].label, label, ["Modes"])
+        modes = self._attempt(path, analysis, identify, frfs)
+        if modes is None:
+            return SweepResults(frfs, None)
+        self._warn(path, with_sweep_name(frfs[0].label, label, modes.warnings, frfs[0].warnings))
+        peaks = _highest_peaks(frfs, modes)
+        return SweepResults(frfs, modes, peaks, highest_peak(frfs, peaks))
+
+    def _attempt(
+        self,
+        path: Path,
+        analysis: str,
+        compute: Callable[Parameters, Returned],
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Returned | None:
+        """Return the result of an analysis; if it fails, add a warning with the reason and return None."""
+        try:
+            return compute(*args, **kwargs)
+        except ShotrigError as error:
+            self._warn(path, [f"{analysis}: not available. {error}"])
+            return None
+
+    def _warn(self, path: Path, texts: Sequence[str]) -> None:
+        self.warnings += [text for text in with_recording_name(path, texts) if text not in self.warnings]
+
+
+def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
+    """Return the response with the highest compliance peak near each mode, in the order of `modes`."""
+    compliances = [frf for frf in frfs if frf.reference == "force"]
+    _, low, high = peak_bands(modes)
+    highest: list[tuple[Response, Peak] | None] = []
+    # The bands are in ascending order of frequency; the modes may be in another order.
+    for rank in np.argsort(np.argsort(modes.frequency)):
+        peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in compliances]
+        inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
+        highest.append(max(inside, key=lambda pair: pair[1].value, default=None))
+    return tuple(highest)
+
+
+def highest_peak(
+    frfs: Sequence[Response], peaks: Sequence[tuple[Response, Peak] | None]
+) -> tuple[Response, Peak] | None:
+    """Return the response with the highest compliance peak, near a mode or at another frequency.
+
+    `peaks`: the highest peak near each mode.
+    """
+    others = [
+        (frf, found)
+        for frf in frfs
+        if frf.reference == "force"
+        for _, found in resonance_peaks(frf)
+        if not found.at_end
+    ]
+    return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
+
+
+def _peak_changes(first: Measurement, other: Measurement) -> list[PeakChange]:
+    """Return the change of each peak between two recordings."""
+    modes = first.sweeps[0].modes
+    assert modes is not None
+    points, first_points = (MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, first))
+    points.comparable_with(first_points)
+    same_sensors, first_frfs = points.same_sensors(first_points), first.sweeps[0].frfs
+    return [change for sweep in other.sweeps for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]

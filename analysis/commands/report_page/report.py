@@ -1,0 +1,193 @@
+"""Write the report page: summary, results, settings, warnings and the commands that reproduce it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+
+from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending
+from analysis.commands.report_page.charts import ChartWriter
+from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
+from analysis.commands.report_page.histories import spectrograms, time_histories
+from analysis.commands.report_page.measurements import Measurement, Measurements
+from analysis.commands.report_page.responses import damper_chart, decay_charts, response_charts
+from analysis.commands.report_page.summary import summarize
+from analysis.commands.report_page.tables import budget, changes_table, decays, resonances, settings, test_text
+from analysis.core.recordings.names import require_file
+from rig.core.base.errors import SceneError
+from rig.core.base.escaping import escape_html
+from rig.core.base.output_files import atomic_write, prepare_outputs
+from rig.core.base.progress import CountProgress
+from rig.core.base.provenance import output_source, relative_paths
+
+
+def write_report(
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+) -> CommandOutput:
+    """Write one self-contained HTML report about recordings.
+
+    `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file
+    name if it ends in .html; default: the folder of the first recording. Returns the page, the sentences of its
+    summary, and the warnings. Raises `RecordingError` if a file is not a recording. Raises `SceneError` if the page
+    exists and was not made from these recordings.
+    """
+    if not paths:
+        raise SceneError("report: no recordings. Give at least one.")
+    for path in paths:
+        require_file(path)
+    with _page(paths, output):
+        pass  # Raise the error of an existing page before the long analysis.
+    with Measurements(paths, progress) as measurements:
+        sentences, body = _body(measurements, paths)
+    title = f"Vibration test: {', '.join(path.stem for path in paths)}"
+    templates = files("analysis.commands.report_page") / "browser"
+
+    def template(name: str) -> str:
+        return (templates / name).read_text(encoding="utf-8")
+
+    page = Template(template("page.html")).substitute(
+        title=escape_html(title),
+        body=body,
+        uplot_css=template("uPlot.min.css"),
+        page_css=template("page.css"),
+        uplot=template("uPlot.iife.min.js"),
+        charts=template("charts.js"),
+    )
+    with _page(paths, output) as target, atomic_write(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
+
+
+@contextmanager
+def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
+    """Yield the path of the page; raise `SceneError` if a page of other recordings exists there (see `provenance`)."""
+    if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
+        with output_source("report", *relative_paths(paths, output.parent)):
+            prepare_outputs(output)
+            yield output
+        return
+    with output_stem(paths, output, "report", "html") as stem:
+        yield with_ending(stem, "html")
+
+
+def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
+    """Return the sentences of the summary, and all sections of the page as HTML."""
+    results, charts = measurements.results, ChartWriter()
+    changes = measurements.changes()
+    sentences = summarize(results, changes)
+    warnings = [f"<li>{escape_html(note)}</li>" for note in measurements.warnings]
+    dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
+    # Title and content of each section; a section without content is omitted.
+    sections = {
+        "Frequency responses": [charts.write(chart) for chart in response_charts(results)],
+        "Results": [changes_table(changes), resonances(results), decays(results)],
+        "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
+        "Mode shapes": _modes(results),
+        "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
+        "Free decays": [charts.write(chart) for chart in decay_charts(results)],
+        "Uncertainty": _budgets(results),
+        **{f"Recording {each.path.name}": _recording(each, charts, each is not results[0]) for each in results},
+        "How to repeat this": _commands(paths, results),
+    }
+    filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
+    anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
+    links = "".join(f'<li><a href="#{anchors[title]}">{escape_html(title)}</a></li>' for title in filled)
+    tests = "".join(
+        f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))
+    )
+    body = [
+        '<div class="first"><div>',
+        '<section class="answer">',
+        *(f"<p>{escape_html(text)}</p>" for text in sentences),
+        "</section>",
+        tests if len(results) == 1 else f"<details><summary>{len(results)} tests</summary>{tests}</details>",
+        f'</div><figure class="rig">{rig_drawing(results[0].rec.scene)}</figure></div>',
+        f"<nav><ul>{links}</ul></nav>",
+        *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
+    ]
+    return sentences, "\n".join(body)
+
+
+def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) -> list[str]:
+    """Write the settings, time histories and spectrograms of a recording; `is_drawn`: also its rig."""
+    pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec))
+    return [
+        f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
+        charts.write(time_histories(measurement.rec)),
+        settings(measurement),
+        f"<details><summary>Spectrograms</summary>{pictures}</details>" if pictures else "",
+    ]
+
+
+def _test_description(measurement: Measurement) -> str:
+    """Describe the test of a recording: excitation, channels, duration."""
+    rec = measurement.rec
+    return (
+        f"Test “{measurement.label}”: {test_text(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"{rec.duration:.4g} s."
+    )
+
+
+def _modes(results: Sequence[Measurement]) -> list[str]:
+    """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
+    sections = []
+    for measurement in results:
+        for modes in [sweep.modes for sweep in measurement.sweeps[:1] if sweep.modes is not None]:
+            bodies = modes.of_bodies()
+            if len(bodies.names) < 2 or not modes.frequency.size:
+                continue
+            drawings = [
+                mode_drawing(bodies, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}")
+                for k in range(modes.frequency.size)
+            ]
+            sections += [
+                f"<h3>{escape_html(measurement.label)}</h3>",
+                f'<div class="shapes">{"".join(drawings)}</div>',
+            ]
+    return sections
+
+
+def _budgets(results: Sequence[Measurement]) -> list[str]:
+    """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
+    peaks = [(measurement, measurement.sweeps[0].highest) for measurement in results if measurement.sweeps]
+    return [budget(measurement, *highest) for measurement, highest in peaks if highest is not None]
+
+
+def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str]:
+    """List the commands that reproduce the recordings and the results, and the version of shotrig, as HTML."""
+    all_paths = " ".join(shlex.quote(str(path)) for path in paths)
+    analyzed_by = [
+        ("frf", [measurement for measurement in results if measurement.sweeps]),
+        (
+            "modes",
+            [measurement for measurement in results if any(sweep.modes is not None for sweep in measurement.sweeps)],
+        ),
+        ("dampers", [measurement for measurement in results if measurement.dampers]),
+        ("decay", [measurement for measurement in results if measurement.decay is not None]),
+    ]
+    recorded = [
+        measurement for measurement in results if not measurement.rec.source and measurement.rec.scene.test is not None
+    ]
+    lines = [
+        f"daq record {shlex.quote(measurement.path.stem + '.yaml')} -o {shlex.quote(str(measurement.path))}"
+        for measurement in recorded
+    ]
+    lines += [
+        f"analysis {command} {' '.join(shlex.quote(str(measurement.path)) for measurement in recordings)}"
+        for command, recordings in analyzed_by
+        if recordings
+    ]
+    lines.append(f"analysis report {all_paths}")
+    origin = f"Made with shotrig {version('shotrig')}."
+    if recorded:
+        names = ", ".join(f"{measurement.path.stem}.yaml" for measurement in recorded)
+        origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
+    return [
+        f"<pre>{escape_html(chr(10).join(lines))}</pre>",
+        f"<p>{escape_html(origin)}</p>",
+    ]

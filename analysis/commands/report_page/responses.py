@@ -1,0 +1,166 @@
+"""Charts of a report: frequency responses, damper motion and free decays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.commands.figures.frf_figure import break_at_wraps, phase_degrees
+from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
+from analysis.commands.report_page.measurements import Measurement
+from analysis.core.damper_motion.dampers import Dampers
+from rig.core.results.response import Response
+
+# A long curve is reduced to the highest and the lowest point of this number of intervals.
+_INTERVALS = 1200
+
+
+def response_charts(measurements: Sequence[Measurement]) -> list[Chart]:
+    """Return charts of all frequency responses.
+
+    The responses of a single recording share a chart. With several recordings each response has its own chart, so
+    that the recordings can be compared. Responses to different inputs never share a chart.
+    """
+    with_responses = [measurement for measurement in measurements if measurement.sweeps]
+    frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
+    several = len({measurement.label for measurement in with_responses}) > 1
+    charts = []
+    for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
+        group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
+        names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in group]
+        if not several and len({frf.label for frf in group}) == 1:
+            names = [frf.response for frf in group]
+        charts.append(response_chart(group, names))
+    return charts
+
+
+def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
+    """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input."""
+    thinned = [_thinned(frf.with_gaps()) for frf in frfs]
+    unit, factor = thinned[0].shown_in
+    magnitude, phase, coherence, relative = [], [], [], []
+    for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
+        f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
+        # A logarithmic axis cannot show a lower limit of zero or below.
+        low = np.maximum(modulus - expanded, 1e-3 * modulus)
+        magnitude.append(Curve(name, f, modulus, low, modulus + expanded, color=k))
+        phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf)), color=k))
+        coherence.append(Curve(name, f, frf.coherence, color=k))
+        relative.append(Curve(name, f, 100.0 * expanded / modulus, color=k))
+    quantity = thinned[0].name
+    outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
+    band = np.concatenate([frf.frequency for frf in thinned])
+    return Chart(
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % intervals, phase, coherence, "
+        "and expanded uncertainty relative to the value.",
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
+        [
+            Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
+            Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
+            Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
+            Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True),
+        ],
+        logarithmic=needs_logarithmic_axis(band),
+    )
+
+
+def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return the limits of a logarithmic axis that show all values, but not all intervals."""
+    values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
+    values = values[np.isfinite(values) & (values > 0)]
+    return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
+
+
+def _thinned(frf: Response) -> Response:
+    """Reduce a long curve to the highest and the lowest point of each interval."""
+    count = frf.frequency.size
+    if count <= 2 * _INTERVALS:
+        return frf
+    magnitude = np.nan_to_num(abs(frf.value))
+    intervals = np.array_split(np.arange(count), _INTERVALS)
+    extremes = (np.argmax, np.argmin)
+    selected = {int(points[extreme(magnitude[points])]) for points in intervals for extreme in extremes}
+    return frf.at(np.array(sorted(selected | {0, count - 1})))
+
+
+def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
+    """Return a chart of impacts per period for each body, and the share of energy dissipated by all dampers."""
+    frequency = result.sweep.lines.frequency
+    order = np.argsort(frequency)
+    panels = []
+    impacts = []
+    for k, motions in enumerate(result.bodies):
+        count = np.array([sum(motion.impacts_per_period) for motion in motions])
+        impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
+    if impacts:
+        panels.append(Panel("impacts", "per period", impacts, height=170))
+    energy = result.energy
+    if energy is not None:
+        percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
+        low, high = (percent - bound)[order], (percent + bound)[order]
+        curve = Curve("dampers", frequency[order], percent[order], low, high)
+        panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
+    level = f"drive level {result.sweep.level:.4g}"
+    if measurement.rec.scene.level_key == "force":
+        level = f"force {result.sweep.level:.4g} N"
+    return Chart(
+        f"{measurement.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
+        "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % intervals.",
+        f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
+        panels,
+        logarithmic=needs_logarithmic_axis(frequency),
+    )
+
+
+def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
+
+
+def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
+    """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
+    labeled_decays = [
+        (measurement.label, measurement.decay) for measurement in measurements if measurement.decay is not None
+    ]
+    if not labeled_decays:
+        return []
+    envelopes, energies = [], []
+    damping: list[Curve] = []
+    for k, (label, result) in enumerate(labeled_decays):
+        envelopes.append(Curve(label, result.peak_time, result.peak, color=k))
+        step = max(result.time.size // _INTERVALS, 1)
+        energies.append(Curve(label, result.time[::step], result.energy[::step], color=k))
+        for mode in result.modes:
+            if mode.damping.size:
+                percent, expanded = mode.percent
+                name = f"{label}, {mode.center:.4g} Hz"
+                order = np.argsort(mode.amplitude)
+                low, high = (percent - expanded)[order], (percent + expanded)[order]
+                amplitude = mode.amplitude[order]
+                damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
+    channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
+    charts = [
+        Chart(
+            f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy.",
+            f"Free decay of {channels} over {max(result.time[-1] for _, result in labeled_decays):.3g} s.",
+            [
+                Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
+                Panel("energy", "dB", energies, height=160),
+            ],
+            x_name="time",
+            x_unit="s",
+        )
+    ]
+    if damping:
+        charts.append(
+            Chart(
+                "Damping ratio against amplitude of the acceleration, with 95 % intervals.",
+                "Damping ratio of each mode against the amplitude of the acceleration.",
+                [Panel("damping ratio", "%", damping, height=240)],
+                x_name="amplitude",
+                x_unit="m/s²",
+                logarithmic=True,
+            )
+        )
+    return charts

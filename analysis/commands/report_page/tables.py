@@ -1,0 +1,257 @@
+"""Tables of a report: resonances, changes of peaks, decays, the uncertainty budget, settings and channels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import isfinite, isinf
+from typing import TYPE_CHECKING
+
+import numpy as np
+import yaml
+
+from analysis.commands.report_page.measurements import Measurement
+from analysis.core.damper_motion.comparison import Peak, PeakChange
+from analysis.core.responses.systematic import tolerance
+from rig.core.base.escaping import escape_html
+from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import expand
+from rig.core.scene.yaml_writer import write
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+    from rig.core.scene.damper import Damper
+    from rig.core.scene.scene import Scene
+
+# Maximum number of overloads, gaps or values of a setting that are listed individually.
+_MAX_LISTED = 5
+
+
+def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
+    """Return an HTML table.
+
+    A row with one cell is a subheading. The last `numbers` columns are aligned to the right.
+    """
+    align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
+    head = "".join(f"<th{a}>{escape_html(text)}</th>" for a, text in zip(align, heading, strict=True))
+    body = ""
+    for row in rows:
+        if len(row) == 1:
+            body += f'<tr><th class="group" colspan="{len(heading)}">{escape_html(row[0])}</th></tr>'
+            continue
+        cells = "".join(f"<td{a}>{escape_html(cell)}</td>" for a, cell in zip(align, row, strict=True))
+        body += f"<tr>{cells}</tr>"
+    return f'<div class="wide"><table><caption>{escape_html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
+
+
+def resonances(measurements: Sequence[Measurement]) -> str:
+    """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML."""
+    rows: list[tuple[str, ...]] = []
+    for modes, peaks in ((sweep.modes, sweep.peaks) for measurement in measurements for sweep in measurement.sweeps):
+        if modes is None:
+            continue
+        rows.append((modes.label,))
+        for k, highest in enumerate(peaks):
+            frequency = with_bound(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
+            location, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
+            rows.append((frequency, modes.damping_text(k), location, height))
+    heading = ["natural frequency / Hz", "damping ratio", "highest at", "peak / (µm/N)"]
+    return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
+
+
+def peak_height(highest: Peak) -> str:
+    """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite.
+
+    >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1))
+    'not determined'
+    """
+    if isinf(highest.bound):
+        return f"at least {1e6 * highest.low:.4g}"
+    if highest.bound > highest.value:
+        return "not determined"
+    return with_bound(1e6 * highest.value, 1e6 * highest.bound)
+
+
+def with_bound(value: float, bound: float) -> str:
+    """Format a value and its bound with the same number of decimals.
+
+    >>> with_bound(34.7812, 0.0123), with_bound(1.0, 0.0), with_bound(2.0, float("inf"))
+    ('34.781 ± 0.012', '1', '2 (unbounded)')
+    """
+    if not isfinite(bound):
+        return f"{value:.4g} (unbounded)"
+    return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
+
+
+def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> str:
+    """Return a table of the changes of peaks, and whether each is significant, as HTML."""
+    rows: list[tuple[str, ...]] = []
+    for first, other, change in changes:
+        pair = f"{first.label} → {other.label}"
+        if (pair,) not in rows:
+            rows.append((pair,))
+        best, low, high = change.decibel
+        shift, shift_low, shift_high = change.shift
+        exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
+        decimals = change.decibel_decimals
+        decibel = f"{best:+.{decimals}f}" if isfinite(low) or isfinite(high) else "unknown"
+        interval = _interval(low, high, decimals)
+        decimals = change.shift_decimals
+        shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
+        location = f"{change.response}, {format_decimals(change.mode, 2)} Hz"
+        rows.append((location, decibel, interval, shift_text, exceeds))
+    heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "significant"]
+    return table("Changes of the resonance peaks", heading, rows) if rows else ""
+
+
+def _interval(low: float, high: float, decimals: int) -> str:
+    low_text, high_text = f"{low:+.{decimals}f}", f"{high:+.{decimals}f}"
+    if isfinite(low) and isfinite(high):
+        return f"{low_text} to {high_text}"
+    if isfinite(low):
+        return f"at least {low_text}"
+    return f"at most {high_text}" if isfinite(high) else "unbounded"
+
+
+def decays(measurements: Sequence[Measurement]) -> str:
+    """Return a table of free-decay modes with their damping at the largest and the smallest amplitude, as HTML."""
+    rows: list[tuple[str, ...]] = []
+    for measurement in measurements:
+        result = measurement.decay
+        if result is None:
+            continue
+        rows.append((f"{measurement.label}, {result.channel}",))
+        for mode in result.modes:
+            damping_texts = ("too short or too noisy", "")
+            if mode.damping.size:
+                percent, expanded = mode.percent
+                first, last = (
+                    f"{with_bound(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
+                )
+                damping_texts = (first, last)
+            frequency = f"{mode.center:.4g}"
+            if np.isfinite(mode.frequency):
+                frequency = with_bound(mode.frequency, float(expand(mode.frequency_error)))
+            rows.append((frequency, *damping_texts))
+    heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
+    return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
+
+
+def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
+    """Return the uncertainty budget of a response at its peak, as HTML."""
+    point = int(np.argmin(abs(curve.frequency - highest.frequency)))
+    if curve.expanded()[point] > abs(curve.value[point]):
+        point = curve.peak_line()
+    result = curve.budget(curve.response, float(curve.frequency[point]))
+    rows = [
+        (name, evaluation, format_number(float(f"{standard:.2g}")), f"{100 * share:.0f} %" if isfinite(share) else "–")
+        for name, evaluation, standard, share in result.rows
+    ]
+    return table(
+        f"Uncertainty budget of {measurement.label}, {result.title}: {with_bound(result.value, result.expanded)} "
+        f"{result.unit} (95 %)",
+        ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
+        [*rows, ("combined", "", format_number(float(f"{result.combined:.2g}")), "")],
+        numbers=2,
+    )
+
+
+def test_text(scene: Scene) -> str:
+    """Describe the test with all settings that the scene states.
+
+    >>> import rig
+    >>> test_text(rig.load("fig8-no-damper"))
+    'stepped sine: from 8 Hz, to 60 Hz, points 150, force 2.6 N'
+    """
+    if scene.test is None:
+        return "none"
+    stated = yaml.safe_load(write(scene.test, scene.structure))
+    kind = stated.pop("kind", scene.test.kind).replace("_", " ")
+    return f"{kind}: {_on_one_line(stated)}" if stated else kind
+
+
+def _list_text(values: Sequence[object]) -> str:
+    """Return the values of a list, or the number and the ends of a long one.
+
+    >>> _list_text(["1 N", "2 N"]), _list_text([f"{k} Hz" for k in range(8, 58)])
+    ('1 N, 2 N', '50 values from 8 Hz to 57 Hz')
+    """
+    if len(values) > _MAX_LISTED:
+        return f"{len(values)} values from {values[0]} to {values[-1]}"
+    return ", ".join(map(str, values))
+
+
+def _on_one_line(settings: Mapping[str, object]) -> str:
+    """Return settings on one line; a group of settings is in parentheses."""
+    texts = []
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            text = f"({_on_one_line(value)})"
+        else:
+            text = _list_text(value) if isinstance(value, list) else str(value)
+        texts.append(f"{key} {text}")
+    return ", ".join(texts)
+
+
+def settings(measurement: Measurement) -> str:
+    """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
+    rec, scene = measurement.rec, measurement.rec.scene
+    dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
+    facts = [
+        ("recording", str(measurement.path)),
+        ("scene", scene.name),
+        ("test", test_text(scene)),
+        ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
+        ("dampers", dampers or "none"),
+        ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
+        ("overloads", _times_text(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
+        ("lost samples", _times_text(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),
+        ("recorded by", f"shotrig {rec.metadata.get('run', {}).get('shotrig', '(unknown version)')}"),
+        ("seed", str(scene.seed)),
+    ]
+    facts_html = "".join(
+        f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>" for key, value in facts
+    )
+    middle = _middle_frequency(measurement)
+    channels = [
+        (
+            info.name,
+            scene.structure.label(info.at),
+            info.quantity,
+            f"{info.sensitivity:.5g} V per {info.unit}",
+            f"± {format_percent(tolerance(info))}" if tolerance(info) else "not stated",
+            "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {info.unit}",
+            f"{abs(complex(info.response(middle))):.4f}",
+        )
+        for info in rec.channels.values()
+    ]
+    heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
+    return (
+        f"<details><summary>Settings and channels</summary><table>{facts_html}</table>"
+        f"{table('Channels', heading, channels)}</details>"
+        f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
+    )
+
+
+def _middle_frequency(measurement: Measurement) -> float:
+    """Return the frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
+    if measurement.sweeps:
+        band = measurement.sweeps[0].frfs[0].frequency
+        return float(np.sqrt(band[band > 0].min() * band.max()))
+    if measurement.decay is not None and measurement.decay.modes:
+        return float(np.exp(np.mean([np.log(mode.center) for mode in measurement.decay.modes])))
+    return measurement.rec.rate / 100.0
+
+
+def _damper_text(damper: Damper, body: str) -> str:
+    mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
+    clearance = f"clearance {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
+    return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
+
+
+def _times_text(rec: Recording, places: Sequence[tuple[int, object]]) -> str:
+    """List the times and channels of overloads or gaps; `places`: first sample, and channels."""
+    if not places:
+        return "none"
+    first = "; ".join(f"{sample / rec.rate:.3f} s ({name})" for sample, name in places[:_MAX_LISTED])
+    return f"{len(places)}: {first}{' ...' if len(places) > _MAX_LISTED else ''}"

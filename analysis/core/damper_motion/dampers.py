@@ -1,0 +1,145 @@
+"""Dampers in stepped-sine tests: type of motion and dissipated energy at each frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.damper_motion.energy_balance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
+from analysis.core.recordings.names import relabel
+from analysis.core.responses.measurands import motion_channel_at
+from analysis.core.responses.stepped_sine import Sweep, sweeps
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.base.progress import CountProgress
+from rig.core.results import Result, complete_style, format_percent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+
+
+@dataclass(frozen=True, repr=False)
+class Dampers(Result):
+    """Motion of the dampers and energy per period in one sweep.
+
+    Attributes
+    ----------
+    label : str
+        Scene name and, if there are several sweeps, level and direction.
+    sweep : Sweep
+        Fundamental and harmonic amplitudes of all channels.
+    bodies : tuple of list of DamperMotion
+        For each body with dampers that are not locked and with a channel, the motion at each frequency.
+    energy : CycleEnergy or None
+        Energy balance; None if a required channel is missing.
+    true_impact_energy : ndarray, shape (n,), or None
+        True energy loss in impacts per period, J, if the truth was recorded.
+    missing : tuple of str
+        Bodies without a result, with the reason.
+    warnings : tuple of str
+        Sentences on limits of the results.
+    """
+
+    label: str
+    sweep: Sweep
+    bodies: tuple[list[DamperMotion], ...]
+    energy: CycleEnergy | None
+    true_impact_energy: Array | None = None
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return one row for each frequency and body, as in the table of `analysis dampers`."""
+        frequency = self.sweep.lines.frequency
+        unknown = np.full(frequency.size, np.nan)
+        energies = [unknown] * 4
+        if self.energy is not None:
+            energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
+        energies.append(unknown if self.true_impact_energy is None else self.true_impact_energy)
+        names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
+        count, bodies = frequency.size, len(self.bodies)
+        motions = [body[i] for i in range(count) for body in self.bodies]
+        floor, ceiling = np.array([motion.impacts_per_period for motion in motions]).reshape(-1, 2).T
+        if not self.bodies:
+            return {"frequency_Hz": frequency} | dict(zip(names, energies, strict=True))
+        return {
+            "frequency_Hz": np.repeat(frequency, bodies),
+            **{name: np.repeat(energy, bodies) for name, energy in zip(names, energies, strict=True)},
+            "channel": np.array([motion.channel for motion in motions]),
+            "motion": np.array([motion.name for motion in motions]),
+            "floor_per_period": floor,
+            "ceiling_per_period": ceiling,
+        }
+
+    def summary(self) -> str:
+        """Return the frequency range, and the frequency at which the dampers dissipate most."""
+        frequency = self.sweep.lines.frequency
+        text = f"{self.label}: {frequency.size} frequencies, {frequency.min():.4g} to {frequency.max():.4g} Hz"
+        if self.energy is None or not np.isfinite(self.energy.dampers).any():
+            return text
+        largest = int(np.nanargmax(self.energy.dampers))
+        share = format_percent(self.energy.dampers[largest] / self.energy.supplied[largest])
+        return f"{text}; the dampers dissipate most at {frequency[largest]:.4g} Hz ({share} of the energy supplied)"
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw supplied and dissipated energy per period against frequency."""
+        if self.energy is not None:
+            order = np.argsort(self.energy.frequency, kind="stable")
+            for name, energy in (
+                ("supplied", self.energy.supplied),
+                ("into the dampers", self.energy.dampers),
+                ("in the structure", self.energy.structure),
+            ):
+                values = 1e3 * np.where(energy > 0.0, energy, np.nan)[order]
+                ax.semilogy(
+                    self.energy.frequency[order], values, ".-", **complete_style(style, label=f"{self.label}: {name}")
+                )
+        ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
+
+
+def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress | None = None) -> list[Dampers]:
+    """Estimate the motion of the dampers and the energy per period in each sweep of a recording.
+
+    `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
+    `RecordingError` if the recording contains no steady tone.
+    """
+    bodies_with_dampers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
+    results = []
+    for sweep in sweeps(rec, progress=progress):
+        bodies, missing, warnings = [], [], list(sweep.lines.warnings)
+        for number in bodies_with_dampers:
+            info = motion_channel_at(rec, f"body {number}")
+            if info is None:
+                name = rec.scene.structure.label(number)
+                missing.append(
+                    f"{name}: no channel measures its motion, so that impacts are not detected. Mount a sensor there."
+                )
+                continue
+            try:
+                bodies.append(damper_motion(rec, sweep, info.name, progress))
+            except RecordingError as error:
+                missing.append(str(error))
+        energy = None
+        try:
+            energy = energy_per_cycle(rec, sweep)
+        except RecordingError as error:
+            warnings.append(f"no energy balance: {error}")
+        results.append(
+            Dampers(
+                relabel(sweep.lines, rec.scene.name, label or rec.scene.name).label,
+                sweep,
+                tuple(bodies),
+                energy,
+                impact_energy_per_cycle(rec, sweep) if rec.has_truth else None,
+                tuple(missing),
+                tuple(warnings),
+            )
+        )
+    return results

@@ -1,0 +1,185 @@
+"""Energy dissipated by the dampers per period of a steady tone: supplied work minus dissipation of the structure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.responses.aliasing import aliased_ratios
+from analysis.core.responses.measurands import motion_of, reference_of, response_channels
+from analysis.core.responses.systematic import ChannelContributions, tolerance
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from analysis.core.responses.stepped_sine import Sweep
+    from daq.core.recording.recording import Recording
+
+
+@dataclass(frozen=True)
+class CycleEnergy:
+    """Energy balance of one period of a steady tone."""
+
+    frequency: Array  # Hz; shape (n,)
+    supplied: Array
+    """Work of the force on the structure, J; shape (n,)."""
+    structure: Array
+    """Energy dissipated by the structural damping of the scene, J; shape (n,)."""
+    bound: Array
+    """Expanded uncertainty of `dampers`, J; shape (n,)."""
+
+    @property
+    def dampers(self) -> Array:
+        """Energy dissipated by the dampers: difference of `supplied` and `structure`, J."""
+        return self.supplied - self.structure
+
+
+def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
+    """Estimate the energy that force, structure and dampers exchange per period from the channels.
+
+    The supplied work follows from the force and the motion of the driven body, including harmonics. The energy
+    dissipated in the structure follows from the motion of all bodies and the damping matrix of the scene. Both are
+    quadratic forms of the complex amplitudes a of the channels. An error da therefore changes their difference by
+    ``2 Re(g^H da)`` to first order, with the gradient g.
+
+    `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
+    `analysis.core.responses.stepped_sine.sweeps`.
+    """
+    from rig.core.system.structural_model import structural_model
+
+    names = sweep.lines.channels
+    damping = structural_model(rec.scene).damping
+    bodies = {rec.channels[name].at: name for name in response_channels(rec)}
+    count = len(damping)
+    missing = [body for body in range(1, count + 1) if f"body {body}" not in bodies]
+    if missing:
+        raise RecordingError(
+            f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs the motion of all "
+            f"{count} bodies. Mount a motion sensor there."
+        )
+    # `driven_bodies` of the structural model rejects several coil springs; here the driven shaker alone counts.
+    shaker = rec.scene.driven_shaker
+    driven = [0] if shaker is None else [body - 1 for body in shaker.bodies]
+    supplied, structure, gradients, force_shares = [], [], [], []
+    compliance = np.empty(len(sweep.tones), dtype=complex)
+    for index, tone in enumerate(sweep.tones):
+        orders = np.arange(1, tone.amplitude.shape[1] + 1)
+        frequency = orders * tone.frequency
+        force_row = reference_of(rec, "force").row(rec, names, frequency)
+        motion_rows = np.array(
+            [motion_of(rec, bodies[f"body {body}"]).row(rec, names, frequency) for body in range(1, count + 1)]
+        )
+        force = np.sum(force_row * tone.amplitude, axis=0)
+        motion = np.sum(motion_rows * tone.amplitude, axis=1)
+        # A force that acts on several bodies works on the sum of their motions.
+        driven_motion, driven_row = motion[driven].sum(axis=0), motion_rows[driven].sum(axis=0)
+        dissipation_factor = 2 * np.pi**2 * tone.frequency * orders**2
+        damping_force = damping @ motion
+        supplied.append(np.pi * np.sum(orders * np.imag(force * driven_motion.conj())))
+        structure.append(np.sum(dissipation_factor * np.sum(motion.conj() * damping_force, axis=0).real))
+        # Gradients with respect to the amplitudes of the channels, shape (channels, harmonics).
+        supplied_gradient = np.pi / 2j * orders * (driven_row.conj() * force - force_row.conj() * driven_motion)
+        structure_gradient = dissipation_factor * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
+        gradients.append(supplied_gradient - structure_gradient)
+        compliance[index] = driven_motion[0] / force[0]
+        force_shares.append((force_row * tone.amplitude)[:, 0] / force[0])
+    return CycleEnergy(
+        sweep.lines.frequency,
+        np.array(supplied),
+        np.array(structure),
+        _expanded(rec, sweep, gradients, compliance, np.transpose(force_shares)),
+    )
+
+
+def _expanded(
+    rec: Recording,
+    sweep: Sweep,
+    gradients: list[ComplexArray],
+    compliance: ComplexArray,
+    force_shares: ComplexArray,
+) -> Array:
+    """Return the expanded uncertainty of the energy from the scatter and all limits of error.
+
+    `gradients`: gradient g for each tone, shape (channels, harmonics); `compliance`, shape (n,): compliance of the
+    driven body; `force_shares`, shape (channels, n): contribution of each channel to the force, relative to the force.
+    """
+    lines = sweep.lines
+    scatter, gain_sensitivity, phase_sensitivity, fundamental_sensitivity = [], [], [], []
+    for gradient, tone in zip(gradients, sweep.tones, strict=True):
+        # The scatter of the harmonics is assumed equal to that of the fundamental.
+        scatter.append(2.0 * np.sum(np.square(np.abs(tone.scatter() @ gradient.conj()))))
+        product = 2.0 * gradient * tone.amplitude.conj()
+        gain_sensitivity.append(product.real.sum(axis=1))
+        phase_sensitivity.append(abs(product).sum(axis=1))
+        fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
+    tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
+    limits = list(abs(np.transpose(gain_sensitivity)) * (tolerances / np.maximum(1.0 - tolerances, 1e-300))[:, None])
+    _, aliased = aliased_ratios(
+        rec,
+        ChannelContributions(lines.channels, lines.frequency, "displacement", compliance, force_shares, force_shares),
+    )
+    for sensitivity, error_ratio in (
+        (phase_sensitivity, aliased),
+        (fundamental_sensitivity, lines.residual_transient),
+        (fundamental_sensitivity, lines.resolution),
+    ):
+        if error_ratio is not None:
+            limits.append(np.sum(np.transpose(sensitivity) * error_ratio, axis=0))
+    return expand(np.sqrt(np.nan_to_num(scatter)), limits, np.maximum(lines.scatter.degrees_of_freedom, 1.0))
+
+
+def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
+    """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
+
+    An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
+    squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady state. Over
+    whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
+    -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens.
+
+    The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instant impact
+    acts on other dampers, in the same body or through a full mass matrix.
+    """
+    from rig.core.system.assembly import assemble
+    from rig.core.system.structural_model import structural_model
+
+    if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).coupled:
+        return np.full(len(sweep.lines.frequency), np.nan)
+    model = structural_model(rec.scene)
+    restitution = np.array([damper.restitution for damper in rec.scene.dampers])
+    # The masses of locked dampers belong to their bodies.
+    damper_mass, body_mass = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
+    loss_per_squared_speed = 0.5 * damper_mass * body_mass / (damper_mass + body_mass) * (1.0 - restitution**2)
+    events = rec.events
+    events = events[np.isin(events["kind"], ("floor", "ceiling"))]
+    loss = loss_per_squared_speed[events["damper"] - 1] * events["speed"] ** 2
+    has_finite_contact = [damper.moves and damper.contact is not None for damper in rec.scene.dampers]
+    losses = []
+    for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
+        is_inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
+        losses.append(loss[is_inside].sum() / ((stop - first) / rec.rate * frequency))
+        for j in np.flatnonzero(has_finite_contact):
+            losses[-1] += damper_mass[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
+    return np.array(losses)
+
+
+def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
+    """Return the mean of the integral of -a v over a period, J/kg, as in `impact_energy_per_cycle`.
+
+    `j`: index of the damper, from 0; `first`, `stop`: samples of the true motion. The integral is computed from the
+    spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
+    """
+    periods = int((stop - first) / rec.rate * frequency)
+    samples = round(periods / frequency * rec.rate)
+    if not periods:
+        return np.nan
+    body = rec.truth_points.index(f"body {rec.scene.dampers[j].body}")
+    displacement, gap = (
+        np.fft.rfft(rec.truth(quantity, first, first + samples)[row]) / samples
+        for quantity, row in (("displacement", body), ("gap", j))
+    )
+    angular = 2.0 * np.pi * np.fft.rfftfreq(samples, 1.0 / rec.rate)
+    power = -(angular**2) * displacement * (1j * angular * gap).conj()
+    return float(-2.0 * np.sum(power.real) / frequency)

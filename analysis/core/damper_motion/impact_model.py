@@ -1,0 +1,380 @@
+"""Response of a channel to a velocity jump of its body, and the matched filters that detect the jump.
+
+A damper's impact causes a *jump* of the body's velocity, and a *step* and a *kink* (change of slope) of its
+acceleration. The responses of a channel follow from its data sheet. The responses are computed at *sub-sample times*,
+because an impact occurs between samples.
+
+Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
+Detection Theory*, 1998, ch. 4. Step, kink and a polynomial for the smooth motion are nuisance signals; the filters are
+orthogonal to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.results.response import MOTIONS
+
+if TYPE_CHECKING:
+    from analysis.core.damper_motion.landing_pulse import Pulse
+    from daq.core.signal_chain.channel import ChannelInfo, Quantity
+
+
+# A jump is at most this distance from the middle of its window, samples.
+MAX_SHIFT = 4
+# Polynomial orders of the smooth acceleration around a jump.
+ORDERS = (2, 4, 6, 8)
+# Minimum number of samples on either side of a jump that determine the smooth motion.
+_SIDE_SAMPLES = 6
+# Minimum duration of these samples in velocity and displacement channels.
+_SIDE_TIME_S = 1e-3
+# Maximum phase change of a resonance between two sub-sample times, rad.
+_MAX_PHASE_STEP = 0.5
+# Minimum number of sub-sample times in a sample interval.
+_MIN_INSTANTS_PER_SAMPLE = 8
+# The search uses every eighth sub-sample time if the sensor has a resonance.
+_RESONANCE_STRIDE = 8
+# The search uses every fourth sub-sample time with a decimation filter.
+_FILTER_STRIDE = 4
+# Poles above this angular frequency, rad per sample, affect the response to a jump; slower poles cause a slow curvature
+# after it, which the polynomial represents.
+_FAST_POLE = 0.3
+# Number of decay times after which the response of a resonance has decayed to 1e-6.
+_DECAY_TIMES = 14.0
+# The window includes this number of decay times of a resonance.
+_WINDOW_DECAY_TIMES = 3.0
+# Length of a decimation filter's impulse response on either side.
+_FILTER_SPAN_SAMPLES = 40
+# The window includes this part of the impulse response of a decimation filter, samples.
+_FILTER_WINDOW_SAMPLES = 12
+# Singular values of the filters below this fraction of the largest are rounding errors.
+_RANK_TOLERANCE = 1e-12
+
+
+class UnitResponses(NamedTuple):
+    """Differenced responses to unit jump, step and kink at one time."""
+
+    begin: int
+    """Index of the first difference."""
+    units: Array
+    """Jump of 1 m/s, step of 1 m/s², kink of 1 m/s³; shape (3, length)."""
+    time_derivatives: Array
+    """Derivatives of `units` with respect to the time, per sample; shape (3, length)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactModel:
+    """Responses to unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
+
+    All arrays are differences of successive samples, so that the response to a jump is short. The order of the
+    differences is two higher than the number of integrations in the channel. The fit itself is least squares in the
+    readings, whose noise is white.
+
+    The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
+    (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.
+    """
+
+    difference_order: int
+    """Order of the differences."""
+    instants_per_sample: int
+    """Number of sub-sample times in a sample interval."""
+    search_stride: int
+    """Distance of the sub-sample times that the search uses; 1: it uses all."""
+    filters: Array
+    """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
+    noise gain; shape (rows, 3, window)."""
+    r_factors: Array
+    """Upper triangular matrices from kink, step and jump to filter outputs; shape (rows, 3, 3)."""
+    window_start: int
+    """Index of the window's first difference relative to its sample 0."""
+    unit_differences: Array
+    """Differenced responses to unit jump, step and kink until they have decayed; shape (rows, 3, length)."""
+    unit_start: int
+    """Index of the first of `unit_differences` relative to sample 0."""
+    polynomial_order: int
+    """Order of the polynomial for the smooth motion in the readings of a window."""
+    contact_samples: int
+    """Contact duration of an impact, samples; 0: instant."""
+
+    @cached_property
+    def search_basis(self) -> tuple[Array, Array]:
+        """Orthonormal basis of the search's jump filters and their weights; shapes (rank, window), (filters, rank).
+
+        The numerical rank of a few dozen filters is about ten.
+        """
+        first = MAX_SHIFT * self.instants_per_sample + self.search_stride // 2
+        filters = self.filters[first : first + self.instants_per_sample : self.search_stride, 2]
+        left, singular, basis = np.linalg.svd(filters, full_matrices=False)
+        rank = int(np.sum(singular > _RANK_TOLERANCE * singular[0]))
+        return np.ascontiguousarray(basis[:rank]), left[:, :rank] * singular[:rank]
+
+    @cached_property
+    def _coarse_filters(self) -> Array:
+        """Filters at the times that the search uses; shape (3 times, window)."""
+        rows = self.filters[self.search_stride // 2 :: self.search_stride]
+        return np.ascontiguousarray(rows).reshape(-1, self.window_length)
+
+    @cached_property
+    def _outputs_to_amplitudes(self) -> Array:
+        """Matrices from filter outputs to jump, step and kink; shape (rows, 3, 3)."""
+        return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
+
+    @cached_property
+    def templates(self) -> Array:
+        """Responses to unit jump, step and kink without smooth motion; shape (rows, 3, window)."""
+        begin = self.window_start - self.unit_start
+        return self.readings(self.unit_differences[..., begin : begin + self.window_length])
+
+    @cached_property
+    def window_length(self) -> int:
+        """Number of differences in one window."""
+        return int(self.filters.shape[-1])
+
+    @cached_property
+    def min_separation(self) -> int:
+        """Minimum distance of two jumps whose windows do not overlap, samples."""
+        return self.window_length + self.difference_order
+
+    @cached_property
+    def settling_samples(self) -> int:
+        """Samples until the response to a jump has decayed."""
+        return int(self.unit_differences.shape[-1])
+
+    @cached_property
+    def noise_gain(self) -> float:
+        """Largest standard deviation of a jump over the sub-sample times, for readings with unit noise, m/s."""
+        middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
+        return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
+
+    @cached_property
+    def template_norm(self) -> float:
+        """Root sum of squares of the response to a 1 m/s jump in the middle of a window."""
+        window = np.zeros(self.window_length)
+        unit = self.unit_responses_at(self.difference_order - self.window_start + 0.5)
+        low, begin = max(0, -unit.begin), max(unit.begin, 0)
+        inside = unit.units[0, low : low + self.window_length - begin]
+        window[begin : begin + inside.size] = inside
+        return float(np.linalg.norm(self.readings(window)))
+
+    def polynomial_order_for(self, length: int) -> int:
+        """Return the polynomial order for `length` differences: higher if they exceed a window."""
+        return self.polynomial_order + max(
+            0, (self.polynomial_order - 1) * (length - self.window_length) // self.window_length
+        )
+
+    def readings(self, differences: Array, order: int | None = None) -> Array:
+        """Integrate differences to readings, and subtract the smooth motion; shape (..., differences).
+
+        `order`: polynomial order; by default `polynomial_order_for` the length.
+        """
+        length = differences.shape[-1]
+        for _ in range(self.difference_order):
+            differences = np.cumsum(differences, axis=-1)
+        polynomials = legendre_basis(length, self.polynomial_order_for(length) if order is None else order)
+        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
+        for _ in range(2):
+            differences = differences - (differences @ polynomials) @ polynomials.T
+        return differences
+
+    def locate(self, time: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+        """Return the sample before a time, the preceding row of the arrays, and the weight of the following row.
+
+        `time`: samples; one or several.
+        """
+        sample = np.floor(time)
+        position = (time - sample) * self.instants_per_sample - 0.5 + MAX_SHIFT * self.instants_per_sample
+        row = np.clip(np.floor(position), 0, len(self.unit_differences) - 2)
+        return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
+
+    def unit_responses_at(self, time: float) -> UnitResponses:
+        """Return the differenced responses to unit jump, step and kink at a time, in samples."""
+        sample, row, weight = self.locate(np.float64(time))
+        left, right = self.unit_differences[row], self.unit_differences[row + 1]
+        return UnitResponses(
+            int(sample) + self.unit_start - self.difference_order,
+            left + weight * (right - left),
+            (right - left) * self.instants_per_sample,
+        )
+
+    def fit_jump(self, window: Array, noise: float) -> tuple[float, Array, float, float]:
+        """Fit the jump that best explains a window of differences; `noise`: standard deviation of a reading.
+
+        Returns `time`, time of the jump after the window's sample 0, samples; `amplitudes`, shape (3,), jump [m/s],
+        step [m/s²], kink [m/s³]; `error`, standard deviation of the jump, m/s; `explained`, reduction of the sum of
+        squares by jump, step and kink, in noise variances.
+        """
+        stride = self.search_stride
+        coarse_outputs = (self._coarse_filters @ window).reshape(-1, 3)
+        coarse_row = int(np.argmax(np.einsum("ij,ij->i", coarse_outputs, coarse_outputs))) * stride + stride // 2
+        # All sub-sample times around the best time of the coarse search.
+        first_row = max(coarse_row - stride, 0)
+        filters = self.filters[first_row : coarse_row + stride + 1]
+        outputs = (filters.reshape(-1, self.window_length) @ window).reshape(-1, 3)
+        explained = np.einsum("ij,ij->i", outputs, outputs) / noise**2
+        best = int(np.argmax(explained))
+        row, offset = first_row + best, 0.0
+        if 0 < best < explained.size - 1:
+            # Vertex of the parabola through the highest value and its neighbors.
+            left, middle, right = explained[best - 1 : best + 2]
+            curvature = left - 2.0 * middle + right
+            offset = min(max(0.5 * (left - right) / curvature, -0.5), 0.5) if curvature < 0 else 0.0
+        amplitudes = self._outputs_to_amplitudes[row] @ outputs[best]
+        if offset:
+            direction = 1 if offset > 0 else -1
+            neighbor_amplitudes = self._outputs_to_amplitudes[row + direction] @ outputs[best + direction]
+            amplitudes = (1.0 - abs(offset)) * amplitudes + abs(offset) * neighbor_amplitudes
+        error = noise / abs(self.r_factors[row, 2, 2])
+        time = (row + offset + 0.5) / self.instants_per_sample - MAX_SHIFT
+        return time, amplitudes, error, float(explained[best])
+
+
+@lru_cache(maxsize=32)
+def with_order(model: ImpactModel, order: int) -> ImpactModel:
+    """Return a model with another polynomial order in `readings`; the filters do not change."""
+    return model if order == model.polynomial_order else replace(model, polynomial_order=order)
+
+
+@lru_cache(maxsize=256)
+def legendre_basis(length: int, degree: int) -> Array:
+    """Return an orthonormal polynomial basis, shape (length, degree + 1); leading columns span the lower degrees."""
+    basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
+    return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
+
+
+def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1) -> tuple[ImpactModel, ...]:
+    """Compute the model of a channel from its data sheet, for each polynomial order of `ORDERS`.
+
+    `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
+    smooths jump, step and kink in the same way (None: instantaneous); `decimation`: number of samples in each average.
+    """
+    response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
+    return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
+
+
+@lru_cache(maxsize=4)
+def _impact_models(
+    response: tuple[Quantity, float, float, tuple[complex, ...], tuple[complex, ...], bool],
+    decimation_filter: tuple[tuple[str, float], ...],
+    pulse: Pulse | None,
+    decimation: int,
+) -> tuple[ImpactModel, ...]:
+    from daq.core.signal_chain.channel import ChannelInfo
+
+    quantity, full_rate, gain, zeros, poles, average = response
+    info = ChannelInfo(
+        "", "", quantity, 1.0, full_rate, zeros=zeros, poles=poles, gain=gain, average=average,
+        filter=dict(decimation_filter),
+    )  # fmt: skip
+    integrations, rate = 2 - MOTIONS.index(quantity), full_rate / decimation
+    # A decimation filter removes resonances above half the sample rate.
+    max_frequency = np.pi * full_rate if info.filter else np.inf
+    fast_poles = [pole for pole in poles if _FAST_POLE * rate < abs(pole) < max_frequency]
+    phase_per_sample = max((abs(pole.imag) for pole in fast_poles), default=0.0) / rate if pulse is None else 0.0
+    decay_samples = max((-rate / pole.real for pole in fast_poles), default=0.0)
+    contact = 0 if pulse is None else int(np.ceil(pulse.duration * rate))
+    stride = _RESONANCE_STRIDE if phase_per_sample else _FILTER_STRIDE if info.filter and decimation == 1 else 1
+    instants_per_sample = max(_MIN_INSTANTS_PER_SAMPLE, int(np.ceil(phase_per_sample / _MAX_PHASE_STEP))) * stride
+    side = _SIDE_SAMPLES if integrations == 0 else max(_SIDE_SAMPLES, round(_SIDE_TIME_S * rate))
+    filter_samples = int(np.ceil(_FILTER_WINDOW_SAMPLES / decimation)) if info.filter else 0
+    # Samples of the window before and after its sample 0.
+    before = MAX_SHIFT + side + filter_samples
+    after = MAX_SHIFT + side + integrations + filter_samples + contact
+    after += int(np.ceil(min(_WINDOW_DECAY_TIMES * decay_samples, 4 * side)))
+    # Additional samples in which the response of the filter decays.
+    margin = int(np.ceil(_FILTER_SPAN_SAMPLES / decimation)) if info.filter else 2
+    until_decayed = after + int(np.ceil(_DECAY_TIMES * decay_samples)) + margin
+    responses = _acceleration_responses(
+        info, integrations, instants_per_sample, before + margin, until_decayed, pulse, decimation
+    )
+    unit_differences = np.diff(responses, 2, axis=-1) / rate**integrations
+    in_window = responses[..., margin : margin + before + after]
+    filters_of_orders = _filters(in_window, integrations, rate)
+    return tuple(
+        ImpactModel(
+            difference_order=integrations + 2,
+            instants_per_sample=instants_per_sample,
+            search_stride=stride,
+            filters=filters,
+            r_factors=r_factors,
+            window_start=3 - before,
+            unit_differences=unit_differences,
+            unit_start=3 - before - margin,
+            polynomial_order=order + integrations,
+            contact_samples=contact,
+        )
+        for order, (filters, r_factors) in zip(ORDERS, filters_of_orders, strict=True)
+    )
+
+
+def _acceleration_responses(
+    info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
+) -> Array:
+    """Compute the responses to unit jump, step and kink, differentiated to acceleration.
+
+    `instants`: sub-sample times in a sample interval. Returns samples 1 - `before` to `after` for each time of a
+    jump; shape (rows, 3, before + after).
+    """
+    from scipy import fft
+
+    rate = info.rate / decimation
+    n_samples = 2 * fft.next_fast_len(before + after + 2 * MAX_SHIFT + 2)
+    frequency = fft.rfftfreq(n_samples * instants, 1.0 / (rate * instants))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        response = replace(info, average=False).response(frequency)
+    # High-pass filters have no effect in the short time around a jump, so the response at zero frequency is set to 1.
+    response[0] = 1.0
+    if info.filter:
+        # The filter blocks these frequencies, and its tabulated response ends there.
+        response[frequency > info.rate] = 0.0
+    if pulse is not None:
+        # Velocity change within half a sub-sample interval on either side.
+        edges = (np.arange(n_samples * instants + 1) - 0.5) / (rate * instants)
+        response *= fft.rfft(np.diff(pulse.velocity_change_ratio(edges)))
+    # A difference of successive samples is an average of the derivative over a sample interval.
+    interval_averages = integrations + int(info.average)
+    if not info.average:
+        # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
+        delays = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
+        response *= delays.mean(axis=0)
+    # A jump occurs in the middle of a sub-sample interval. Each running sum delays by half an interval too little.
+    response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - interval_averages) / (rate * instants))
+    jump = fft.irfft(response, n_samples * instants) * rate * instants
+    for _ in range(interval_averages):
+        total = np.cumsum(np.concatenate([jump[-instants:], jump]))
+        jump = (total[instants:] - total[:-instants]) / instants
+    jump = np.roll(jump, (before + MAX_SHIFT) * instants)
+    step = (np.cumsum(jump) - 0.5 * jump) / (rate * instants)
+    kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
+    jump_time = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
+    sample = np.arange(1 - before, after + 1)
+    indices = (before + MAX_SHIFT + sample) * instants - jump_time[:, None] - 1
+    return np.stack([response[indices] for response in (jump, step, kink)], axis=1)
+
+
+def _filters(acceleration_responses: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
+    """Compute `ImpactModel.filters` and `ImpactModel.r_factors` for each order of `ORDERS`."""
+    shape = (*acceleration_responses.shape[:-1], integrations)
+    responses = np.concatenate([np.zeros(shape), acceleration_responses], axis=-1)
+    for _ in range(integrations):
+        responses = np.cumsum(responses, axis=-1) / rate
+    columns = np.swapaxes(responses[:, ::-1], 1, 2)
+    filters_of_orders = []
+    for order in ORDERS:
+        polynomials = legendre_basis(responses.shape[-1], order + integrations)
+        without_smooth = columns
+        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
+        for _ in range(2):
+            without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
+        basis, r_factors = np.linalg.qr(without_smooth)
+        filters = np.swapaxes(basis, 1, 2)
+        # By summation by parts, these filters and the differences give the same outputs as `basis` and the responses.
+        for _ in range(integrations + 2):
+            filters = -np.cumsum(filters, axis=-1)[..., :-1]
+        filters_of_orders.append((np.ascontiguousarray(filters), r_factors))
+    return filters_of_orders

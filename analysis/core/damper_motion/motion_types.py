@@ -1,0 +1,257 @@
+"""Type of damper motion in a stepped-sine test, estimated from the channels.
+
+A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and
+Hiraki (2011). Riding: at rest on
+the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor and ceiling per period;
+the damper leaves the ceiling at once (II), or stays there until the body's acceleration rises to -g (III). Other
+patterns are described by their numbers of impacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.damper_motion.free_flight import (
+    BodyMotion,
+    Restitution,
+    inelastic_closing_speeds,
+    may_reach_ceiling,
+    restitution,
+)
+from analysis.core.damper_motion.impact_detection import Impacts
+from analysis.core.damper_motion.landing_pulse import transmissibility
+from rig.core.base.arrays import Array
+from rig.core.base.progress import CountProgress
+from rig.core.results.response import MOTIONS
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from analysis.core.responses.stepped_sine import Sweep
+    from daq.core.recording.recording import Recording
+    from rig.core.scene.damper import Damper
+
+
+# Tolerance of one impact per period: of about twenty impacts, one or two may be at an end of the measurement or too
+# close to another impact.
+_COUNT_TOLERANCE = 0.15
+# Maximum number of periods after which a pattern of impacts must recur.
+_MAX_PATTERN_PERIODS = 4
+# A restitution differs significantly from zero above this number of standard deviations.
+_RESTITUTION_SIGMAS = 3.0
+# Maximum number of samples searched in a window, to limit memory.
+_MAX_SEARCHED_SAMPLES = 1 << 20
+# Minimum number of periods searched, even if they contain more samples.
+_MIN_SEARCHED_PERIODS = 20
+
+
+@dataclass(frozen=True)
+class DamperMotion:
+    """A damper's motion at one frequency, estimated from its impacts."""
+
+    frequency: float  # Hz
+    channel: str
+    """Channel on the damper's body."""
+    floor: float
+    """Number of impacts that were detected on the floor, over the number of searched periods."""
+    ceiling: float
+    """Number of impacts that were detected on the ceiling, over the number of searched periods."""
+    stays_at_ceiling: bool | None
+    """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
+    below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
+    rebound may take too long, or finite-duration contact may extend the push of the ceiling."""
+    threshold: float
+    """Detection limit: smallest velocity jump that is reliably detected, m/s."""
+    stays_on_floor: bool
+    """Whether the body's acceleration stays above -g by more than the channel's errors, so that all dampers stay at
+    rest on the floor."""
+    restitution: Restitution | None = None
+    """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
+    pattern_periods: int = 1
+    """Number of periods after which all impacts recur within the time resolution of the channel; 0: they do not."""
+    may_reach_ceiling_unseen: bool = False
+    """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
+
+    @property
+    def impacts_per_period(self) -> tuple[float, float]:
+        """Numbers of impacts on floor and ceiling per period; NaN if impacts may have been missed.
+
+        The ends of the search may add or omit an impact. Recurring impacts are whole numbers in their pattern.
+        """
+        if not self.pattern_periods:
+            return np.nan, np.nan
+        periods = self.pattern_periods
+        return round(self.floor * periods) / periods, round(self.ceiling * periods) / periods
+
+    @property
+    def name(self) -> str:
+        """Type of motion, in the terms of Inoue, Yokomichi, Hiraki (2011) if they apply."""
+        if self.floor == 0 and self.ceiling == 0:
+            return "riding" if self.stays_on_floor else "unseen"
+        if not self.pattern_periods:
+            return "uncertain: impacts are missed, or the motion is irregular"
+        once_per_period = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
+            self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
+        )
+        uncertainty = ""
+        if once_per_period and self.pattern_periods == 1:
+            if self.ceiling == 0 and not self.may_reach_ceiling_unseen:
+                return "I"
+            if self.ceiling and self.stays_at_ceiling is not None:
+                return "III" if self.stays_at_ceiling else "II"
+            uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak impacts on the ceiling"
+        floor, ceiling = self.impacts_per_period
+        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
+
+
+def damper_motion(
+    rec: Recording, sweep: Sweep, channel: str, progress: CountProgress | None = None
+) -> list[DamperMotion]:
+    """Estimate the motion of the dampers in the body of a channel in every measurement window.
+
+    Several dampers in a body are treated as one. A type is assigned if the impacts recur every period. Impacts are
+    counted if they recur after a few periods; otherwise some were missed, or the motion is irregular. Riding
+    requires that the body's acceleration stays above -g, because short flights may be undetectable. Type I requires
+    flights that stay below the ceiling. In a long window only the first million samples are searched, but at least
+    enough periods to determine a pattern.
+
+    `rec`: recording of a stepped-sine test; `sweep`: result of `analysis.core.responses.stepped_sine.sweeps`;
+    `channel`: channel on the body of the dampers. Returns the motion in each window.
+    """
+    location = rec.channels[channel].at
+    numbers = [
+        number
+        for number, damper in enumerate(rec.scene.dampers, 1)
+        if not damper.locked and f"body {damper.body}" == location
+    ]
+    motions: list[DamperMotion] = []
+    info, lines = rec.channels[channel], sweep.lines
+    reading = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
+    # Acceleration amplitude, m/s².
+    amplitudes = reading * (2 * np.pi * lines.frequency) ** (2 - MOTIONS.index(info.quantity))
+    for frequency, amplitude, (first, stop) in zip(
+        lines.frequency.tolist(), amplitudes.tolist(), sweep.windows.tolist(), strict=True
+    ):
+        max_samples = max(_MAX_SEARCHED_SAMPLES, int(_MIN_SEARCHED_PERIODS * rec.rate / frequency))
+        motion = BodyMotion(rec, channel, first, min(stop, first + max_samples, rec.samples))
+        motions.append(_motion_in_window(motion, numbers, frequency, amplitude))
+        if progress is not None:
+            progress(len(motions), lines.frequency.size)
+    return motions
+
+
+def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float) -> DamperMotion:
+    """Estimate the motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude, m/s²."""
+    detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
+    dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
+    # The searched duration excludes the ends of the segment.
+    searched_periods = detected.searched_duration * frequency
+    is_at_ceiling = detected.wall == "ceiling"
+    begin, end = motion.start / rate, (motion.start + motion.samples.size) / rate
+    pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
+    # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
+    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
+    stays_at_ceiling = None
+    if is_at_ceiling.any():
+        stays_at_ceiling = _stays_at_ceiling(
+            detected.acceleration[is_at_ceiling] + gravity,
+            np.pi * frequency * (1.0 / rate + 2.0 * detected.contact_duration) * amplitude,
+            _fastest_rebound(motion, dampers, estimate),
+            _push_time(detected.acceleration[is_at_ceiling], amplitude, gravity, frequency),
+        )
+    return DamperMotion(
+        frequency,
+        detected.channel,
+        float(np.sum(~is_at_ceiling)) / searched_periods,
+        float(np.sum(is_at_ceiling)) / searched_periods,
+        stays_at_ceiling,
+        detected.threshold,
+        _min_acceleration(motion, numbers, frequency) > -gravity,
+        estimate,
+        pattern_periods,
+        not is_at_ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
+    )
+
+
+def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
+    """Return the smallest number of periods after which all impacts recur between two times, s; 0: no recurrence."""
+    walls = [detected.time[detected.wall == wall] for wall in ("floor", "ceiling")]
+    begin, end = begin + detected.ringing, end - detected.ringing
+    if any(times.size and not np.any((times > begin) & (times < end)) for times in walls):
+        return 0
+    unsearched = detected.unsearched + np.array([-1.0, 1.0]) * detected.resolution
+    for periods in range(1, _MAX_PATTERN_PERIODS + 1):
+        shift = periods / frequency
+        recurs = True
+        for impact_times, expected in ((times, times + sign * shift) for times in walls for sign in (1.0, -1.0)):
+            expected = expected[(expected > begin) & (expected < end), None]
+            searched = ~((expected > unsearched[:, 0]) & (expected < unsearched[:, 1])).any(axis=1)
+            distance = abs(expected[searched] - impact_times).min(axis=1, initial=np.inf)
+            recurs &= bool(np.all(distance < detected.resolution))
+        if recurs:
+            return periods
+    return 0
+
+
+def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
+    """Return whether a damper stays at the ceiling after impacts; None if undetermined.
+
+    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². After a
+    rebound of at most `rebound_speed` m/s the damper stays if it returns while the ceiling still pushes, for
+    `push_time` s. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
+    """
+    finite = apparent_gravity[np.isfinite(apparent_gravity)]
+    median = float(np.median(finite)) if finite.size else 0.0
+    if abs(median) <= error:
+        return None
+    if median > 0.0:
+        return False
+    return True if rebound_speed <= -median * push_time / 3.0 else None
+
+
+def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
+    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
+
+    It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's
+    restitution. For finite-duration contact the release is unknown and the bound is infinite.
+    """
+    detected = motion.impacts
+    if detected.contact_duration:
+        return np.inf
+    restitution_bound = max((damper.restitution for damper in dampers), default=0.0)
+    if estimate is not None and (restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
+        restitution_bound = min(estimate.value + float(expand(estimate.error)), 1.0)
+    if restitution_bound <= 0.0:
+        return 0.0
+    at_ceiling = replace(detected, jump=detected.jump[detected.wall == "ceiling"])
+    speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
+    # All bounces together take as long as one bounce with the sum of their speeds (geometric series).
+    return float(
+        np.max(speeds, initial=0.0) * restitution_bound / (1.0 + restitution_bound) / max(1.0 - restitution_bound, 1e-9)
+    )
+
+
+def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
+    """Return a lower bound of the time for which the ceiling pushes after impacts, s, for a sinusoidal acceleration.
+
+    `acceleration`: acceleration of the body at the impacts, m/s². The ceiling pushes until it rises to -g.
+    """
+    finite = acceleration[np.isfinite(acceleration)]
+    at_impact = float(np.median(finite)) if finite.size else 0.0
+    begin_phase, end_phase = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))
+    return max(float(end_phase - begin_phase), 0.0) / (2 * np.pi * frequency)
+
+
+def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
+    """Return a lower bound of the acceleration of a body and of its dampers at rest, m/s², including the tolerance."""
+    scene, rows = motion.rec.scene, [motion.acceleration]
+    count = rows[0].size
+    for number in numbers:
+        if scene.dampers[number - 1].contact is not None:
+            gain = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate)))
+            rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * gain, count))
+    # The correction mirrors the samples at the ends of a segment, so the results there are inaccurate.
+    edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)
+    return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

@@ -1,0 +1,323 @@
+"""Free decay of a channel after a hit: envelope, energy, damping of each mode, and the time to fall below 1 g.
+
+Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409). A damper is a loose mass that rests
+on a floor of its body under gravity. The damper does not leave the floor if the acceleration of the body stays below 1
+g.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+
+from analysis.core.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
+from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.recordings.channel_delay import arrival
+from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.slices import hits
+from analysis.core.responses.measurands import motion_channel, response_channels
+from analysis.core.responses.systematic import clock_deviation
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results import Result, complete_style, format_percent
+from rig.core.scene.scene import STANDARD_GRAVITY
+from rig.core.system.structural_model import structural_model
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+    from daq.core.signal_chain.channel import ChannelInfo
+
+# Lower limit of the frequency range that is searched for modes.
+LOWEST_MODE_HZ = 2.0
+# Upper limit of this range; it is raised if the scene's structure has higher modes.
+HIGHEST_MODE_HZ = 200.0
+# Minimum number of samples in a decay.
+_MIN_SAMPLES = 256
+# If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
+# most this fraction of the energy. Otherwise the motion is not a free decay.
+_MAX_FINAL_ENERGY_FRACTION = 0.02
+#: Energy levels between which the slope of the initial decay is fitted, dB.
+INITIAL_DECAY_DB = -1.0, -11.0
+# Below this fraction of the initial energy, only rounding errors remain.
+_MIN_ENERGY_RATIO = 1e-30
+# If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
+_MAX_OVERLOADED_FRACTION = 0.1
+# Lost samples are interpolated if they are at most this fraction of a decay.
+_MAX_LOST_FRACTION = 0.01
+# Assumed frequency of the lowest mode if no mode is detected.
+_DEFAULT_MODE_HZ = 10.0
+
+
+@dataclass(frozen=True, repr=False)
+class Decay(Result):
+    """Free decay of one channel after one hit.
+
+    Attributes
+    ----------
+    channel, label : str
+        Channel, and scene name for legends.
+    hit : int
+        Number of the hit, from 1.
+    time : ndarray, shape (n,)
+        Time from the beginning of the free decay, s.
+    acceleration, envelope : ndarray, shape (n,)
+        Acceleration, and its envelope (smooth upper bound of its magnitude, by `upper_bound`), m/s².
+    peak_time, peak : ndarray, shape (peaks,)
+        Envelope by peak picking: local maxima of the magnitude, at least one period of the lowest mode apart; s,
+        m/s².
+    energy : ndarray, shape (n,)
+        Backward-integrated (Schroeder) energy of the acceleration, dB relative to its initial value. Beyond the end
+        of the record the decay is extrapolated from its last two tenths [1]_.
+    modes : tuple of ModalDecay
+        Decay of each detected mode.
+    gravity : float
+        Acceleration due to gravity, m/s²: below this amplitude no damper on this body leaves its floor.
+    warnings : tuple of str
+        Warnings about the validity of the results.
+
+    References
+    ----------
+    .. [1] ISO 3382-2:2008, section 5.3.3.
+    """
+
+    channel: str
+    label: str
+    hit: int
+    time: Array
+    acceleration: Array
+    envelope: Array
+    peak_time: Array
+    peak: Array
+    energy: Array
+    modes: tuple[ModalDecay, ...]
+    gravity: float
+    warnings: tuple[str, ...]
+
+    def summary(self) -> str:
+        """Return the channel, its largest acceleration, and the damping ratio of each mode at large amplitude."""
+        modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
+        largest = float(abs(self.acceleration).max())
+        return f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
+
+    def columns(self) -> dict[str, Array]:
+        """Return time, acceleration, envelope and backward-integrated energy."""
+        return {
+            "time_s": self.time,
+            "acceleration_m/s²": self.acceleration,
+            "envelope_m/s²": self.envelope,
+            "energy_dB": self.energy,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the acceleration, and its envelope with both signs."""
+        (line,) = ax.plot(self.time, self.envelope, **complete_style(style, lw=1.2, label=self.label))
+        ax.plot(self.time, -self.envelope, color=line.get_color(), lw=line.get_linewidth())
+        ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
+        ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
+
+    def time_below(self, amplitude: float) -> float:
+        """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
+        above = np.flatnonzero(abs(self.acceleration) >= amplitude)
+        if not above.size:
+            return 0.0
+        return float(self.time[above[-1] + 1]) if above[-1] + 1 < self.time.size else float("nan")
+
+    @property
+    def quiet_from(self) -> float:
+        """Time in s from which the acceleration stays below 1 g, so that no damper on this body leaves its floor."""
+        return self.time_below(self.gravity)
+
+    @property
+    def halving(self) -> float:
+        """Time in s in which the amplitude halves, and the energy falls by 6 dB; NaN if unknown.
+
+        It is computed from the slope of a line fitted to the energy between -1 and -11 dB.
+        """
+        initial = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
+        if np.sum(initial) < 8:
+            return float("nan")
+        slope = np.polyfit(self.time[initial], self.energy[initial], 1)[0]  # dB/s
+        return float(-20.0 * np.log10(2.0) / slope)
+
+
+def upper_bound(acceleration: Array, period: float) -> Array:
+    """Return a smooth upper bound of the magnitude of an acceleration.
+
+    `period`: period of the lowest mode, in samples. The running maximum over half a period on either side is smoothed
+    with a window of the same length. All maxima in this window include the sample in its middle, so that their weighted
+    mean is not smaller than this sample.
+
+    >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
+    >>> bool(np.all(upper_bound(acceleration, 2 * np.pi) >= abs(acceleration)))
+    True
+    """
+    half_period = max(1, round(0.5 * period))
+    largest = scipy.ndimage.maximum_filter1d(abs(acceleration), 2 * half_period + 1, mode="nearest")
+    weights = np.hanning(2 * half_period + 3)
+    return np.asarray(scipy.ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
+
+
+@takes_path
+def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
+    """Analyze the free decay of a channel's acceleration after a hit.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        Recording of an impulse test or a free decay.
+    channel : str, optional
+        Motion channel; default: the channel of the last body.
+    hit : int
+        Number of the hit, from 1.
+    modes : int, optional
+        Maximum number of modes; default: the number of bodies of the structure.
+    """
+    names = response_channels(rec)
+    if not names:
+        raise RecordingError(
+            f"{rec.path}: no motion channel on a body. Add one to the scene's channels, and record again."
+        )
+    info = motion_channel(rec, channel if channel is not None else names[-1])
+    read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
+    samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
+    warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
+    max_modes = modes if modes is not None else rec.scene.structure.bodies
+    # At least an octave above the highest mode of the scene.
+    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
+    lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
+    upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
+    acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
+    acceleration, begin = acceleration[: decay_stop - read_start], decay_start - read_start
+    highest_mode = min(highest_mode, upper_limit)
+    peak_frequencies = spectral_peaks(acceleration[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
+    clock = clock_deviation(rec)
+    decays = tuple(
+        modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), begin, clock=clock)
+        for i, f in enumerate(peak_frequencies)
+    )
+    if len(decays) < max_modes:
+        warnings.append(
+            f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
+            f"{lowest_mode:.3g} and {highest_mode:.4g} Hz. Choose another channel for the other modes."
+        )
+    period = int(rec.rate / (peak_frequencies[0] if peak_frequencies.size else _DEFAULT_MODE_HZ))
+    # The envelope of the last period depends on samples after the end, so the last period is discarded.
+    end = acceleration.size - min(period, (acceleration.size - begin) // 10)
+    free_decay = acceleration[begin:end]
+    # Unlike the magnitude of the analytic signal, this envelope does not exceed the largest acceleration next to the
+    # hit, and does not oscillate when several modes beat.
+    longest_period = rec.rate / min((mode.frequency for mode in decays), default=rec.rate / (free_decay.size - 1))
+    envelope = upper_bound(acceleration[begin:], longest_period)[: free_decay.size]
+    peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
+    energy = _energy_decay(free_decay)
+    if energy.min() > INITIAL_DECAY_DB[1]:
+        warnings.append(
+            f"The energy of {info.name}'s motion does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the record, so "
+            "its decay is undetermined. Record for longer."
+        )
+    return Decay(
+        channel=info.name,
+        label=rec.scene.name,
+        hit=hit,
+        time=np.arange(free_decay.size) / rec.rate,
+        acceleration=free_decay,
+        envelope=envelope,
+        peak_time=peak_indices / rec.rate,
+        peak=abs(free_decay)[peak_indices],
+        energy=energy,
+        modes=decays,
+        gravity=rec.scene.gravity or STANDARD_GRAVITY,
+        warnings=tuple(warnings),
+    )
+
+
+def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> tuple[Array, list[str]]:
+    """Return the samples of a hit with lost samples interpolated, and a warning if there were any."""
+    samples, warnings = rec.read(info.name, start, stop), list[str]()
+    lost = ~np.isfinite(samples)
+    if lost.any():
+        if lost.mean() > _MAX_LOST_FRACTION:
+            raise RecordingError(
+                f"{rec.path}: {format_percent(lost.mean())} of the samples of hit {hit} are lost. Choose another hit, "
+                "or record again."
+            )
+        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+        warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
+    if not np.any(abs(samples - samples[0]) > 0):
+        raise RecordingError(
+            f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
+            "the sensor and record again."
+        )
+    return samples, warnings
+
+
+def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> list[str]:
+    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if for too long."""
+    # First sample that the decay affects, with the delay of the converter's filter.
+    first = arrival(info, start, start)[0]
+    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]
+    overloaded = sum(max(min(marker.end + 1, stop) - max(marker.first_sample, first), 0) for marker in overloads)
+    fraction = overloaded / max(stop - first, 1)
+    if fraction > _MAX_OVERLOADED_FRACTION:
+        raise RecordingError(
+            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of hit {hit}'s decay. Hit more "
+            "softly, widen the converter's range, or lower the sensitivity in the scene."
+        )
+    if not fraction:
+        return []
+    return [
+        f"{info.name} was overloaded for {format_percent(fraction)} of the decay, so that its first amplitudes are "
+        "too low. Hit more softly, or widen the converter's range."
+    ]
+
+
+def _energy_decay(acceleration: Array) -> Array:
+    """Return the backward-integrated energy, dB relative to its initial value; 0 if the motion is not a free decay."""
+    backward_energy = np.cumsum(acceleration[::-1] ** 2)[::-1]
+    energy_after_end = _energy_after_end(acceleration)
+    if np.isinf(energy_after_end):
+        return np.zeros(acceleration.size)
+    # If the samples end in zeros, the energy is zero there, and its logarithm is undefined.
+    ratio = (backward_energy + energy_after_end) / (backward_energy[0] + energy_after_end)
+    return np.asarray(10.0 * np.log10(np.maximum(ratio, _MIN_ENERGY_RATIO)))
+
+
+def _energy_after_end(acceleration: Array) -> float:
+    """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)².
+
+    If the energy does not fall there, the result is 0 if the last tenth contains at most `_MAX_FINAL_ENERGY_FRACTION`
+    of the energy (noise), otherwise infinite (not a free decay).
+    """
+    tenth = max(1, acceleration.size // 10)
+    previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
+    last_energy = float(np.sum(acceleration[-tenth:] ** 2))
+    if previous_energy > last_energy:
+        # Sum of the geometric series of all later tenths.
+        return last_energy * last_energy / (previous_energy - last_energy)
+    return np.inf if last_energy > _MAX_FINAL_ENERGY_FRACTION * float(np.sum(acceleration**2)) else 0.0
+
+
+def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
+    """Return sample indices: start of reading, start and end of the decay, end of reading; ends are exclusive."""
+    hit_limits = hits(rec)
+    if not 1 <= hit <= len(hit_limits):
+        raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")
+    first, last = hit_limits[hit - 1]
+    # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
+    # After the correction, the filter's response to the next hit begins before the hit; the decay ends before it.
+    read_stop = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
+    max_response_delay = arrival(info, 0, 0)[1]
+    decay_start, decay_stop = last + 1, read_stop - max_response_delay
+    # Include samples before the hit, so that the band-pass starts with the structure at rest.
+    read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
+    if decay_stop - decay_start < _MIN_SAMPLES:
+        raise RecordingError(
+            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow hit {hit}; expected {_MIN_SAMPLES} or "
+            "more. Increase test.interval (for a free decay: test.duration), and record again."
+        )
+    return read_start, decay_start, decay_stop, read_stop

@@ -1,0 +1,325 @@
+"""Envelope of one mode of a free decay, and its damping ratio and natural frequency against amplitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+from scipy import fft
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results import Result, complete_style, format_quantity
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction.
+_SAME_MODE_RATIO = 0.1
+# Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
+MAX_RELATIVE_ERROR = 0.05
+# The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around that amplitude.
+# This constant is half of the fall. The amplitudes are 1.5 dB apart.
+_HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
+# The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
+# more fits. In the first fit, the impulse response of the band-pass is longer by this factor.
+_RESPONSE_RATIO = 2.0**0.5
+# In the second fit, the fall is larger by this factor.
+_FALL_RATIO = 1.5
+# The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
+# In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
+_RESPONSE_BIAS_FACTOR = 2.5
+# If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
+_KINK_ERROR_FACTOR = 8.0
+# Number of neighboring amplitudes on either side that a change of damping affects.
+_AFFECTED_LEVELS = 2
+# Maximum number of envelope points in the fit of one damping ratio.
+_MAX_POINTS = 64
+
+
+@dataclass(frozen=True, repr=False)
+class ModalDecay(Result):
+    """Decay of one mode after a band-pass filter.
+
+    Uncertainties are standard uncertainties due to noise, averaging over neighboring amplitudes, and the clock.
+    """
+
+    # natural frequency at the amplitude with the smallest uncertainty, Hz; `center` if no amplitude determines it
+    frequency: float
+    frequency_error: float  # Hz; NaN if no amplitude determines the frequency
+    center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
+    time: Array  # after the hit, s
+    envelope: Array  # amplitude of the acceleration, m/s²
+    noise: float  # noise of the band-passed acceleration, rms, m/s²
+    # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
+    amplitude: Array
+    damping: Array  # damping ratio at those amplitudes
+    damping_error: Array
+    damping_smear: Array  # bound of the bias of `damping` due to averaging over neighboring amplitudes
+    natural: Array  # natural frequency at those amplitudes, Hz
+    natural_error: Array  # Hz
+
+    def summary(self) -> str:
+        """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""
+        heading = f"{self.frequency_text()}, {self.damping.size} amplitudes"
+        if not self.damping.size:
+            return heading
+        return (
+            f"{heading}, damping ratio {100 * self.damping[0]:.3g} % at {self.amplitude[0]:.3g} m/s², "
+            f"{100 * self.small_damping():.3g} % at small amplitudes"
+        )
+
+    def columns(self) -> dict[str, Array]:
+        """Return amplitude, damping ratio and natural frequency, with standard uncertainties."""
+        return {
+            "amplitude_m/s²": self.amplitude,
+            "damping_ratio": self.damping,
+            "damping_ratio_std": self.damping_error,
+            "frequency_Hz": self.natural,
+            "frequency_std_Hz": self.natural_error,
+        }
+
+    @property
+    def percent(self) -> tuple[Array, Array]:
+        """Damping ratio at each amplitude and its expanded uncertainty, %."""
+        return 100.0 * self.damping, 100.0 * expand(self.damping_error)
+
+    def frequency_text(self) -> str:
+        """Format the natural frequency with its expanded uncertainty."""
+        return format_quantity(self.frequency, float(expand(self.frequency_error)), "Hz")
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the damping ratio against amplitude with its expanded uncertainty."""
+        percent, expanded = self.percent
+        style = complete_style(style, ms=3, label=self.frequency_text())
+        (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
+        bounds = percent - expanded, percent + expanded
+        ax.fill_between(self.amplitude, *bounds, color=line.get_color(), alpha=0.2, lw=0)
+        ax.set(xlabel="amplitude / (m/s²)", ylabel="damping ratio / %")
+
+    @property
+    def decrement(self) -> Array:
+        """Logarithmic decrement at each amplitude: ln of the ratio of successive maxima."""
+        return 2.0 * np.pi * self.damping / np.sqrt(1.0 - np.minimum(self.damping, 0.99) ** 2)
+
+    def small_damping(self) -> float:
+        """Return the damping ratio at small amplitudes: median over the lowest third of the levels."""
+        count = max(1, self.damping.size // 3)
+        return float(np.median(self.damping[-count:])) if self.damping.size else np.nan
+
+    def at(self, amplitude: float) -> float:
+        """Interpolate the damping ratio at an amplitude; NaN outside the measured range."""
+        if not self.damping.size:
+            return float("nan")
+        # The amplitudes are in descending order.
+        rising, damping = self.amplitude[::-1], self.damping[::-1]
+        return float(np.interp(amplitude, rising, damping, left=np.nan, right=np.nan))
+
+
+def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float, high: float) -> Array:
+    """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order, Hz.
+
+    A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
+    band. Its frequency is refined by a parabola through the logarithm of three bins.
+    """
+    padded_length = fft.next_fast_len(4 * acceleration.size, real=True)
+    taper = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
+    level = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, padded_length)) + 1e-300)
+    frequency = fft.rfftfreq(padded_length, 1.0 / rate)
+    inside = (frequency >= low) & (frequency <= high)
+    level, frequency = level[inside], frequency[inside]
+    indices, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
+    distinct: list[int] = []
+    for peak in indices[np.argsort(level[indices], kind="stable")[::-1]]:
+        # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
+        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE_RATIO for other in distinct):
+            distinct.append(int(peak))
+    indices = np.sort(np.array(distinct[:max_peaks], dtype=int))
+    left, mid, right = level[indices - 1], level[indices], level[indices + 1]
+    shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
+    return frequency[indices] + shift * (frequency[1] - frequency[0])
+
+
+def band_width(frequencies: Array, index: int) -> float:
+    """Return the standard deviation of the Gaussian band-pass for one of several modes, Hz.
+
+    It is a quarter of the distance to the nearest other mode, which is then attenuated by a factor of exp(-8), and at
+    most a quarter of the natural frequency.
+    """
+    others = np.delete(frequencies, index)
+    nearest = np.min(abs(others - frequencies[index])) if others.size else np.inf
+    return float(min(nearest, frequencies[index]) / 4.0)
+
+
+def modal_decay(
+    acceleration: Array,  # m/s², from before the hit
+    rate: float,
+    frequency: float,  # center of the band-pass, Hz
+    width: float,  # standard deviation of the band-pass, Hz
+    begin: int,  # sample at which the free decay begins
+    amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
+    clock: float = 0.0,  # bound of the relative error of the sample rate
+) -> ModalDecay:
+    """Estimate the envelope of one mode, and its damping ratio against amplitude.
+
+    A Gaussian band-pass over positive frequencies yields the analytic signal directly. It multiplies an exponential
+    decay by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of the
+    impulse response after the hit. The damping ratio at an amplitude is the slope of the logarithm of the envelope
+    while it falls by 6 dB around that amplitude.
+    """
+    analytic, affected = _band_pass(acceleration, rate, frequency, width)
+    envelope = np.abs(analytic)
+    time = (np.arange(acceleration.size) - begin) / rate
+    usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
+    noise = _noise(analytic[usable], rate, frequency, width)
+    levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
+    damping, natural, kink_error = _damping(analytic[usable], levels, _HALF_FALL_NEPERS)
+    # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two ends of the
+    # fall is independent.
+    amplitude = np.exp(levels)
+    noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
+    noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # of the damping ratio, relative
+    narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
+    narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
+    damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
+    damping_larger_fall, natural_larger_fall, _ = _damping(analytic[usable], levels, _FALL_RATIO * _HALF_FALL_NEPERS)
+    # Subtract the residual that noise alone causes.
+    kink_error_of_noise = _KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
+    kink_error = np.sqrt(np.maximum(kink_error**2 - kink_error_of_noise**2, 0.0))
+    bias = _bias_bound(damping, damping_narrower, damping_larger_fall, kink_error)
+    error = np.hypot(noise_error * damping, 0.5 * bias)
+    # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
+    natural_bias = np.full(natural.size, np.nan)
+    # The bias is determined only if both fits are determined.
+    if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():
+        natural_bias = _bias_bound(natural, natural_narrower, natural_larger_fall, np.zeros(natural.size))
+    natural_error = np.hypot(np.hypot(noise_error * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
+    reported = np.ones(levels.size, dtype=bool)
+    if amplitudes is None:
+        reported = np.isfinite(damping) & (damping > 0) & (noise_error < MAX_RELATIVE_ERROR)
+    to_hz = rate / (2.0 * np.pi)  # from rad/sample
+    natural, natural_error = to_hz * natural[reported], to_hz * natural_error[reported]
+    # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
+    plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
+    frequency_estimate = frequency, float("nan")
+    if plausible.size:
+        k = plausible[np.argmin(natural_error[plausible])]
+        frequency_estimate = float(natural[k]), float(natural_error[k])
+    return ModalDecay(
+        *frequency_estimate, frequency, time[begin:], envelope[begin:], noise,
+        amplitude[reported], damping[reported], error[reported], bias[reported], natural, natural_error,
+    )  # fmt: skip
+
+
+def _band_pass(acceleration: Array, rate: float, frequency: float, width: float) -> tuple[ComplexArray, int]:
+    """Return the analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
+    padded_length = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
+    spectrum = fft.fft(acceleration, padded_length)
+    bins = fft.fftfreq(padded_length, 1.0 / rate)
+    spectrum *= np.where(bins > 0, 2.0 * np.exp(-0.5 * ((bins - frequency) / width) ** 2), 0.0)
+    return fft.ifft(spectrum)[: acceleration.size], int(np.ceil(3.0 * rate / (2 * np.pi * width)))
+
+
+def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
+    """Estimate the noise, rms: residual of an exponential fit to the last quarter of the decay.
+
+    The dampers are usually at rest there, and the structure responds linearly; any damper motion counts as noise.
+    """
+    step = max(1, int(rate / (8.0 * width)))
+    last_quarter = analytic[-(analytic.size // 4) :][::step]
+    if last_quarter.size < 8:
+        return 0.0
+    t = np.arange(last_quarter.size) * step / rate
+    baseband = last_quarter * np.exp(-2j * np.pi * frequency * t)
+    weight = abs(baseband)
+    decay, log_amplitude = np.polyfit(t, np.log(np.maximum(weight, 1e-300)), 1, w=weight)
+    rotation, angle = np.polyfit(t, np.unwrap(np.angle(baseband)), 1, w=weight)
+    residual = baseband - np.exp(decay * t + log_amplitude + 1j * (rotation * t + angle))
+    # The fit has four real parameters, that is two complex degrees of freedom.
+    n_independent = max(t[-1] * np.sqrt(np.pi) * width, 3.0)
+    return float(np.sqrt(np.mean(abs(residual) ** 2) * n_independent / (n_independent - 2.0)))
+
+
+def _log_decay_envelope(envelope: Array) -> Array:
+    """Return the logarithm of the largest later amplitude, which is monotonic, so that it crosses each level once."""
+    return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
+
+
+def _levels(envelope: Array) -> Array:
+    """Return the logarithms of the amplitudes at which the damping ratio is estimated."""
+    if envelope.size < 8 or envelope.max() <= 0:
+        return np.empty(0)
+    log_envelope = _log_decay_envelope(envelope)
+    return np.arange(
+        log_envelope[0] - 1.25 * _HALF_FALL_NEPERS, log_envelope[-1] + _HALF_FALL_NEPERS, -_HALF_FALL_NEPERS / 2.0
+    )
+
+
+def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
+    """Return damping ratio, natural frequency (rad/sample) and relative error bound due to a kink at each level.
+
+    They are estimated from the fall of the envelope by `half_fall` nepers on either side of the level. Damping ratio
+    and natural frequency are NaN outside the decay.
+    """
+    envelope = np.abs(analytic)
+    if envelope.size < 8 or envelope.max() <= 0:
+        undetermined = np.full(levels.size, np.nan)
+        return undetermined, undetermined, np.zeros(levels.size)
+    log_envelope = _log_decay_envelope(envelope)
+    first, last = _crossings(log_envelope, levels + half_fall), _crossings(log_envelope, levels - half_fall)
+    logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
+    sample = np.arange(envelope.size)
+    phase_change = np.interp(last, sample, phase) - np.interp(first, sample, phase)
+    rates = [_decay_rate(logarithm, *fall) for fall in zip(first, last, levels, strict=True)]
+    decay_rate, residual = np.array(rates).reshape(-1, 2).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        natural = np.hypot(phase_change / (last - first), decay_rate)
+        return np.asarray(decay_rate / natural), natural, _KINK_ERROR_FACTOR * residual / half_fall
+
+
+def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
+    """Return the decay rate of a logarithmic envelope at a level, nepers per sample, and the rms residual of the fit.
+
+    A parabola is fitted between the samples `first` and `last`, because a straight line would yield the mean of a
+    varying slope. Beats average out.
+    """
+    if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
+        return float("nan"), 0.0
+    samples = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))
+    middle, half_length = 0.5 * (first + last), 0.5 * (last - first)
+    position = (samples - middle) / half_length
+    curvature, slope, value = np.polyfit(position, logarithm[samples] - level, 2)
+    residual = logarithm[samples] - level - (curvature * position**2 + slope * position + value)
+    # Crossing of the parabola with the level: one Newton step from the crossing of its linear part.
+    crossing = -value / slope if slope < 0 else 0.0
+    slope_at_crossing = slope + 2.0 * curvature * crossing
+    if slope_at_crossing < 0:
+        crossing -= (value + slope * crossing + curvature * crossing**2) / slope_at_crossing
+    decay_rate = float(-(slope + 2.0 * curvature * float(np.clip(crossing, -0.5, 0.5))) / half_length)
+    return decay_rate, float(np.sqrt(np.mean(residual**2)))
+
+
+def _bias_bound(values: Array, narrower: Array, larger_fall: Array, kink_error: Array) -> Array:
+    """Bound the bias of values at each level by their change with a narrower band-pass and with a larger fall."""
+    bias = np.nan_to_num(kink_error * values)
+    for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (larger_fall, 1.0)):
+        difference = abs(alternative - values)
+        determined = np.flatnonzero(np.isfinite(difference))
+        if determined.size:
+            # The fits over a larger fall are undetermined at the first and last levels. The nearest known difference is
+            # used there.
+            bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
+    return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
+
+
+def _crossings(curve: Array, levels: Array) -> Array:
+    """Interpolate the sample index at which a falling curve crosses each level; NaN if it does not."""
+    after = curve.size - np.searchsorted(curve[::-1], levels, side="left")
+    inside = (after > 0) & (after < curve.size)
+    after = np.clip(after, 1, curve.size - 1)
+    high, low = curve[after - 1], curve[after]
+    fraction = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
+    at_start = abs(levels - curve[0]) <= 1e-9
+    return np.where(inside, after - 1 + fraction, np.where(at_start, 0.0, np.nan))

@@ -1,0 +1,243 @@
+"""Measured data of a fit: responses to one reference, the covariance of their errors, and their sensors.
+
+Each response is divided by the *reference*: the force or, with a coil spring, the displacement of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.responses.estimator import annotate
+from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.responses.measurands import driven_forces, reference_of, required_channels, response_channels
+from analysis.core.responses.stepped_sine import sweep_name, sweeps
+from analysis.core.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.results.response import Response, stack
+from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Covariance, standard_of_limit
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+    from rig.core.scene.scene import Scene
+
+
+# The standard deviation of a point is at least this fraction of the value.
+_MIN_RELATIVE_STD = 2e-5
+# The standard deviation of a point is at least this fraction of the largest value of its curve.
+_MIN_STD_RELATIVE_TO_PEAK = 1e-7
+# The noise power of the reference has this relative uncertainty if it is estimated from several responses.
+_REFERENCE_NOISE_UNCERTAINTY = 0.5
+# These systematic errors are unknowns of the fit.
+_FITTED_ERRORS = (SENSITIVITY, CLOCK)
+# `Curves.correlated_bound` does not include these systematic errors.
+_EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
+# Minimum number of points of a fit.
+_MIN_POINTS = 8
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A physical sensor; equal sensors in several recordings have the same sensitivity error."""
+
+    name: str  # of its channel
+    at: str  # location in the scene, such as 'body 2'
+    seed: int  # of the recorded scene, which identifies the individual sensor
+    tolerance: float  # relative tolerance of the sensitivity, from the data sheet
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Responses of one sweep or test over one reference, at n frequencies.
+
+    Bounds of systematic errors: `line_bound` bounds errors that vary irregularly from line to line; `correlated_bound`
+    bounds all others, without reference noise (see `reference_noise_bound`) and the tolerances of sensors and clock,
+    which are unknowns of the fit. If the reference noise is not estimated (`errors.reference` is None),
+    `correlated_bound` includes the reference noise and the errors of `line_bound`.
+    """
+
+    label: str  # recording, and level or part where it has several
+    scene: Scene  # of the recording: the fit uses its shaker, test and dampers, and estimates its structure
+    frequency: Array  # Hz, in the order of measurement, shape (n,)
+    value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
+    # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
+    whitening: ComplexArray
+    errors: Covariance  # covariance of the random errors
+    line_bound: Array  # shape (responses, n)
+    correlated_bound: Array  # shape (responses, n)
+    reference_noise_bound: Array  # bound of the relative error of all responses due to reference noise, shape (n,)
+    sensors: tuple[Sensor, ...]  # sensor of each response
+    reference_sensor: Sensor
+    bodies: tuple[int, ...]  # body of each response, counted from 0
+    reference: str  # 'force' or 'table'
+    level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
+    clock_tolerance: float  # largest relative deviation of the sample clock
+    frfs: tuple[Response, ...]
+    warnings: tuple[str, ...]  # warnings of the estimation
+
+    @property
+    def has_moving_dampers(self) -> bool:
+        """Whether there are dampers that can move in their cavities."""
+        return any(damper.moves for damper in self.scene.dampers)
+
+
+def measured_curves(rec: Recording, name: str) -> list[Curves]:
+    """Estimate the curves of a fit: one set for each sweep or test of a recording.
+
+    With a coil spring the reference is the displacement of the table: the responses describe the structure with the
+    spring to ground. The spring force would be a small difference of two readings.
+
+    Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
+    """
+    scene = rec.scene
+    if not rec.test.drives:
+        raise RecordingError(
+            f"{name}: a free decay has no response to a force. Record a stepped_sine, swept_sine, multisine, random "
+            "or impulse test."
+        )
+    if len(driven_forces(rec)) > 1:
+        raise RecordingError(
+            f"{name}: several shakers were driven at once, but a fit needs responses to one force. Record one "
+            "shaker at a time, and fit the recordings together."
+        )
+    names = response_channels(rec)
+    if not names:
+        raise RecordingError(
+            f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
+        )
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
+    reference = "force" if spring is None or rec.test.kind.hammered else "table"
+    has_tones = rec.test.kind.steady
+    if any(damper.moves for damper in scene.dampers) and not has_tones:
+        raise RecordingError(
+            f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "
+            "level. Record test: {kind: stepped_sine, ...} at one or several levels."
+        )
+    if has_tones:
+        all_sweeps = sweeps(rec, required_channels(rec, names, reference))
+        return [
+            _curves(
+                rec,
+                annotate(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
+                reference,
+                f"{name}, {sweep_name(rec, (sweep.level, sweep.direction))}" if len(all_sweeps) > 1 else name,
+            )
+            for sweep in all_sweeps
+        ]
+    groups = frequency_responses(rec, names, reference)
+    return [
+        _curves(rec, group, reference, name if len(groups) == 1 else f"{name}, part {number}")
+        for number, group in enumerate(groups, 1)
+    ]
+
+
+def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
+    """Return the curves of one sweep or test, without dead channels and without points that cannot be fitted."""
+    zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
+    if len(zero_responses) == len(frfs):
+        raise RecordingError(
+            f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
+            "the sensors and cables."
+        )
+    notes = [f"{name} is left out: it reads zero throughout (dead or not connected)." for name in zero_responses]
+    frfs = [frf for frf in frfs if frf.response not in zero_responses]
+    value = np.stack([frf.value for frf in frfs])
+    bounds = np.vstack([_bounds(frfs, without=_EXCLUDED_FROM_CORRELATED), _bounds(frfs, IRREGULAR)])
+    is_bounded = np.isfinite(bounds).all(axis=0)
+    is_unsteady = np.any(
+        [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_bounded.size, bool)], axis=0
+    )
+    is_valid = np.isfinite(value).all(axis=0) & is_bounded & ~is_unsteady & (frfs[0].frequency > 0.0)
+    if is_valid.sum() < _MIN_POINTS:
+        raise RecordingError(
+            f"{label}: only {int(is_valid.sum())} points have a value and a finite uncertainty; expected "
+            f"{_MIN_POINTS} or "
+            "more. " + (" ".join(frfs[0].warnings) or "Record again at more frequencies.")
+        )
+    sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
+    errors = stack(frfs).covariance().at(is_valid)
+    frfs = [frf.at(is_valid) for frf in frfs]
+    relative_bias, reference_noise_bound = _reference_noise(frfs, errors)
+    return Curves(
+        label=label,
+        scene=rec.scene,
+        frequency=frfs[0].frequency,
+        value=value[:, is_valid] * (1.0 + relative_bias),
+        whitening=_whitening(frfs, errors),
+        errors=errors,
+        line_bound=_bounds(frfs, IRREGULAR),
+        correlated_bound=_bounds(
+            frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
+        ),
+        reference_noise_bound=reference_noise_bound,
+        sensors=sensors,
+        reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
+        bodies=tuple(rec.channels[sensor.name].body - 1 for sensor in sensors),
+        reference=reference,
+        level=frfs[0].amplitude,
+        clock_tolerance=abs(rec.scene.converter.clock_error or 0.0),
+        frfs=tuple(frfs),
+        warnings=(*notes, *frfs[0].warnings),
+    )
+
+
+def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
+    """Return the root sum of squares of the bounds of systematic errors; shape (responses, n).
+
+    `names`: included errors, by default all; `without`: excluded errors.
+    """
+    totals = []
+    for frf in frfs:
+        selected = names or frf.limits
+        included = [bound for name, bound in frf.limits.items() if name in selected and name not in without]
+        totals.append(np.linalg.norm([np.zeros(frf.value.size), *included], axis=0))
+    return np.stack(totals)
+
+
+def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
+    """Return the relative bias of all responses due to reference noise, and the bound of its error, shapes (n,)."""
+    magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
+    # A response's own noise lowers its coherence too. The smallest bound is therefore the best estimate of the
+    # reference noise.
+    bias_bound: Array = np.asarray((_bounds(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
+    if errors.reference is None or len(frfs) < 2:
+        return np.zeros(bias_bound.size), bias_bound
+    noise_ratio = np.minimum(errors.reference, 0.5)
+    return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_UNCERTAINTY * noise_ratio
+
+
+def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
+    """Return the inverse square root of the covariance of the real or imaginary part, as in `Curves.whitening`."""
+    quadrature_covariance = errors.lines / 2.0
+    variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
+    magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)
+    # A single average determines no variance. A standard deviation of 1 % of the median magnitude is then assumed.
+    quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
+    variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
+    variance_floor = (_MIN_RELATIVE_STD * magnitude) ** 2 + (_MIN_STD_RELATIVE_TO_PEAK * magnitude.max(axis=0)) ** 2
+    # A variance from few degrees of freedom is multiplied by the variance of Student's t distribution, at most by 2.
+    inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
+    if errors.reference is None:
+        systematic = _bounds(frfs, without=_FITTED_ERRORS)
+        freedom = np.stack([frf.degrees for frf in frfs], axis=1)
+        inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
+    index = np.arange(len(frfs))
+    quadrature_covariance *= inflation[:, :1, None]
+    quadrature_covariance[:, index, index] = (
+        inflation * variance + standard_of_limit(systematic.T) ** 2 + variance_floor
+    )
+    return inverse_root(quadrature_covariance)
+
+
+def inverse_root(covariance: ComplexArray) -> ComplexArray:
+    """Return the inverse Cholesky factors of covariances, shape (n, responses, responses)."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _sensor(rec: Recording, name: str) -> Sensor:
+    info = rec.channels[name]
+    return Sensor(name, info.at, rec.scene.seed, tolerance(info))

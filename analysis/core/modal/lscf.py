@@ -1,0 +1,116 @@
+"""Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization chart.
+
+The poles of common-denominator models of increasing order are compared. A pole that recurs at the next order is
+*stable*; a pole s with Re s < 0 is *decaying*.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.core.base.arrays import Array, ComplexArray
+
+# A pole with a larger damping ratio is discarded.
+MAX_DAMPING = 0.25
+# A cluster represents a mode if it contains at least this number of stable poles.
+_MIN_STABLE_POLES = 4
+
+
+@dataclass(frozen=True)
+class ChartPole:
+    """One pole of the stabilization chart."""
+
+    order: int  # order of the denominator: number of poles of its model
+    frequency: float  # Hz
+    damping: float  # damping ratio
+    stable: bool  # whether the previous order has nearly the same pole (see `_is_same_pole`)
+
+    @property
+    def pole(self) -> complex:
+        """Return the pole, rad/s."""
+        omega = 2 * np.pi * self.frequency
+        return complex(-self.damping * omega, omega * np.sqrt(1.0 - self.damping**2))
+
+
+def poles_by_order(
+    frequency: Array, value: ComplexArray, weight: Array, orders: range
+) -> Iterator[tuple[int, ComplexArray]]:
+    """Estimate poles by common-denominator models of increasing order, fitted to all responses.
+
+    The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
+    highest coefficient of A set to 1. With this constraint the poles due to noise grow (Re s > 0), so that the chart is
+    clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain estimator,
+    IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of `value`, shape
+    (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
+    """
+    f_min, f_max = float(frequency.min()), float(frequency.max())
+    phase = np.pi * (frequency - f_min) / (f_max - f_min)
+    basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
+    bases = [
+        (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
+    ]
+    for order in orders:
+        # The numerators are eliminated from the normal equations.
+        reduced_normal_matrix = np.zeros((order + 1, order + 1), dtype=complex)
+        for numerator, denominator in bases:
+            numerator_basis, _ = np.linalg.qr(numerator[:, : order + 1])
+            residual = denominator[:, : order + 1]
+            residual = residual - numerator_basis @ (numerator_basis.conj().T @ residual)
+            reduced_normal_matrix += residual.conj().T @ residual
+        matrix, right_side = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]
+        coefficients = np.linalg.lstsq(matrix, right_side, rcond=None)[0]
+        roots = np.roots(np.append(coefficients, 1.0)[::-1])
+        with np.errstate(divide="ignore"):
+            # z = exp(-(s - 2 pi i f_min) T) with T = 1 / (2 (f_max - f_min)).
+            s = -np.log(roots[roots != 0]) * 2.0 * (f_max - f_min) + 2j * np.pi * f_min
+        # Poles in the outermost hundredth of the band are spurious, because the polynomial is poorly determined there.
+        edge = 0.01 * (f_max - f_min)
+        inside = (s.real < 0) & (s.imag > 2 * np.pi * (f_min + edge)) & (s.imag < 2 * np.pi * (f_max - edge))
+        yield order, s[inside]
+
+
+def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
+    """Compute the stabilization chart of models of order 2 to 24; arguments as in `poles_by_order`."""
+    chart: list[ChartPole] = []
+    previous: list[complex] = []
+    spacing = float(np.median(np.diff(frequency)))
+    for order, poles in poles_by_order(frequency, value, weight, range(2, 25)):
+        current = sorted((pole for pole in poles if -pole.real < MAX_DAMPING * abs(pole)), key=lambda pole: pole.imag)
+        for pole in current:
+            stable = any(_is_same_pole(pole, earlier, spacing) for earlier in previous)
+            chart.append(ChartPole(order, float(abs(pole) / (2 * np.pi)), float(-pole.real / abs(pole)), stable))
+        previous = current
+    return chart
+
+
+def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
+    """Cluster the poles of several charts; return a pole, rad/s, of each cluster with enough stable poles, and of each.
+
+    Clusters with the most stable poles are first.
+    """
+    spacing = float(np.median(np.diff(frequency)))
+    clusters: list[tuple[complex, int]] = []  # last stable pole, otherwise first pole, and number of stable poles
+    for chart_pole in itertools.chain(*charts):
+        pole = chart_pole.pole
+        same = [k for k, (other, _) in enumerate(clusters) if _is_same_pole(pole, other, spacing)]
+        if same:
+            nearest = min(same, key=lambda k: abs(clusters[k][0] - pole))
+            earlier, n_stable = clusters[nearest]
+            # The last pole is the most accurate, because at its order other poles represent the noise.
+            clusters[nearest] = (pole if chart_pole.stable else earlier, n_stable + chart_pole.stable)
+        else:
+            clusters.append((pole, int(chart_pole.stable)))
+    clusters.sort(key=lambda cluster: -cluster[1])
+    return (
+        np.array([pole for pole, n_stable in clusters if n_stable >= _MIN_STABLE_POLES], dtype=complex),
+        np.array([pole for pole, _ in clusters], dtype=complex),
+    )
+
+
+def _is_same_pole(first: complex, second: complex, spacing: float) -> bool:
+    """Return whether two poles are closer than a quarter of the half-power bandwidth, or of the line spacing in Hz."""
+    return abs(first - second) < max(0.5 * max(-first.real, -second.real), 0.5 * np.pi * spacing)

@@ -1,0 +1,114 @@
+"""Warnings about identified modes, each with its consequence and its remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
+from analysis.core.modal.pole_errors import LEAKAGE_FACTOR
+from analysis.core.responses.estimator import estimator_of
+from rig.core.base.arrays import Array
+from rig.core.results import format_percent
+from rig.core.results.response import Response
+
+# A larger relative standard uncertainty of a damping ratio causes a warning.
+_MAX_DAMPING_UNCERTAINTY = 0.02
+# At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by
+# `_MAX_DAMPING_UNCERTAINTY`.
+_WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
+# A linear structure with lightly damped modes leaves a smaller residual than this fraction of the peak height.
+_MAX_LINEAR_RESIDUAL = 0.005
+
+
+def mode_warnings(
+    modes: Modes,
+    curves: Sequence[Response],
+    count: int | None,
+    rejected: Sequence[float],  # Hz: poles whose damping or peak height is not determined
+    uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
+    unmeasured: Array,  # Hz: poles around which no line was measured
+    unused_responses: Sequence[str],  # responses that were not used
+) -> Iterator[str]:
+    """Yield warnings about modes; `count` modes were requested."""
+    for name in unused_responses:
+        yield (
+            f"{name} was left out: its uncertainty is unbounded. Record again with a sensor and a converter range that "
+            "suit its level."
+        )
+    if modes.model_error:
+        has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
+        expected = "error bars" if has_error_bars else "scatter"
+        residual_text = (
+            f"the best linear fit leaves a residual of {format_percent(modes.model_error)} of the peak height"
+        )
+        if modes.model_error > _MAX_LINEAR_RESIDUAL:
+            yield (
+                f"The modes do not explain the response: {residual_text}, more than the {expected}. Either the "
+                "structure is nonlinear, as with dampers in flight, and these modes are its linear equivalent at this "
+                "force level; or it also has a heavily damped mode, such as that of a shaker's armature."
+            )
+        else:
+            yield (
+                f"Small model error: {residual_text}, more than the {expected}. "
+                "The uncertainties of the modes include it."
+            )
+    if rejected:
+        yield (
+            f"Rejected the stable poles at {_listed(np.sort(rejected))} Hz: their damping or height is below the "
+            "uncertainty of these curves. Impacts of dampers also cause such peaks, which are not modes."
+        )
+    if uncertain_poles.size:
+        listed = _listed(uncertain_poles)
+        yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
+    if unmeasured.size:
+        yield (
+            f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were left out. There may be "
+            "several modes there."
+        )
+    f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
+    if count is not None and f.size < count:
+        yield f"Identified only {f.size} of {count} requested modes: no other mode is significant in these curves."
+    half_widths, line_frequency = zeta * f, curves[0].frequency
+    resolution = max(curve.resolution for curve in curves)
+    widened = resolution > _WIDENING_RATIO * half_widths
+    narrow = (zeta_error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
+    if narrow.any():
+        yield (
+            f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
+            "upper bound of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
+        )
+    leaking = widened & ~narrow
+    if leaking.any():
+        yield (
+            f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
+            f"{_listed(2.0 * half_widths[leaking], 3)} Hz), which raises the damping ratios by more than "
+            f"{format_percent(_MAX_DAMPING_UNCERTAINTY)}. Use blocks of at least "
+            f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
+        )
+    # Lines within the half-power bandwidth on either side of the resonance.
+    n_points = np.sum(abs(line_frequency - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
+    undersampled = (n_points < 2) & ~widened
+    estimator = estimator_of(curves[0].test)
+    if estimator.resolves_between_lines:
+        undersampled &= zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta
+    if undersampled.any():
+        narrowest = half_widths[undersampled].min()
+        remedy = estimator.line_remedy(narrowest / 2.0)
+        yield (
+            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power bandwidth of "
+            f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
+            f"flanks. {remedy}"
+        )
+    uncertain = (zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta) & (zeta_error <= MAX_RELATIVE_UNCERTAINTY * zeta)
+    if uncertain.any():
+        parts = ", ".join(
+            f"{format_percent(ratio)} at {frequency:.4g} Hz"
+            for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
+        )
+        yield f"Damping is poorly determined: {parts} (standard uncertainty)."
+
+
+def _listed(values: Array, digits: int = 4) -> str:
+    return ", ".join(f"{value:.{digits}g}" for value in values)

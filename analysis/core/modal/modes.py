@@ -1,0 +1,190 @@
+"""Identified modes: natural frequencies, damping ratios, shapes, and the receptances of the modal model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.modal.lscf import ChartPole
+from analysis.core.modal.pole_residue import residual_terms
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+from rig.core.results import Result, complete_style, format_percent, format_quantity
+from rig.core.results.uncertainty import expand
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
+# zero by three standard deviations. Otherwise only the upper bound is given, and the pole counts as a mode only if it
+# has a distinct peak.
+MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
+
+
+class BodyShapes(NamedTuple):
+    """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
+
+    names: tuple[str, ...]
+    shapes: ComplexArray  # shape (bodies, modes)
+    errors: Array  # shape (bodies, modes)
+
+
+@dataclass(frozen=True, repr=False)
+class Modes(Result):
+    """Identified modes.
+
+    Attributes
+    ----------
+    frequency, frequency_error : ndarray, shape (modes,)
+        Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
+    damping, damping_error : ndarray, shape (modes,)
+        Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper bound is
+        known: ``damping + 2 damping_error``.
+    shape_error : ndarray, shape (responses, modes)
+        Standard deviation of each element of `shapes`, from the uncertainty of the curves at the resonance, including
+        sensor tolerances.
+    residue : ndarray of complex, shape (responses, modes)
+        R in R/(s - p) + conj(R)/(s - conj(p)), receptance, m/(N s).
+    responses : tuple of str
+        Channels.
+    chart : tuple of ChartPole
+        Stabilization chart.
+    lower : ndarray, shape (responses,)
+        Contribution of modes below the band: lower / s², m/N.
+    upper : ndarray, shape (responses, 3)
+        Contribution of modes above the band: upper[0] + upper[1] s + upper[2] s², m/N.
+    model_error : float
+        Residual of the modal model beyond the error bars, relative to the neighboring peaks; 0 if the residuals are
+        within the error bars.
+    label : str
+        Scene and setting.
+    warnings : tuple of str
+        Warnings about the results, in full sentences.
+    input : str
+        Excitation and its location, such as ``force at body 1``.
+    places : tuple of str
+        Location of each channel: name of its body, or ``body 1``; empty if unknown.
+    """
+
+    frequency: Array
+    frequency_error: Array
+    damping: Array
+    damping_error: Array
+    shape_error: Array
+    residue: ComplexArray
+    responses: tuple[str, ...]
+    chart: tuple[ChartPole, ...]
+    lower: Array
+    upper: Array
+    model_error: float
+    label: str
+    warnings: tuple[str, ...]
+    input: str = ""
+    places: tuple[str, ...] = ()
+
+    def summary(self) -> str:
+        """List frequency and damping ratio of each mode, with their 95 % intervals."""
+        modes = range(self.frequency.size)
+        texts = (f"{self.frequency_text(k)}, damping ratio {self.damping_text(k)}" for k in modes)
+        return f"{self.label}: {'; '.join(texts)}"
+
+    def frequency_text(self, mode: int) -> str:
+        """Write a natural frequency with its expanded uncertainty (95 %)."""
+        return format_quantity(self.frequency[mode], float(expand(self.frequency_error[mode])), "Hz")
+
+    def damping_text(self, mode: int) -> str:
+        """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
+        ratio, expanded = 100.0 * self.damping[mode], 100.0 * float(expand(self.damping_error[mode]))
+        if self.damping_error[mode] < MAX_RELATIVE_UNCERTAINTY * self.damping[mode]:
+            return format_quantity(ratio, expanded, "%")
+        # A mode of any damping ratio below 100 % would fit.
+        return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return frequency, damping ratio, and the shape at each response, with their standard deviations."""
+        return {
+            "frequency_Hz": self.frequency,
+            "frequency_std_Hz": self.frequency_error,
+            "damping_ratio": self.damping,
+            "damping_ratio_std": self.damping_error,
+            **{f"shape_{name}": row for name, row in zip(self.responses, self.shapes, strict=True)},
+            **{f"shape_{name}_std": row for name, row in zip(self.responses, self.shape_error, strict=True)},
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the shape of each mode along the bodies."""
+        bodies = self.of_bodies()
+        for f, shape in zip(self.frequency, bodies.shapes.T, strict=True):
+            ax.plot(bodies.names, shape.real, "o-", **complete_style(style, label=f"{f:.4g} Hz"))
+        ax.set(ylabel="mode shape")
+
+    @property
+    def shapes(self) -> ComplexArray:
+        """Return the shapes scaled to largest element 1, shape (responses, modes)."""
+        largest = np.argmax(abs(self.residue), axis=0)
+        return self.residue / self.residue[largest, np.arange(self.residue.shape[1])]
+
+    def of_bodies(self) -> BodyShapes:
+        """Return an element of each shape for each body: the weighted mean of the sensors on the same body."""
+        places = self.places or ("",) * len(self.responses)
+        # A channel with an unknown location is a separate point.
+        keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
+        names, shapes, errors = [], [], []
+        # The largest element, which scales a shape, has zero error and gets the weight of the most precise
+        # other element.
+        smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
+        weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
+        for key in dict.fromkeys(keys):
+            rows = [row for row, other in enumerate(keys) if other == key]
+            ratio = weights[rows] / weights[rows].sum(axis=0)
+            # A single sensor on a body without a name, or at an unknown location, is named by its channel.
+            is_unnamed = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
+            names.append(self.responses[rows[0]] if is_unnamed else key)
+            shapes.append((ratio * self.shapes[rows]).sum(axis=0))
+            errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
+        shape, error = np.array(shapes), np.array(errors)
+        largest, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
+        error[largest, modes] = 0.0
+        return BodyShapes(tuple(names), shape / shape[largest, modes], error / abs(shape[largest, modes]))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles of the modes, rad/s, shape (modes,)."""
+        return np.asarray(2 * np.pi * self.frequency * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2)))
+
+    def receptance(self, frequency: Array) -> ComplexArray:
+        """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
+        s = 2j * np.pi * np.asarray(frequency, dtype=float)
+        receptance = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
+        for pole, residue in zip(self.poles, self.residue.T, strict=True):
+            receptance = receptance + residue[:, None] / (s - pole) + residue.conj()[:, None] / (s - pole.conjugate())
+        return np.asarray(receptance, dtype=complex)
+
+    @property
+    def collinearity(self) -> Array:
+        """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase, 0 for a traveling wave.
+
+        It is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control Dyn. 8 (1985)).
+        """
+        return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])
+
+
+def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
+    """Compute the modal assurance criterion between the columns of two shape matrices.
+
+    Examples
+    --------
+    >>> mac(np.eye(2), np.array([[1.0, 1.0], [0.0, 1.0]])).round(6).tolist()
+    [[1.0, 0.5], [0.0, 0.5]]
+    """
+    a, b = np.asarray(first, dtype=complex), np.asarray(second, dtype=complex)
+    if a.ndim != 2 or b.ndim != 2 or len(a) != len(b):
+        raise SceneError(
+            f"mac: got arrays of shape {a.shape} and {b.shape}; expected two matrices with one row for each point"
+        )
+    cross = abs(a.conj().T @ b) ** 2
+    return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))

@@ -1,0 +1,67 @@
+"""Modes from responses to several inputs, for repeated and close modes that a single input cannot separate.
+
+All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
+participation factors, one for each input. The residue of a repeated pole is a sum of such products; their number is the
+rank of the residue matrix [1]_.
+
+References
+----------
+.. [1] D. J. Ewins, Modal Testing, 2nd ed., Research Studies Press 2000, section 4.6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from analysis.core.modal.modes import Modes
+from rig.core.base.arrays import ComplexArray
+
+# A second or further singular value of a residue indicates another mode if it exceeds this number of standard
+# uncertainties.
+_DETECTION_SIGMAS = 5.0
+# Such a singular value must be at least this fraction of the largest; smaller values may be errors of the model.
+_MIN_RATIO = 0.02
+
+
+def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]) -> Modes:
+    """Separate the modes of each pole by the singular values of its residues.
+
+    `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: locations of the
+    outputs. Returns modes with the residues of one input: that whose smallest participation factor is the largest.
+    """
+    n_outputs, n_inputs = len(outputs), len(inputs)
+    pole_of_mode: list[int] = []
+    vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation factors of each mode
+    for k in range(modes.frequency.size):
+        residue = modes.residue[:, k].reshape(n_outputs, n_inputs)
+        noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
+        left, singular, right = np.linalg.svd(residue, full_matrices=False)
+        for r in range(singular.size):
+            if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, _MIN_RATIO * singular[0]):
+                pole_of_mode.append(k)
+                vectors.append((left[:, r] * singular[r], right[r]))
+    shapes, participation = (np.stack(columns, axis=1) for columns in zip(*vectors, strict=True))
+    reference = int(np.argmax(np.min(abs(participation), axis=1)))
+    rows = np.arange(n_outputs) * n_inputs + reference
+    error = np.sqrt(np.mean(np.square(modes.shape_error[:, pole_of_mode].reshape(n_outputs, n_inputs, -1)), axis=1))
+    largest = np.argmax(abs(shapes), axis=0)
+    error[largest, np.arange(len(vectors))] = 0.0
+    repeated = [f"{modes.frequency[k]:.5g} Hz" for k in dict.fromkeys(pole_of_mode) if pole_of_mode.count(k) > 1]
+    notes = (f"Repeated modes, with several shapes each: {', '.join(repeated)}.",) if repeated else ()
+    return replace(
+        modes,
+        **{
+            name: getattr(modes, name)[pole_of_mode]
+            for name in ("frequency", "frequency_error", "damping", "damping_error")
+        },
+        shape_error=error,
+        residue=shapes * participation[reference],
+        responses=outputs,
+        places=places,
+        lower=modes.lower[rows],
+        upper=modes.upper[rows],
+        input=inputs[reference],
+        warnings=(*modes.warnings, *notes),
+    )

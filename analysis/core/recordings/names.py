@@ -1,0 +1,108 @@
+"""Names of recordings in legends, tables and text: scene names, with file names if scenes have equal names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Concatenate, ParamSpec, Protocol, TypeVar
+
+from rig.core.base.errors import RecordingError
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+class _Labeled(Protocol):
+    """A dataclass with a label that begins with the name of its scene."""
+
+    @property
+    def label(self) -> str: ...
+
+
+Labeled = TypeVar("Labeled", bound=_Labeled)
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+
+
+def require_file(path: Path) -> None:
+    """Raise `RecordingError` if an input file does not exist; the message suggests how to get it."""
+    if not path.exists():
+        similar_path = "recordings" / Path(path.name)
+        hint = (
+            f". Did you mean '{similar_path}'?"
+            if similar_path.exists()
+            else f". Make one: `daq record SCENE -o {path}`."
+        )
+        raise RecordingError(f"{path}: no such file{hint}")
+
+
+def open_existing(path: Path) -> Recording:
+    """Open a recording that must exist."""
+    import daq
+
+    require_file(path)
+    return daq.open(path)
+
+
+def as_context(recording: Recording | str | Path) -> AbstractContextManager[Recording]:
+    """Return a context with a recording: a path is open inside the context; an open recording stays open."""
+    return open_existing(Path(recording)) if isinstance(recording, str | Path) else nullcontext(recording)
+
+
+def require_recording(recording: object, name: str) -> None:
+    """Reject an argument that is neither a path nor a recording; the message begins with `name`."""
+    if not isinstance(recording, str | Path) and not hasattr(recording, "channels"):
+        raise RecordingError(
+            f"{name}: got {recording!r:.60}; expected a recording: its path, or the object that daq.open returns"
+        )
+
+
+def takes_path(
+    function: Callable[Concatenate[Recording, Parameters], Returned],
+) -> Callable[Concatenate[Recording | str | Path, Parameters], Returned]:
+    """Decorate a function of a recording so that it also takes a path; the file is open while the function runs."""
+
+    @wraps(function)
+    def with_opened(
+        recording: Recording | str | Path, /, *args: Parameters.args, **kwargs: Parameters.kwargs
+    ) -> Returned:
+        require_recording(recording, function.__name__)
+        with as_context(recording) as rec:
+            return function(rec, *args, **kwargs)
+
+    return with_opened
+
+
+def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
+    """Return distinct names of recordings.
+
+    >>> distinct_names(["none", "three", "three"], [Path("a.mcap"), Path("b.mcap"), Path("c.mcap")])
+    ['none', 'three (b)', 'three (c)']
+    >>> distinct_names(["none", "none"], [Path("x/a.mcap"), Path("x/b.mcap")])
+    ['a', 'b']
+    """
+    if len(paths) > 1 and len(set(names)) == 1:
+        # A common name of all recordings does not distinguish them.
+        stems = [path.stem for path in paths]
+        return stems if len(set(stems)) == len(paths) else [path.as_posix() for path in paths]
+    pairs = list(zip(names, paths, strict=True))
+    with_stem = [f"{name} ({path.stem})" if names.count(name) > 1 else name for name, path in pairs]
+    with_path = [f"{name} ({path.as_posix()})" for name, path in pairs]
+    return [longer if with_stem.count(label) > 1 else label for label, longer in zip(with_stem, with_path, strict=True)]
+
+
+def scene_labels(paths: Sequence[Path]) -> list[str]:
+    """Name recordings after their scenes."""
+    names = []
+    for path in paths:
+        with open_existing(path) as rec:
+            names.append(rec.scene.name)
+    return distinct_names(names, paths)
+
+
+def relabel(curve: Labeled, scene: str, label: str) -> Labeled:
+    """Replace the name of the scene with the recording's label."""
+    return replace(curve, label=label + curve.label.removeprefix(scene))  # type: ignore[type-var]

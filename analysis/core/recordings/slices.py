@@ -1,0 +1,127 @@
+"""Segments of recordings: channels between two times, read in pieces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.core.recording.layout import require_ordered_times
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError, SceneError
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+    from daq.core.signal_chain.channel import ChannelInfo
+
+# Number of samples of each channel that are read at a time.
+PIECE_SAMPLES = 1 << 16
+# Least number of samples of each channel that are read for successive short segments. A measured window of a tone has
+# about as many samples; those between the windows are not needed.
+_READ_AHEAD_SAMPLES = 1 << 12
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Channels and samples of a recording to export."""
+
+    recording: Recording
+    channels: tuple[str, ...]
+    start: int  # first sample
+    stop: int  # one past the last sample
+    # function that is called with the number of samples read since its last call, summed over the channels
+    on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        channels: Sequence[str] | None = None,
+        from_s: float | None = None,
+        to_s: float | None = None,
+    ) -> Slice:
+        """Select channels (default: all) between two times in s (default: the whole recording)."""
+        names = tuple(recording.channels if channels is None else channels)
+        for name in names:
+            if name not in recording.channels:
+                available = ", ".join(recording.channels)
+                raise SceneError(f"{recording.path}: no channel {name!r}. Choose one of {available}.")
+        require_ordered_times(from_s, to_s)
+        start = 0 if from_s is None else max(0, math.ceil(from_s * recording.rate))
+        stop = recording.samples if to_s is None else min(recording.samples, math.ceil(to_s * recording.rate))
+        if start >= stop:
+            end = recording.samples / recording.rate
+            limits = (("after", from_s), ("before", to_s))
+            chosen = " and ".join(f"{word} {seconds:.6g} s" for word, seconds in limits if seconds is not None)
+            raise SceneError(
+                f"{recording.path}: no samples {chosen or 'in this file'}. Choose times from 0 s to {end:.6g} s."
+            )
+        recording.reject_mostly_lost(start, stop)
+        return cls(recording, names, start, stop)
+
+    @property
+    def infos(self) -> list[ChannelInfo]:
+        """Return the data sheets of the channels."""
+        return [self.recording.channels[name] for name in self.channels]
+
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
+        """Yield the first sample index and the samples of each piece, shape (channels, samples), in physical units."""
+        for first in range(self.start, self.stop, PIECE_SAMPLES):
+            stop = min(first + PIECE_SAMPLES, self.stop)
+            yield first, np.array([self.recording.read(name, first, stop) for name in names])
+            self.on_read((stop - first) * len(names))
+
+    def read_channel(self, name: str) -> Array:
+        """Read all samples of a channel."""
+        samples = self.recording.read(name, self.start, self.stop)
+        self.on_read(samples.size)
+        return samples
+
+    def reject_gaps(self, file_format: str) -> None:
+        """Reject a segment with lost samples for a format that cannot represent them."""
+        for gap in self.recording.gaps:
+            if gap.first_sample < self.stop and gap.last_sample >= self.start and set(gap.channels) & {*self.channels}:
+                first, last = (sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1))
+                raise RecordingError(
+                    f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
+                    f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (--from, --to), "
+                    "or use .csv, .npz or .mat."
+                )
+
+
+def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]) -> Iterator[Array]:
+    """Yield the samples of each segment from start to stop - 1, shape (channels, stop - start).
+
+    `bounds`: start and stop of each segment. The starts must not decrease; segments may overlap. Samples that are lost
+    or after the end of the recording are NaN.
+    """
+    first, buffer = 0, np.empty((len(channels), 0))
+    for start, stop in bounds:
+        begin = max(start, first + buffer.shape[1])
+        first, buffer = start, buffer[:, start - first :]
+        if min(stop, rec.samples) > begin:
+            ahead = min(max(stop, begin + _READ_AHEAD_SAMPLES), rec.samples)
+            kept, buffer = buffer, np.empty((len(channels), ahead - start))
+            buffer[:, : begin - start] = kept
+            for row, name in enumerate(channels):
+                buffer[row, begin - start :] = rec.read(name, begin, ahead)
+        segment = np.empty((len(channels), stop - start))
+        available = buffer[:, : stop - start]
+        segment[:, : available.shape[1]], segment[:, available.shape[1] :] = available, np.nan
+        yield segment
+
+
+def hits(rec: Recording) -> list[tuple[int, int]]:
+    """Return the first and last sample of every hit; a free decay counts as one hit at sample 0."""
+    hit_limits = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
+    if hit_limits:
+        return hit_limits
+    if not rec.test.drives:
+        return [(0, 0)]
+    raise RecordingError(
+        f"{rec.path}: no free decay, and no hit is marked ({rec.test.name}). Record a scene with "
+        "test: {kind: impulse, ...} or {kind: free, ...}."
+    )

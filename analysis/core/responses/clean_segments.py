@@ -1,0 +1,146 @@
+"""Segments of a recording without *flaws*: overloads, lost samples and settling sensors of the selected channels."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.core.recordings.slices import read_slices
+from rig.core.base.arrays import Array
+from rig.core.settings.quantities import ACCELERATION, FORCE, parse
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+# Reasons of flaws. A sensor is settling until its bias is constant.
+OVERLOADED = "overloaded"
+LOST = "lost"
+SETTLING = "settling"
+# Number of blocks in the second half of the test that determine the mean and scatter after settling. A block is a
+# period of the lowest frequency.
+_SETTLED_BLOCKS = 32
+# The second half of a test with at least this number of blocks is assumed to be settled.
+_MIN_BLOCKS = 16
+# The mean of a block drifts if it deviates by more than this number of standard deviations of settled blocks.
+_DRIFT_SIGMAS = 5.0
+# Number of successive blocks without drift after which a channel is settled.
+_SETTLED_IN_A_ROW = 3
+
+
+@dataclass(frozen=True)
+class Flaw:
+    """Samples ``[first, stop)`` that do not measure the motion, with the reason."""
+
+    first: int
+    stop: int
+    channel: str
+    reason: str  # `OVERLOADED`, `LOST`, `SETTLING`, or another phrase that follows the name of the channel
+
+    @property
+    def description(self) -> str:
+        """Channel and reason, for messages."""
+        return f"{'samples of ' if self.reason == LOST else ''}{self.channel} {self.reason}"
+
+
+def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
+    """Return overloads and lost samples of the channels between two samples, sorted by their first sample."""
+    all_flaws = [
+        Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), OVERLOADED)
+        for marker in rec.overloads
+        if marker.fields.get("channel") in channels
+    ]
+    all_flaws += [
+        Flaw(gap.first_sample, gap.last_sample + 1, next(name for name in gap.channels if name in channels), LOST)
+        for gap in rec.gaps
+        if set(gap.channels) & set(channels)
+    ]
+    return sorted((flaw for flaw in all_flaws if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
+
+
+def clean_segments(all_flaws: list[Flaw], first: int, stop: int) -> list[tuple[int, int]]:
+    """Return the segments (start, stop) between two samples that contain no flaw.
+
+    >>> clean_segments([Flaw(20, 30, "a", "lost"), Flaw(25, 40, "b", "overloaded")], 0, 100)
+    [(0, 20), (40, 100)]
+    """
+    clean, start = [], first
+    for flaw in all_flaws:
+        if flaw.first > start:
+            clean.append((start, min(flaw.first, stop)))
+        start = max(start, flaw.stop)
+    return [*clean, (start, stop)] if start < stop else clean
+
+
+def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
+    """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s), samples of a1 lost (at 7 s)``."""
+    groups: dict[str, list[str]] = {}
+    for flaw in all_flaws:
+        groups.setdefault(flaw.description, []).append(f"{flaw.first / rec.rate:.4g} s")
+    return ", ".join(
+        f"{description} (at {', '.join(times[:3])}{f' and {len(times) - 3} other times' if len(times) > 3 else ''})"
+        for description, times in groups.items()
+    )
+
+
+def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
+    """Return a sentence without full stop that describes the remedy for flaws."""
+    reasons = {flaw.reason for flaw in all_flaws}
+    limits = []
+    for name in dict.fromkeys(flaw.channel for flaw in all_flaws if flaw.reason == OVERLOADED):
+        info = rec.channels[name]
+        kind = {"acceleration": ACCELERATION, "force": FORCE}.get(info.quantity)
+        for key, text in info.sensor.items():
+            if not key.endswith(".saturation"):
+                continue
+            # Only a sensor whose limit is below the range of the converter limits the signal.
+            if kind is None or info.range is None or parse(text, kind) * info.sensitivity < info.range:
+                limits.append(f"{name} up to {text}")
+    sensor = f", or use a sensor of a larger range ({', '.join(limits)})" if limits else ""
+    remedies = {
+        OVERLOADED: f"lower the level, widen the range (converter: range){sensor}",
+        SETTLING: "switch the sensors on earlier",
+    }
+    text = ", and ".join(remedies[reason] for reason in remedies if reason in reasons)
+    text = text or "check the recording with `daq info`"
+    return text[0].upper() + text[1:]
+
+
+def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
+    """Return a flaw at the beginning of a test for each channel whose bias has not settled there.
+
+    `lowest`: lowest excited frequency, Hz. Over a period of this frequency, the mean of the motion is zero. A mean that
+    differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
+    """
+    block_samples = int(np.ceil(rec.rate / lowest))
+    n_blocks = (stop - first) // block_samples
+    if n_blocks < _MIN_BLOCKS:
+        return []
+    blocks = [(first + k * block_samples, first + (k + 1) * block_samples) for k in range(n_blocks)]
+    late_blocks = np.unique(np.linspace(n_blocks // 2, n_blocks - 1, _SETTLED_BLOCKS).astype(int))
+    means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in late_blocks])]
+    # A channel without any valid sample has no mean; the masked array avoids numpy's warning.
+    settled_means = np.ma.masked_invalid(means)
+    mean, scatter = settled_means.mean(axis=0).filled(np.nan), settled_means.std(axis=0).filled(np.nan)
+    n_drift_blocks, n_settled_in_a_row = np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
+    is_settled = np.zeros(len(names), dtype=bool)
+    for number, block in enumerate(read_slices(rec, names, blocks[: n_blocks // 2]), 1):
+        is_drifting = abs(_means(block) - mean) > _DRIFT_SIGMAS * scatter
+        n_drift_blocks = np.where(is_drifting & ~is_settled, number, n_drift_blocks)
+        n_settled_in_a_row = np.where(is_drifting, 0, n_settled_in_a_row + 1)
+        is_settled |= n_settled_in_a_row >= _SETTLED_IN_A_ROW
+        if is_settled.all():
+            break
+    return [
+        Flaw(first, first + int(n_drifting) * block_samples, name, SETTLING)
+        for name, n_drifting in zip(names, n_drift_blocks, strict=True)
+        if n_drifting
+    ]
+
+
+def _means(block: Array) -> Array:
+    """Return the mean of each channel's valid samples, shape (channels,); NaN for a channel without any."""
+    return np.array([np.nanmean(row) if np.isfinite(row).any() else np.nan for row in block])

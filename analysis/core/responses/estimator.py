@@ -1,0 +1,116 @@
+"""The estimator of the frequency responses of each kind of recording.
+
+A module of this package that evaluates a kind of recording defines an `Estimator` with the name `ESTIMATOR`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Protocol
+
+from analysis.core.responses.curve_checks import reversed_force
+from analysis.core.responses.estimators import ESTIMATORS
+from analysis.core.responses.measurands import input_location, location_of
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.progress import CountProgress
+from rig.core.results.response import Response, stack
+
+if TYPE_CHECKING:
+    from daq.core.recording.markers import Marker
+    from daq.core.recording.recording import Recording
+
+#: Module of the estimator of each kind of recording (`TestKind`).
+MODULES = {
+    "tones": "stepped_sine",
+    "none": "stepped_sine",
+    "free": "stepped_sine",
+    "sweep": "swept_sine",
+    "random": "random",
+    "multisine": "multisine",
+    "hits": "impact",
+}
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """User options for block averaging; None selects the default of the kind of test."""
+
+    estimator: str | None = None  # H1, H2 or Hv
+    block: float | None = None  # length of a block, s
+    overlap: float | None = None  # share of a block
+    window: str | None = None  # name in `scipy.signal.get_window`
+
+    def __post_init__(self) -> None:
+        if self.estimator not in (None, *ESTIMATORS):
+            raise SceneError(f"estimator: got {self.estimator!r}; expected {', '.join(ESTIMATORS)}")
+
+    def for_kind(self, kind: str) -> Blocks:
+        """Return the options without those that have no effect on a kind of recording."""
+        return Blocks(**{name: getattr(self, name) for name in estimator_of(kind).options})
+
+
+class Source(Protocol):
+    """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
+
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
+        """Estimate one response."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """Requested responses of a recording."""
+
+    rec: Recording
+    names: Sequence[str]  # response channels
+    reference: str  # force or table
+    motion: str  # quantity of the responses
+    blocks: Blocks
+    progress: CountProgress | None
+    channels: Sequence[str]  # channels of the responses and of their reference
+    measured: Sequence[Marker]  # markers of the measured intervals
+
+    def compute(self, sources: Iterable[Source]) -> list[Response]:
+        """Compute the response of each source, with all outputs."""
+        computed = []
+        for source in sources:
+            curves = []
+            for n_completed, name in enumerate(self.names, 1):
+                curves.append(source.frf(self.rec, name, self.reference, self.motion))
+                if self.progress is not None:
+                    self.progress(n_completed, len(self.names))
+            computed.append(stack(annotate(self.rec, curves)))
+        return computed
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """Estimator of the responses of one kind of recording."""
+
+    compute: Callable[[Request], list[Response]]  # returns the response of each sweep, or of the test
+    method: str  # description, for messages
+    options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
+    jumps: bool = False  # whether the motion may change to another branch at one frequency
+    # Whether the lines are values of local models of a much finer spectrum, so that few lines may suffice.
+    resolves_between_lines: bool = False
+    # Remedy for too few lines to interpolate a peak; `needed` is their required distance, Hz, infinite if not known.
+    peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
+    # Remedy for too few lines in a resonance; `step` is the required distance of the lines, Hz.
+    line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."
+
+
+def estimator_of(kind: str) -> Estimator:
+    """Return the estimator of a kind of recording; an empty `kind` is that of curves without a recording."""
+    module = MODULES.get(kind or "none")
+    if module is None:
+        raise RecordingError(f"a recording of kind {kind} has no frequency responses. Use another analysis.")
+    estimator: Estimator = import_module(f"analysis.core.responses.{module}").ESTIMATOR
+    return estimator
+
+
+def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
+    """Add locations to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
+    curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
+    warning = reversed_force(curves)
+    return [curve.warn(warning) for curve in curves] if warning else curves

@@ -1,0 +1,208 @@
+"""Frequency responses of any recording, by the estimator for its kind of test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from analysis.core.recordings.names import takes_path
+from analysis.core.responses.estimator import Blocks, Request, annotate, estimator_of
+from analysis.core.responses.measurands import (
+    force_levels,
+    required_channels,
+    select_channels,
+    strong_forces,
+    weak_force_warnings,
+)
+from daq.core.recording.recorded_test import TestKind
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.progress import CountProgress
+from rig.core.numerics.blas_threads import with_one_blas_thread
+from rig.core.results.response import MOTIONS, stack
+from rig.core.results.response import Response as Response
+from rig.core.settings.quantities import FORCE, number
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+@takes_path
+@with_one_blas_thread
+def frequency_responses(
+    rec: Recording,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    estimator: str | None = None,
+    block: float | None = None,
+    progress: CountProgress | None = None,
+    overlap: float | None = None,
+    window: str | None = None,
+) -> list[Response]:
+    """Estimate all frequency responses of a recording.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
+    channels : sequence of str, optional
+        Responses; if omitted, every channel on a body.
+    reference : {'force', 'table'}
+        Divide by the force on the structure, or by the displacement of the table.
+    motion : {'displacement', 'velocity', 'acceleration'}
+        Receptance, mobility or accelerance.
+    estimator : {'H1', 'H2', 'Hv'}, optional
+        Average the spectra of blocks, for random tests and hits. If omitted, the local rational method processes
+        random tests, hits and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
+    block : float, optional
+        Length of the blocks in s, for random tests and hits; each hit begins a block. This selects block averaging,
+        with H1 by default.
+    progress : callable, optional
+        Called with (completed, total).
+    overlap : float, optional
+        Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
+    window : str, optional
+        Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for hits.
+
+    Returns
+    -------
+    list of Response
+        A response for each sweep (level and direction), with all outputs.
+
+    Raises
+    ------
+    SceneError
+        If an option is unknown or does not apply to the kind of test.
+    """
+    blocks = Blocks(estimator, block, overlap, window)
+    if motion not in MOTIONS:
+        raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
+    names, kind = select_channels(rec, channels), rec.test.kind
+    if not names:
+        raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
+    own_estimator = estimator_of(kind)
+    unused = ", ".join(
+        name for name, value in vars(blocks).items() if value is not None and name not in own_estimator.options
+    )
+    if unused:
+        has_responses = kind.drives and kind is not TestKind.NONE
+        method = own_estimator.method if has_responses else rec.test.name
+        raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Leave it out.")
+    measured = [marker for marker in rec.markers if marker.kind == "measure"]
+    if kind.marked and not measured:
+        raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
+    levels = force_levels(rec) if reference == "force" else []
+    inputs = strong_forces(levels)
+    if len(inputs) > 1:
+        from analysis.core.responses.several_inputs import response_matrix
+
+        used = [*names, *(point.name for point in inputs)]
+        computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
+    else:
+        used = required_channels(rec, names, reference)
+        computed = own_estimator.compute(Request(rec, names, reference, motion, blocks, progress, used, measured))
+    warnings = weak_force_warnings(levels)
+    warnings += [
+        f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
+        for marker in rec.markers
+        if marker.kind == "abort"
+    ]
+    unfiltered = [name for name in used if not rec.channels[name].filter]
+    if rec.source and unfiltered:
+        warnings.append(
+            f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty "
+            "excludes aliasing from above half the sample rate. Name the filter in the scene (converter.preset or "
+            "converter.filter), and import again."
+        )
+    return [replace(response, test=kind.value).warn(*warnings) for response in computed]
+
+
+@takes_path
+def frfs(
+    rec: Recording,
+    channels: Sequence[str] | None = None,
+    reference: str = "force",
+    motion: str = "displacement",
+    level: float | str | None = None,
+    direction: str | None = None,
+) -> Response:
+    """Estimate the frequency responses of one sweep of a test, with all outputs.
+
+    Every channel is corrected for its sensor, amplifier and converter. The force is measured by a force channel if
+    there is one. Otherwise it is the force in the coil spring, F1 = k0 (x0 - x1), from the channels on the table and on
+    the driven body.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        As for `frequency_responses`, which returns all sweeps of a recording and has more options.
+    channels, reference, motion
+        As in `frequency_responses`; a response may also be named by the body that carries the sensor.
+    level : float or str, optional
+        Level to select if the test ran several, such as ``"2.6 N"``.
+    direction : {'up', 'down'}, optional
+        Direction to select if the test ran both.
+
+    Raises
+    ------
+    SceneError
+        If not exactly one sweep matches; the message lists the available sweeps.
+
+    Examples
+    --------
+    >>> import analysis
+    >>> frfs = analysis.frfs("recordings/demo-sweep-no-damper.mcap")
+    >>> frfs["body3"].name, analysis.identify(frfs).frequency.round(2).tolist()
+    ('compliance', [13.04, 34.78, 49.66])
+    """
+    from analysis.core.responses.stepped_sine import sweeps
+
+    if motion not in MOTIONS:
+        raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
+    names = select_channels(rec, channels)
+    if not rec.test.kind.steady and rec.test.kind is not TestKind.NONE:
+        if level is not None or direction is not None:
+            raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
+        (group,) = frequency_responses(rec, names, reference, motion)
+        return group
+    force_level = number(level, FORCE, "level")
+    all_sweeps = sweeps(rec, required_channels(rec, names, reference))
+    selected = [
+        sweep
+        for sweep in all_sweeps
+        if (force_level is None or abs(sweep.level - force_level) <= 1e-6 * abs(force_level))
+        and (direction is None or sweep.direction == direction)
+    ]
+    if len(selected) != 1:
+        available = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in all_sweeps)
+        problem = "several sweeps match" if selected else "no sweep matches"
+        raise SceneError(
+            f"{rec.path}: {problem}. Choose one of {available}, or use all of them with analysis.frequency_responses."
+        )
+    group = stack(annotate(rec, [selected[0].lines.frf(rec, name, reference, motion) for name in names]))
+    return replace(group, test=rec.test.kind.value)
+
+
+@takes_path
+def compliance(
+    rec: Recording,
+    response: str = "body3",
+    reference: str = "force",
+    level: float | str | None = None,
+    direction: str | None = None,
+) -> Response:
+    """Estimate the compliance of the structure at one channel: displacement per force, X_j / F_1.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        As for `frfs`.
+    response : str
+        Channel, or the body that carries the sensor.
+    reference : {'force', 'table'}
+        ``"table"`` selects X_j / X_0 instead.
+    level, direction
+        As in `frfs`.
+    """
+    return frfs(rec, [response], reference, level=level, direction=direction)[0]

@@ -1,0 +1,112 @@
+"""Impact test: frequency responses from hits with an instrumented hammer, by local fits or by averages of blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import fft
+
+from analysis.core.responses.clean_segments import describe_flaws, remedy
+from analysis.core.responses.estimator import Blocks, Estimator, Request
+from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
+from analysis.core.responses.hits import Hits
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results import format_percent
+from rig.core.results.response import Response
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+# Length of a block, relative to its pretrigger (its samples before the hit).
+_BLOCK_PER_PRETRIGGER = 50
+# Leakage is significant if the response at the end of a block exceeds this fraction of its maximum.
+_MAX_END_RATIO = 0.02
+
+
+def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
+    """Return the local fits to all hits; the response to a hit may overlap the next hit."""
+    hits = Hits.of(rec)
+    # Lowest frequency that is estimated: four periods between successive hits.
+    low = 4.0 * rec.rate / hits.interval
+    return SegmentFits(
+        tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.unmarked, hits,
+        label=rec.scene.name, warnings=warn_of_dampers(rec),
+    )  # fmt: skip
+
+
+def averaged_spectra(
+    rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
+) -> AveragedSpectra:
+    """Average the spectra of blocks, one for each hit, as most programs do.
+
+    `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
+    """
+    hits = Hits.of(rec)
+    begins = [begin for begin, _ in hits.arrivals]
+    block_samples = hits.interval if block is None else round(block * rec.rate)
+    pretrigger = min(block_samples // _BLOCK_PER_PRETRIGGER, begins[0])
+    starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
+    if block_samples < 16 or not starts:
+        raise SceneError(
+            f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected {16 / rec.rate:.3g} s (16 samples) to "
+            f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first hit to the end of the recording)"
+        )
+    weights = sampled_window(window, block_samples)
+    averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
+    reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
+    if not averaged.used:
+        raise RecordingError(
+            f"{rec.path}: no hit can be used ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
+        )
+    notes = []
+    if averaged.used < len(begins):
+        notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
+    if averaged.used == 1:
+        notes.append(
+            "Only one hit was used, so that the coherence is 1 for any noise and the random error is unknown. Record "
+            "more hits."
+        )
+    has_leakage = averaged.end_ratio > _MAX_END_RATIO
+    if has_leakage:
+        notes.append(
+            f"{format_percent(averaged.end_ratio)} of the peak response remains at the end of a block, so the curve "
+            "has leakage. Use longer blocks, or leave out --estimator, --block and --window for a response without "
+            "leakage."
+        )
+    segments = [(start, start + block_samples) for start in starts]
+    blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]
+    blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
+    spectra = [fft.rfft(block, axis=1) for block in blocks]
+    lines = np.rint(averaged.spectra.frequency * block_samples / rec.rate).astype(np.int64)
+    return replace(
+        averaged.spectra,
+        resolution=noise_bandwidth_bins(weights) * rec.rate / block_samples if has_leakage else 0.0,
+        warnings=tuple(notes),
+        rounding_gain_error=hits.rounding_gain_error(rec, channels, segments, blocks, spectra, lines, FIT_HALF_WIDTH),
+        leakage_free=segment_fits(rec, channels) if has_leakage else None,
+    )
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response to all hits, by local models or from averaged blocks."""
+    blocks = request.blocks
+    if blocks == Blocks():
+        return request.compute([segment_fits(request.rec, request.channels)])
+    averages = averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or "none")
+    return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
+
+
+ESTIMATOR = Estimator(
+    _compute,
+    "a block belongs to one hit",
+    frozenset({"estimator", "block", "window"}),
+    resolves_between_lines=True,
+    peak_remedy=lambda needed: "Record longer after each hit (test.interval)",
+    line_remedy=lambda step: f"Record longer after each hit (test.interval: {1.0 / step:.2g} s or more).",
+)

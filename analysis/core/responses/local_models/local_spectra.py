@@ -1,0 +1,215 @@
+"""Spectra of segments of a recording, and responses with their uncertainty by the local rational method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from analysis.core.responses.budget import assemble_budget
+from analysis.core.responses.force_pulse import slow_and_fast
+from analysis.core.responses.local_models.jitter import jitter_bound
+from analysis.core.responses.local_models.local_rational import (
+    ORDER,
+    POWER_RATIO_95,
+    LocalFit,
+    OutputSpectra,
+    local_fit,
+)
+from analysis.core.responses.measurands import Measurand, reject_zero_reference
+from analysis.core.responses.random_errors import LocalErrors
+from analysis.core.responses.systematic import (
+    MODEL,
+    REFERENCE_NOISE,
+    ChannelContributions,
+    common_scale,
+    reference_noise_bound,
+    rounding_bound,
+    shared_noise_bound,
+)
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.response import Response
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+# Number of bins on either side of a line that a local fit uses.
+FIT_HALF_WIDTH = 12
+
+
+@dataclass(frozen=True)
+class LocalSpectra:
+    """Spectra of segments, without windows."""
+
+    channels: tuple[str, ...]
+    channel_spectra: ComplexArray  # spectra of the channels as recorded, shape (segments, channels, bins)
+    end_phases: ComplexArray  # as in `local_fit`; complex, shape (segments, bins)
+    frequency: Array  # Hz; shape (bins,)
+    lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
+    half_width: int  # bins on either side of a line that a local fit uses
+    measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
+    # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, lines)
+    rounding_gain_error: Array
+    noise: Array  # known noise power of each channel at each line; shape (channels, lines)
+    jitter: Array  # factor of the covariance of errors due to jitter, from `jitter_factor`; shape (rows, channels)
+    # stored fits of a channel to a reference, because responses share the channels of their reference
+    stored_fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
+    # stored spectra of references; complex, shape (segments, bins)
+    stored_spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
+
+    def frf(
+        self,
+        rec: Recording,
+        numerator: Measurand,
+        denominator: Measurand,
+        reference: str,
+        motion: str,
+        label: str,
+        warnings: Sequence[str],
+        reference_noise: Array | None = None,
+    ) -> Response:
+        """Estimate the response of one measurand to another.
+
+        `reference_noise`, shape (lines,): relative variance of either quadrature component of the reference; if it is
+        omitted, the coherence limits it.
+        """
+        names = list(dict.fromkeys([*numerator.channels, *denominator.channels]))
+        if names != list(self.channels):
+            rows = [self.channels.index(name) for name in names]
+            selected = replace(
+                self,
+                channels=tuple(names),
+                channel_spectra=self.channel_spectra[:, rows],
+                rounding_gain_error=self.rounding_gain_error[rows],
+                noise=self.noise[rows],
+                jitter=self.jitter[:, rows],
+            )
+            return selected.frf(rec, numerator, denominator, reference, motion, label, warnings, reference_noise)
+        frequency = self.frequency[self.lines]
+        force = self.spectrum(rec, denominator)
+        reject_zero_reference(rec, reference, force)
+        response_weights = numerator.row(rec, names, frequency)
+        reference_weights = denominator.row(rec, names, frequency)
+        # Reading of each channel per unit of the reference.
+        readings = np.zeros((len(names), frequency.size), dtype=complex)
+        for index, name in enumerate(names):
+            if denominator.channels == (name,) and name != numerator.channels[0]:
+                readings[index] = 1.0 / reference_weights[index]
+                continue
+            fit = self._fit(rec, name, denominator)
+            readings[index] = fit.value * rec.channels[name].response(frequency)
+            if name == numerator.channels[0]:
+                main_fit = fit
+        value = np.sum(response_weights * readings, axis=0)
+        scale = abs(value) / np.maximum(abs(main_fit.value), 1e-300)
+        # Noise of the reference changes the value even if the residual does not show it.
+        reference_noise_power = np.einsum("cn,cn->n", abs(reference_weights) ** 2, self.noise)
+        noise_variance = main_fit.variance_per_reference_noise * reference_noise_power
+        variance = np.maximum(main_fit.variance, noise_variance) * scale**2
+        contributions = ChannelContributions(
+            names, frequency, motion, value, response_weights * readings, reference_weights * readings
+        )
+        change_per_reading = response_weights - value * reference_weights
+        bounds = (
+            rounding_bound(self.rounding_gain_error, contributions)
+            | jitter_bound(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
+            | {MODEL: main_fit.model_error * scale}
+        )
+        reference_bounds = []
+        if reference_noise_power.any():
+            # The relative change of the value due to noise in the reference is the uncertainty of the reference. If the
+            # value is zero, the whole reference may be noise.
+            squared = abs(main_fit.value) ** 2
+            noise_ratio = np.full(squared.shape, np.inf)
+            np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)
+            reference_bounds.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
+        if reference_noise is None:
+            noise_bias = reference_noise_bound(value, main_fit.coherence)
+            if len(denominator.channels) > 1:
+                power = np.minimum(self.power(force, 1), self.power(force, self.half_width))
+                power = power * main_fit.independent_share
+                channel_noise = self._reference_noise(rec, denominator)
+                noise_bias = np.maximum(
+                    noise_bias, shared_noise_bound(channel_noise, change_per_reading, reference_weights, power)
+                )
+            bounds[REFERENCE_NOISE] = noise_bias
+            common_error = np.zeros(frequency.size, dtype=complex)
+        else:
+            variance, common_error = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
+        output = numerator.channels[0]
+        to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
+        errors = LocalErrors(
+            bin_weights=(main_fit.bin_weights * to_motion[:, None, None])[:, None],
+            first_bin=main_fit.first_bin,
+            residual=main_fit.residual[:, None],
+            fitted_response=main_fit.fitted_response,
+            reference_power=self.power(force, self.half_width),
+            complex_degrees_of_freedom=float(main_fit.degrees_of_freedom[0]) / 2.0,
+            measured_share=self.measured_share,
+            has_single_reference=denominator.channels[1:] == () and not reference_noise_power.any(),
+            common_error=common_error[:, None],
+        )
+        budget = assemble_budget(
+            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds, errors,
+            self.shared, common_scale(rec, numerator.channels, denominator.channels),
+        )  # fmt: skip
+        return Response.curve(
+            frequency, value, output, reference=reference, motion=motion, uncertainty=budget,
+            coherence=main_fit.coherence, label=label, warnings=tuple(warnings),
+        )  # fmt: skip
+
+    @property
+    def shared(self) -> float:
+        """Return the number of neighboring lines with a common error, because their fits use the same bins."""
+        step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
+        return max((2 * self.half_width + 1) / (3 * ORDER + 2) / step, 1.0)
+
+    def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
+        """Compute the spectra of a measurand, shape (segments, bins)."""
+        if measurand not in self.stored_spectra:
+            row = measurand.row(rec, self.channels, self.frequency)
+            self.stored_spectra[measurand] = np.einsum("cn,scn->sn", row, self.channel_spectra)
+        return self.stored_spectra[measurand]
+
+    def output(self, rec: Recording, name: str) -> OutputSpectra:
+        """Return the spectra of a channel, its response, and the transients of its high-pass filters."""
+        info = rec.channels[name]
+        transients = [1.0 / (2j * np.pi * self.frequency - pole) for pole in slow_and_fast(info)[0]]
+        return OutputSpectra(
+            self.channel_spectra[:, self.channels.index(name)],
+            info.response(self.frequency),
+            np.array(transients).reshape(-1, self.frequency.size),
+        )
+
+    def power(self, spectra: ComplexArray, half_width: int) -> Array:
+        """Compute the mean square of spectra over `half_width` bins on either side of each line; shape (lines,)."""
+        mean_square = np.mean(abs(spectra) ** 2, axis=0)
+        return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])
+
+    def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
+        """Fit the response of the quantity that a channel measures to the measurand `to`; the fit is stored."""
+        if (name, to) not in self.stored_fits:
+            output = self.output(rec, name)
+            half_width = min(self.half_width, (self.frequency.size - 1) // 2)
+            spectrum = self.spectrum(rec, to)
+            self.stored_fits[name, to] = local_fit(
+                output, spectrum, self.end_phases, self.lines, half_width, self.measured_share
+            )
+        return self.stored_fits[name, to]
+
+    def _reference_noise(self, rec: Recording, denominator: Measurand) -> Array:
+        """Return an upper bound of the noise power in the two channels of a spring force: their incoherent power."""
+        bound = self.noise.copy()
+        for name, other in permutations(denominator.channels):
+            row = self.channels.index(name)
+            fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
+            # Upper 95 % bound of the noise power for these degrees of freedom.
+            n = fit.degrees_of_freedom
+            bound[row] = np.maximum(bound[row], fit.noise_power * n / scipy.special.chdtri(n, 0.95))
+        return bound

@@ -1,0 +1,225 @@
+"""Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated.
+
+A *realization* is a measurement of several periods with one set of random phases. *Distortion* is the difference
+between the response of a nonlinear structure and its best linear approximation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.core.recordings.slices import read_slices
+from analysis.core.responses.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.estimator import Estimator, Request
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from analysis.core.responses.measurands import motion_channel_at, reference_of
+from analysis.core.responses.scatter import Scatter
+from analysis.core.responses.spectral_lines import Lines, residual_transient
+from analysis.core.responses.systematic import (
+    power_in_counts,
+    quantization_steps,
+    reproducible_rounding,
+    tone_gain_error,
+)
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.base.progress import CountProgress
+from rig.core.results.response import Response
+
+if TYPE_CHECKING:
+    from daq.core.recording.markers import Marker
+    from daq.core.recording.recording import Recording
+
+
+NONLINEAR = (
+    "The structure is nonlinear: the curve is the best linear approximation for this level and kind of excitation, and "
+    "its error bars are valid only for them. Use stepped sine for the response to steady tones."
+)
+ONE_REALIZATION = (
+    "One realization: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
+    "Measure several realizations (test: realisations)."
+)
+LIFTED = (
+    "Dampers may leave the floor at this level, although the realizations scatter no more than noise: the error bars "
+    "exclude distortion that is equal in every realization. Use stepped sine for the response to steady tones."
+)
+# Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
+_CREST_FACTOR = 4.0
+# A structure is nonlinear if at least this share of the lines is distorted.
+_MIN_DISTORTED_LINES = 0.2
+# A line is distorted if the scatter of its realizations is at least this multiple of the scatter due to noise.
+_NOISE_RATIO = 3.0
+# At a distorted line, the scatter of realizations is at least this fraction of the mean.
+_MEAN_RATIO = 2e-3
+
+
+def best_linear_approximation(
+    rec: Recording,
+    markers: Sequence[Marker],
+    names: Sequence[str],
+    reference: str = "force",
+    progress: CountProgress | None = None,
+) -> Lines:
+    """Average the amplitudes of each channel over periods, then over realizations.
+
+    `markers`: measured interval of each realization; `names`: channels; `reference`: force or table.
+
+    Before the second average, each realization is rotated by the phase of its own reference. The scatter between
+    periods is noise. The scatter between realizations also contains nonlinear distortion (R. Pintelon, J. Schoukens,
+    System Identification, 2nd ed., Wiley 2012, section 4.3).
+    """
+    all_spectra = [period_spectra(rec, names, marker) for marker in markers]
+    if progress is not None:
+        progress(len(markers), len(markers))
+    notes = [note for spectra in all_spectra for note in spectra.notes]
+    complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
+    if not complete:
+        raise RecordingError(
+            f"{rec.path}: no realization has two periods without faults. {' '.join(notes)} Record again."
+        )
+    count, frequency = len(complete), complete[0].frequency
+    reference_weights = reference_of(rec, reference).row(rec, names, frequency)
+    means, noises = [], []
+    for spectra in complete:
+        mean, periods = spectra.spectra.mean(axis=0), len(spectra.spectra)
+        phase_factor = np.sum(reference_weights * mean, axis=0).conj()
+        phase_factor /= np.maximum(abs(phase_factor), 1e-300)
+        means.append(mean * phase_factor)
+        noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
+    realization_means = np.stack(means)
+    mean_spectrum = realization_means.mean(axis=0)
+    noise = Scatter(
+        np.asarray(np.concatenate(noises) / count, dtype=complex),
+        np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
+    )
+    unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
+    steps = quantization_steps(rec, names)
+    samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
+    # Rounding resembles noise of 1/12 count². At a line, 95 % of its amplitudes are below steps / sqrt(samples)
+    # (Rayleigh distribution). The share of this error that is equal in every period does not appear in the scatter.
+    noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
+    reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
+    amplitude: Array = np.abs(mean_spectrum)
+    # In the worst case, the reading at a resonance is a single tone with the power of all lines.
+    gain_error = np.minimum(tone_gain_error(power_in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
+    rounding = reproducible[:, None] * (steps[:, None] / np.sqrt(samples_per_period) + gain_error[:, None] * amplitude)
+    noise_only = Lines(
+        tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
+        n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding,
+    )  # fmt: skip
+    dampers_move = any(damper.moves for damper in rec.scene.dampers)
+    if count == 1:
+        return replace(noise_only, warnings=(*notes, ONE_REALIZATION)) if dampers_move else noise_only
+    deviations = (realization_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
+    realizations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
+    with_distortion = replace(noise_only, scatter=realizations, noise=noise)
+    if _is_distorted(with_distortion, noise_only):
+        return replace(with_distortion, warnings=(*notes, NONLINEAR))
+    if dampers_move:
+        return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, reference)))
+    return with_distortion
+
+
+def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str:
+    """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper off."""
+    lifting_forces = [(np.inf, np.nan)]
+    force: Array = np.zeros(averages.frequency.size)
+    if reference == "force":
+        row = reference_of(rec, "force").row(rec, averages.channels, averages.frequency)
+        force = np.abs(np.sum(row * averages.mean, axis=0))
+    for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
+        info = motion_channel_at(rec, f"body {body}")
+        if info is not None and reference == "force":
+            accelerance = np.nan_to_num(abs(averages.frf(rec, info.name, motion="acceleration").value))
+            amplitudes = accelerance * force
+            # Peak value of a sum of tones with random phases.
+            peak_acceleration = min(_CREST_FACTOR * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())
+            if peak_acceleration > rec.scene.gravity:
+                return LIFTED
+            resonance = int(np.argmax(accelerance))
+            lifting_forces.append((rec.scene.gravity / accelerance[resonance], averages.frequency[resonance]))
+    smallest_force, frequency = min(lifting_forces)
+    tones = f"of more than {smallest_force:.2g} N at {frequency:.4g} Hz"
+    if np.isinf(smallest_force):
+        tones = "of a higher level"
+    return (
+        "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
+        f"{tones} lift a damper. Use stepped sine for the response to such tones."
+    )
+
+
+@dataclass(frozen=True)
+class PeriodSpectra:
+    """Amplitudes of each clean period of a multisine."""
+
+    frequency: Array  # Hz, shape (lines,)
+    spectra: ComplexArray  # amplitudes as recorded, shape (periods, channels, lines)
+    samples: Array  # shape (periods, channels, samples)
+    notes: tuple[str, ...]
+
+
+def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> PeriodSpectra:
+    """Transform the periods without overload or lost samples; the result has no periods if there are fewer than two."""
+    number = marker.fields["realisation"]
+    period_samples, periods = int(marker.fields["period"]), int(marker.fields["periods"])
+    first_line, last_line = marker.fields["lines"]
+    lines = np.arange(int(first_line), int(last_line) + 1)
+    frequency = lines * rec.rate / period_samples
+    starts = marker.first_sample + period_samples * np.arange(periods)
+    intervals = [(start, start + period_samples) for start in starts.tolist()]
+    all_flaws = [find_flaws(rec, names, *interval) for interval in intervals]
+    clean = [
+        interval
+        for interval, period_flaws in zip(intervals, all_flaws, strict=True)
+        if not period_flaws and interval[1] <= rec.samples
+    ]
+    notes = []
+    if marker.fields.get("settled") is False:
+        notes.append(f"Realization {number} was measured before steady state. Choose another level.")
+    if len(clean) < periods:
+        reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
+        reasons = reasons or "the recording ends"
+        notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} left out: {reasons}.")
+    if len(clean) < 2:
+        notes.append(f"Realization {number} left out: fewer than two of its periods are without faults.")
+        no_samples = np.zeros((0, len(names), 0))
+        return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
+    samples = np.stack(list(read_slices(rec, names, clean)))
+    numbers = np.array([(first - marker.first_sample) // period_samples for first, _ in clean])
+    without_drift = _without_drift(samples, numbers)
+    spectra = fft.rfft(without_drift, axis=2)[:, :, lines] * (2.0 / period_samples)
+    return PeriodSpectra(frequency, spectra, samples, tuple(notes))
+
+
+def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
+    """Subtract the linear drift of the mean from each period; shape (periods, channels, samples).
+
+    A bias that settles slowly is an error of every line. Noise may hide its changes from period to period.
+    `numbers`: positions of the periods within the realization.
+    """
+    drifts = np.gradient(periods.mean(axis=2), numbers, axis=0, edge_order=2 if len(numbers) > 2 else 1)
+    return np.asarray(periods - drifts[:, :, None] * np.linspace(-0.5, 0.5, periods.shape[2]))
+
+
+def _is_distorted(measured: Lines, noise: Lines) -> bool:
+    """Return whether realizations scatter more than expected from noise, residual transients and rounding."""
+    scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
+    bounds = [bound for bound in (measured.residual_transient, measured.resolution) if bound is not None]
+    distorted = scatter > _NOISE_RATIO * expected + np.sum(bounds, axis=0)
+    distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
+    return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the best linear approximation of all realizations."""
+    rec, measured, progress = request.rec, request.measured, request.progress
+    return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
+
+
+ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged")

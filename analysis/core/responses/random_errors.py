@@ -1,0 +1,317 @@
+"""Random errors of the responses of one test: their covariance over outputs at each line, and from line to line.
+
+All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
+lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model that is
+fitted to many lines. The errors of the readings are propagated to first order [1]_. An *element* is the response of one
+output to one input. A *bin* is a frequency of the discrete Fourier transform; a *line* is a frequency at which the
+response is estimated. `shared` is the number of neighboring lines with a common error.
+
+References
+----------
+.. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.5
+   and 9.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.uncertainty import LineCovariance, Lines, RandomErrors
+
+# The noise level is assumed to be constant over this number of widths of a local fit.
+_CONSTANT_NOISE_WIDTHS = 5
+# Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
+_ITERATIONS = 4
+# The noise power of a response is at least this fraction of the residual of a local fit.
+_MIN_NOISE_RATIO = 1e-6
+# Weight of the normal equations of the whole test in those of each line, if there is a single response. Only the
+# variation of its magnitude, which is small far from peaks, distinguishes the noise of the reference from its own.
+_WHOLE_TEST_WEIGHT = 0.1
+# Value that replaces zero power; its square does not underflow to zero.
+_ZERO_POWER = 1e-40
+# Variance that is uncorrelated between responses, due to errors of second order and covariances of few averages,
+# relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
+# twice the stated uncertainty.
+_UNCORRELATED = 0.05
+# Maximum number of array elements of the noise covariances that are in memory at a time.
+_MAX_ELEMENTS = 1 << 22
+
+
+@dataclass(frozen=True)
+class MeanErrors:
+    """Errors of ratios of means, independent from line to line: weighted sums of the errors of the channels."""
+
+    weights: ComplexArray  # of the channels in each element; shape (lines, elements, channels)
+    channel_covariance: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
+
+    def at(self, lines: Lines) -> MeanErrors:
+        """Select some lines."""
+        return MeanErrors(self.weights[lines], self.channel_covariance[lines])
+
+    def select(self, elements: Sequence[int]) -> MeanErrors:
+        """Select some elements."""
+        return replace(self, weights=self.weights[:, elements])
+
+    def scaled(self, factor: ComplexArray) -> MeanErrors:
+        """Multiply by a factor at each line."""
+        return replace(self, weights=self.weights * factor[:, None, None])
+
+    def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
+        """Join the errors of these and other elements."""
+        channels = self.channel_covariance
+        same = [
+            other
+            for other in others
+            if isinstance(other, MeanErrors) and np.array_equal(other.channel_covariance, channels, equal_nan=True)
+        ]
+        if len(same) < len(others):
+            return None
+        return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
+
+    def covariance(self, error: Array, shared: float) -> LineCovariance:
+        """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
+        weights, channels = self.weights, self.channel_covariance
+        elements = np.einsum("kai,kij,kcj->kac", weights, channels, weights.conj(), optimize=True)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
+
+
+@dataclass(frozen=True)
+class MatrixErrors:
+    """Errors of all elements of a matrix, given by their covariance at each line."""
+
+    line_covariance: ComplexArray  # shape (lines, elements, elements)
+
+    def at(self, lines: Lines) -> MatrixErrors:
+        """Select some lines."""
+        return MatrixErrors(self.line_covariance[lines])
+
+    def select(self, elements: Sequence[int]) -> MatrixErrors:
+        """Select some elements."""
+        return MatrixErrors(self.line_covariance[:, elements][:, :, elements])
+
+    def scaled(self, factor: ComplexArray) -> MatrixErrors:
+        """Multiply by a factor at each line."""
+        return MatrixErrors(self.line_covariance * np.square(abs(factor))[:, None, None])
+
+    def joined(self, others: Sequence[RandomErrors]) -> None:
+        """Return None, because the correlation with other elements is unknown."""
+
+    def covariance(self, error: Array, shared: float) -> LineCovariance:
+        """Compute the covariance over elements, scaled to the stated variances."""
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(self.line_covariance, error)), shared)
+
+
+@dataclass(frozen=True)
+class LocalErrors:
+    """Errors of local fits to spectra: sums over bins, most of which neighboring lines have in common."""
+
+    # change of the response per unit change of the reading at each bin; shape (lines, elements, segments, width)
+    bin_weights: ComplexArray
+    first_bin: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
+    residual: ComplexArray  # residual of the reading; shape (lines, elements, segments, width)
+    fitted_response: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
+    reference_power: Array  # mean square of the reference over the bins of each fit; shape (lines,)
+    complex_degrees_of_freedom: float  # of the residual of each fit, counted as complex values
+    measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
+    has_single_reference: bool  # whether the reference is a single channel that is not part of the response
+    # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
+    common_error: ComplexArray
+    shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
+
+    def at(self, lines: Lines) -> LocalErrors:
+        """Select some lines."""
+        names = ("bin_weights", "first_bin", "residual", "fitted_response", "reference_power", "common_error")
+        return replace(self, **{name: getattr(self, name)[lines] for name in names})
+
+    def select(self, elements: Sequence[int]) -> LocalErrors:
+        """Select some elements."""
+        names = ("bin_weights", "residual", "fitted_response", "common_error")
+        return replace(self, **{name: getattr(self, name)[:, elements] for name in names})
+
+    def scaled(self, factor: ComplexArray) -> LocalErrors:
+        """Multiply by a factor at each line."""
+        bin_weights, common_error = self.bin_weights * factor[:, None, None, None], self.common_error * factor[:, None]
+        return replace(self, bin_weights=bin_weights, common_error=common_error)
+
+    def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
+        """Join the errors of these and other elements."""
+        same = [
+            errors
+            for errors in (self, *others)
+            if isinstance(errors, LocalErrors)
+            and np.array_equal(errors.first_bin, self.first_bin)
+            and errors.residual.shape == self.residual.shape
+            and np.array_equal(errors.reference_power, self.reference_power, equal_nan=True)
+        ]
+        if len(same) <= len(others):
+            return None
+        names = ("bin_weights", "residual", "fitted_response", "common_error")
+        parts: dict[str, Any] = {
+            name: np.concatenate([getattr(errors, name) for errors in same], axis=1) for name in names
+        }
+        return replace(self, **parts, has_single_reference=all(errors.has_single_reference for errors in same))
+
+    def covariance(self, error: Array, shared: float) -> LocalCovariance:
+        """Estimate the covariance over elements and lines, from the residuals around each line."""
+        n_lines, elements = self.common_error.shape
+        residual = self.residual.reshape(n_lines, elements, -1)
+        # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
+        # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
+        power = residual @ residual.conj().swapaxes(1, 2) / self.complex_degrees_of_freedom
+        width = self.fitted_response.shape[2]
+        bins, center = int(self.first_bin.max()) + width, self.first_bin + width // 2
+        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
+        reference_ratio: Array | None = None
+        if self.has_single_reference:
+            reference, variances, ratio = _separate_noise(power, self.fitted_response, self.reference_power, center)
+            reference_ratio = self.measured_share * ratio
+            within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
+            response = self.fitted_response[nearest, :, within]
+            bin_covariance = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
+            index = np.arange(elements)
+            bin_covariance[:, index, index] += variances[nearest]
+        else:
+            bin_covariance = power[nearest]
+        covariance = np.empty((n_lines, elements, elements), dtype=complex)
+        step = max(1, _MAX_ELEMENTS // (width * elements**2))
+        for begin in range(0, n_lines, step):
+            lines = slice(begin, begin + step)
+            local_noise, bin_weights = (
+                bin_covariance[self.first_bin[lines, None] + np.arange(width)],
+                self.bin_weights[lines],
+            )
+            covariance[lines] = np.einsum(
+                "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
+            )
+        covariance = covariance + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
+        if reference_ratio is None:
+            # The fit reproduces part of the noise, so that the residuals may underestimate it.
+            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
+            stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
+            scale = np.sqrt(np.maximum(1.0, stated_ratio))
+            covariance = covariance * scale[:, :, None] * scale[:, None]
+        return LocalCovariance(_add_uncorrelated(covariance), shared, self, bin_covariance, reference_ratio)
+
+
+@dataclass(frozen=True)
+class LocalCovariance:
+    """Covariance of the errors of local fits, whose lines have bins in common; attributes as in `Covariance`."""
+
+    lines: ComplexArray
+    shared: float
+    errors: LocalErrors
+    bin_covariance: ComplexArray  # covariance of the readings at each bin; shape (bins, elements, elements)
+    # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
+    reference: Array | None
+
+    def at(self, lines: Lines) -> LocalCovariance:
+        """Select some lines."""
+        return replace(
+            self,
+            lines=self.lines[lines],
+            errors=self.errors.at(lines),
+            reference=None if self.reference is None else self.reference[lines],
+        )
+
+    def select(self, elements: Sequence[int]) -> LocalCovariance:
+        """Select some elements."""
+        return replace(
+            self,
+            lines=self.lines[:, elements][:, :, elements],
+            errors=self.errors.select(elements),
+            bin_covariance=self.bin_covariance[:, elements][:, :, elements],
+        )
+
+    def of_sums(self, weights: ComplexArray) -> Array:
+        """Compute the covariance of weighted sums over lines and elements; `weights`: shape (lines, elements, sums)."""
+        from scipy.sparse import csr_array
+
+        errors = self.errors
+        bins, width = len(self.bin_covariance), errors.bin_weights.shape[3]
+        total = np.zeros((weights.shape[2],) * 2)
+        columns = (errors.first_bin[:, None] + np.arange(width)).ravel()
+        row_pointer = np.arange(0, columns.size + 1, width)
+        for segment in range(errors.bin_weights.shape[2]):
+            by_element = []
+            for k in range(errors.bin_weights.shape[1]):
+                bin_weights = errors.bin_weights[:, k, segment].ravel()
+                matrix = csr_array((bin_weights, columns, row_pointer), shape=(len(errors.first_bin), bins))
+                by_element.append((matrix.T @ weights[:, k].conj()).T)
+            by_bin = np.stack(by_element, axis=2)
+            total += np.einsum("pbi,bij,qbj->pq", by_bin, self.bin_covariance, by_bin.conj(), optimize=True).real
+        common = np.einsum("kap,ka->p", weights.conj(), errors.common_error)
+        total *= 0.5 * errors.shared
+        variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
+        total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
+        return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
+
+
+def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
+    """Scale covariances to stated standard uncertainties of either quadrature component."""
+    stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
+    with np.errstate(invalid="ignore"):
+        scale = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
+    return np.asarray(covariance * scale[:, :, None] * scale[:, None])
+
+
+def _add_uncorrelated(covariance: ComplexArray) -> ComplexArray:
+    """Add uncorrelated variances to covariances, shape (lines, elements, elements)."""
+    index = np.arange(covariance.shape[1])
+    covariance = covariance.copy()
+    covariance[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", covariance).real
+    return covariance
+
+
+def _separate_noise(
+    power: ComplexArray, fitted_response: ComplexArray, reference_power: Array, center: NDArray[np.int64]
+) -> tuple[Array, Array, Array]:
+    """Separate noise of the reference, common to all responses, from noise of each response.
+
+    The cross-powers of the residuals of local fits have two parts: the cross-powers of the fitted responses times the
+    noise power of the reference, and the noise power of each response. Both noise powers are estimated by weighted
+    least squares over the lines around each line. Returns the noise power of the reference, shape (lines,); the noise
+    power of each response, shape (lines, elements); and the ratio of the noise power of the reference to its power,
+    shape (lines,).
+
+    `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
+    in `LocalErrors`; `center`: bin at the middle of each fit.
+    """
+    lines, elements, width = fitted_response.shape
+    bins_per_line = float(np.median(np.diff(center))) if lines > 1 else 1.0
+    # Lines of the local means.
+    n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))
+    curve_power = fitted_response @ fitted_response.conj().swapaxes(1, 2) / width
+    variances = np.einsum("kaa->ka", power).real
+    curve_variances = np.einsum("kaa->ka", curve_power).real
+
+    def local_mean(values: Array) -> Array:
+        return np.asarray(scipy.ndimage.uniform_filter1d(values, n_lines, axis=0, mode="nearest"))
+
+    expected = np.maximum(scipy.ndimage.uniform_filter1d(variances, 3, axis=0, mode="nearest"), _ZERO_POWER)
+    for _ in range(_ITERATIONS):
+        pairs = expected[:, :, None] * expected[:, None]
+        # Normal equations of the noise of the reference and of each response; the noise of the responses is eliminated.
+        a_reference = local_mean(np.sum(abs(curve_power) ** 2 / pairs, axis=(1, 2)))
+        a_mixed, a_response = local_mean(curve_variances / expected**2), local_mean(1.0 / expected**2)
+        b_reference = local_mean(np.sum((power * curve_power.conj()).real / pairs, axis=(1, 2)))
+        b_response = local_mean(variances / expected**2)
+        reduced = a_reference - np.sum(a_mixed**2 / a_response, axis=1)
+        right = b_reference - np.sum(a_mixed * b_response / a_response, axis=1)
+        if elements == 1:
+            reduced, right = (values + _WHOLE_TEST_WEIGHT * values.mean() for values in (reduced, right))
+        is_regular = reduced > 1e-6 * a_reference
+        reference = np.where(is_regular, right, 0.0)
+        reference = np.maximum(reference / np.where(is_regular, reduced, 1.0), 0.0)
+        min_noise = _MIN_NOISE_RATIO * local_mean(variances)
+        response_noise = np.maximum((b_response - a_mixed * reference[:, None]) / a_response, min_noise)
+        expected = np.maximum(reference[:, None] * curve_variances + response_noise, _ZERO_POWER)
+    mean_power = local_mean(reference_power)
+    noise_ratio = np.divide(reference, mean_power, out=np.zeros_like(mean_power), where=mean_power > 0.0)
+    return np.asarray(reference), np.asarray(response_noise), noise_ratio

@@ -1,0 +1,96 @@
+"""Error of a stepped-sine response due to *ringing*: residual free vibration of the previous step.
+
+A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a transient in it that decays
+slowly and is close to the frequency of the tone. The transient is therefore predicted from the response. Around each
+point, a ratio of two polynomials in frequency is fitted to the response (E. C. Levy, IRE Transactions on Automatic
+Control 4 (1959) 37-43); its poles are those of the neighboring resonances.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import polynomial
+
+from rig.core.base.arrays import Array, ComplexArray
+
+# Number of points of a local fit with two poles.
+_POINTS_TWO_POLES = 7
+# Number of points of a local fit with a single pole.
+_POINTS_ONE_POLE = 3
+# A fit needs a second pole if the residual with one pole is at least this fraction of the response.
+_MIN_RESIDUAL_RATIO = 1e-3
+# Points resolve a pole if their spacing is at most this multiple of the distance of the point from the pole.
+_MAX_SPACING_RATIO = 1.5
+# A resonance is considered up to this frequency offset, in its half-power half-widths. The ringing of a farther
+# resonance beats with the tone, which is visible in the window.
+_MAX_HALF_WIDTHS = 4.0
+# A change of a response between points may be noise up to this number of standard uncertainties.
+_NOISE_SIGMAS = 4.0
+# A change may be numerical rounding up to this fraction of the response.
+_ROUNDING_RATIO = 1e-9
+# The transition to the next tone lasts this fraction of the window; the ringing begins after it.
+_TRANSITION_RATIO = 0.5
+
+
+def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Array, error: Array) -> Array:
+    """Compute the maximum error of each point of a response due to ringing.
+
+    The initial amplitude c of the free vibration at a pole s is the difference of the pole's contributions to the two
+    steady responses. After a wait t (`wait_s`) it shifts the mean over a window of length L (`window_s`) by
+    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|``, with l = s - i w. The points are in the order of measurement; `error`:
+    standard uncertainty of each. All arrays have the shape (points,).
+
+    >>> frequency = np.linspace(18.5, 19.5, 25)
+    >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
+    >>> rings = ringing(value, frequency, np.full(25, 5.0), np.full(25, 1.0), np.zeros(25))
+    >>> float((rings / abs(value))[12].round(4))
+    0.0018
+    """
+    deviation = np.zeros(frequency.size)
+    omega = 2.0 * np.pi * frequency
+    n_points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
+    if frequency.size < n_points or not np.diff(omega).all():
+        return deviation
+    for k in range(1, frequency.size):
+        first = min(max(k - n_points // 2, 0), frequency.size - n_points)
+        neighborhood = slice(first, first + n_points)
+        if not (np.isfinite(value[neighborhood]).all() and value[neighborhood].any()):
+            continue
+        noise = _NOISE_SIGMAS * float(np.nan_to_num(error[k]))
+        max_residual = max(noise, _MIN_RESIDUAL_RATIO * float(abs(value[neighborhood]).max()))
+        pole, residue = _local_poles(value[neighborhood], omega[neighborhood], omega[k], max_residual)
+        distance = 1j * omega[k] - pole
+        change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
+        is_near = abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)
+        is_resolved = abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
+        is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
+        relevant = (pole.real < 0.0) & is_near & is_resolved & is_significant
+        wait = max(wait_s[k] - _TRANSITION_RATIO * window_s[k], 0.0)
+        exponent = -distance[relevant] * window_s[k]
+        amplitude = change[relevant] * np.exp(pole[relevant].real * wait)
+        deviation[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
+    return deviation
+
+
+def _local_poles(
+    value: ComplexArray, omega: Array, center: float, max_residual: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """Estimate poles s, rad/s, and residues of the terms ``residue / (i w - s)`` of a response near a point.
+
+    The number of poles is the smallest for which the residual does not exceed `max_residual`.
+    """
+    # Frequency offset and response, normalized to 1.
+    half_range, scale = 0.5 * np.ptp(omega), float(abs(value).max())
+    offset, normalized = (omega - center) / half_range, value / scale
+    roots, residues = np.zeros((2, 0), dtype=complex)
+    for poles in range(1, 1 + (len(value) - 1) // 3):
+        powers = offset[:, None] ** np.arange(poles + 1)
+        terms = np.concatenate([powers, -normalized[:, None] * powers[:, 1:]], axis=1)
+        coefficients = np.linalg.lstsq(terms, normalized, rcond=None)[0]
+        numerator, denominator = coefficients[: poles + 1], np.append(1.0, coefficients[poles + 1 :])
+        roots = polynomial.polyroots(denominator)
+        residues = polynomial.polyval(roots, numerator) / polynomial.polyval(roots, polynomial.polyder(denominator))
+        residual = polynomial.polyval(offset, numerator) - normalized * polynomial.polyval(offset, denominator)
+        if np.sqrt(np.mean(np.square(np.abs(residual)))) * scale <= max_residual:
+            break
+    return np.asarray(1j * (center + half_range * roots)), np.asarray(1j * half_range * scale * residues)

@@ -1,0 +1,189 @@
+"""Averages of a periodic test: the mean amplitude of every channel at every line, with its uncertainty.
+
+A *line* is a frequency of the excitation. The measurement of a line consists of *parts*, such as the periods of a
+multisine. The *scatter* of their amplitudes determines the uncertainty of the mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from analysis.core.responses.budget import assemble_budget
+from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
+from analysis.core.responses.random_errors import MeanErrors
+from analysis.core.responses.ringing import ringing
+from analysis.core.responses.scatter import Scatter, moderate
+from analysis.core.responses.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import circle_factor
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+# Transients are assumed to decay equally at this number of neighboring lines.
+_COMMON_DECAY_LINES = 5
+# If only two parts are available, which do not determine the decay of a transient, this decay factor from part to part
+# is assumed.
+_ASSUMED_DECAY = 0.5
+# A decay factor from part to part is limited to this value. Slower decay cannot be distinguished from a steady
+# amplitude.
+_MAX_DECAY = 0.99
+# Confidence level of the largest noise in a reference.
+_REFERENCE_CONFIDENCE = 0.999
+# The noise of the parts is estimated from their differences if there are at least this number of lines.
+_MIN_LINES = 8
+# Width of the median filter of this noise, in lines.
+_MEDIAN_LINES = 31
+# If there are many parts, successive parts are averaged to this number, from which the decay of a transient is
+# estimated.
+_AVERAGED_PARTS = 4
+# Residual transients are multiplied by this factor, because their estimates have an error of up to 5 %.
+_TRANSIENT_FACTOR = 1.05
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Amplitudes of the recorded channels at the frequencies of a periodic excitation."""
+
+    channels: tuple[str, ...]  # names, in the order of the rows
+    frequency: Array  # Hz, in the order measured; shape (n,)
+    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
+    mean: ComplexArray
+    scatter: Scatter  # random deviation of the mean
+    label: str = ""  # for legends
+    warnings: tuple[str, ...] = field(default=())  # in full sentences
+    # maximum error of each mean due to residual transients; shape (channels, n)
+    residual_transient: Array | None = None
+    # lines at which steady state was not reached; shape (n,). None for a multisine
+    unsteady: NDArray[np.bool_] | None = None
+    # frequencies of discarded measurements, Hz
+    left_out: Array = field(default_factory=lambda: np.empty(0))
+    # number of lines on either side that moderate the noise of each line, for lines with few averages
+    n_neighbors: int = 0
+    noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
+    # number of averaged measurements, each rotated by the phase of its own reference, which also aligns its noise
+    n_rotated: int = 1
+    # maximum error of each mean due to rounding to counts; shape (channels, n)
+    resolution: Array | None = None
+    # for successive tones: wait before each window, and length of the window, s; shape (n,)
+    wait: Array | None = None
+    duration: Array | None = None
+
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
+        """Divide the mean of the response by that of the reference; propagate their covariance to first order."""
+        names: Sequence[str] = self.channels
+        numerator = motion_of(rec, response, motion)
+        response_weights = numerator.row(rec, names, self.frequency)
+        denominator = reference_of(rec, reference)
+        reference_weights = denominator.row(rec, names, self.frequency)
+        x, f = np.sum(response_weights * self.mean, axis=0), np.sum(reference_weights * self.mean, axis=0)
+        reject_zero_reference(rec, reference, f)
+        value = x / f
+        # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
+        weights = (response_weights - value * reference_weights) / f
+        noise = self.scatter if self.noise is None else self.noise
+        variance, degrees_of_freedom = self.scatter.variance(weights), self.scatter.degrees_of_freedom
+        if self.n_neighbors:
+            expected = noise.local_variance(weights, self.n_neighbors)
+            variance, degrees_of_freedom = moderate(variance, degrees_of_freedom, expected, self.n_neighbors)
+        error = np.sqrt(variance / 2.0)
+        bounds: dict[str, Array] = {}
+        reference_bounds = [self._reference_noise(reference_weights, noise) / abs(f)]
+        # Residual transients and rounding add up in the worst case.
+        unsettled = None if self.residual_transient is None else _TRANSIENT_FACTOR * self.residual_transient
+        for name, bound in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
+            if bound is not None:
+                bounds[name] = np.sum(abs(weights) * bound, axis=0)
+                reference_bounds.append(np.sum(abs(reference_weights / f) * bound, axis=0))
+        if self.wait is not None and self.duration is not None:
+            free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
+            bounds[UNSETTLED] = np.maximum(bounds.get(UNSETTLED, 0.0), free_vibration)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            averages = 1.0 + self.scatter.degrees_of_freedom / 2.0
+            coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
+        means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
+        contributions = ChannelContributions(
+            names, self.frequency, motion, value, response_weights * self.mean / f, reference_weights * self.mean / f
+        )
+        amplitude = None if self.unsteady is None else abs(f)
+        budget = assemble_budget(
+            rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
+            MeanErrors(weights.T[:, None], means), scale=common_scale(rec, numerator.channels, denominator.channels),
+        )  # fmt: skip
+        return Response.curve(
+            self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
+            coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
+            amplitude=amplitude, omitted=self.left_out,
+        )  # fmt: skip
+
+    def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
+        """Compute the largest amplitude of noise in the reference at each line; shape (n,).
+
+        It excludes lines without excitation, because noise exceeds it only at one line in a thousand. `noise` is the
+        scatter of the periods: realizations that were rotated by the phase of their own reference scatter only in its
+        amplitude.
+        """
+        variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
+        degrees_of_freedom = noise.degrees_of_freedom * (2 * self.n_neighbors + 1)
+        return np.asarray(
+            np.sqrt(self.n_rotated * variance / 2.0) * circle_factor(_REFERENCE_CONFIDENCE, degrees_of_freedom)
+        )
+
+
+def _noise_of_changes(changes: ComplexArray) -> Array:
+    """Estimate the noise power in the changes between parts, summed over the changes; shape (channels, lines).
+
+    `changes`, shape (changes, channels, lines). Noise differs from line to line, while transients are smooth. The
+    median over lines excludes transients of single modes.
+    """
+    count, _, lines = changes.shape
+    if lines < _MIN_LINES:
+        return np.zeros(changes.shape[1:])
+    # Second differences of noise have six times its power. The last divisor is the ratio of the median of a gamma
+    # distribution to its mean.
+    power = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
+    median_power = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
+    return np.pad(median_power, ((0, 0), (1, 1)), mode="edge")
+
+
+def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
+    """Sum values, shape (rows, lines), over `_COMMON_DECAY_LINES` lines around each line."""
+    half_width = _COMMON_DECAY_LINES // 2
+    padded = np.pad(values, ((0, 0), (half_width, half_width)))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _COMMON_DECAY_LINES, axis=1).sum(axis=-1))
+
+
+def residual_transient(successive: ComplexArray) -> Array:
+    """Estimate the maximum error of the mean of successive parts due to a decaying transient, shape (channels, lines).
+
+    `successive`: amplitudes of successive parts, shape (parts, channels, lines). From part to part, a transient is
+    multiplied by a constant complex factor r. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /
+    (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, from which r and c are estimated. Many parts
+    are first averaged to a few, because noise would otherwise hide r.
+
+    >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
+    >>> float(round(residual_transient(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))
+    1.0
+    """
+    if len(successive) >= 2 * _AVERAGED_PARTS:
+        successive = np.stack([part.mean(axis=0) for part in np.array_split(successive, _AVERAGED_PARTS)])
+    count = len(successive)
+    changes = np.diff(successive, axis=0)
+    decay_factor = np.full(successive.shape[1:], _ASSUMED_DECAY, dtype=complex)
+    if count > 2:
+        power = _sum_of_neighbors(np.sum(abs(changes[:-1]) ** 2, axis=0))
+        product = _sum_of_neighbors(np.sum(changes[:-1].conj() * changes[1:], axis=0))
+        decay_factor = product / np.maximum(power, 1e-300)
+        decay_factor *= np.minimum(1.0, _MAX_DECAY / np.maximum(abs(decay_factor), 1e-300))
+    decay_power = np.sum([abs(decay_factor) ** (2 * k) for k in range(count - 1)], axis=0)
+    power = np.maximum(np.sum(abs(changes) ** 2, axis=0) - _noise_of_changes(changes), 0.0)
+    initial = np.sqrt(power / decay_power) / abs(1.0 - decay_factor)
+    return np.asarray(initial * abs(1.0 - decay_factor**count) / (count * abs(1.0 - decay_factor)))

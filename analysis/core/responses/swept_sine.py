@@ -1,0 +1,311 @@
+"""Swept sine: frequency responses by the local rational method.
+
+For each *line*, a frequency of the result, the method is applied to the *segment* of the sweep whose frequencies are
+near it. A *bin* is a frequency of the discrete Fourier transform of the segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from analysis.core.recordings.slices import read_slices
+from analysis.core.responses.clean_segments import describe_flaws, find_flaws, remedy
+from analysis.core.responses.estimator import Estimator, Request
+from analysis.core.responses.local_models.local_rational import ORDER
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
+from analysis.core.responses.measurands import motion_of, reference_of
+from analysis.core.responses.random_errors import LocalErrors
+from analysis.core.responses.segment_fits import warn_of_dampers
+from analysis.core.responses.systematic import (
+    UNSETTLED,
+    power_in_counts,
+    reproducible_rounding,
+    tolerance,
+    tone_gain_error,
+)
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.base.progress import CountProgress
+from rig.core.results import format_number
+from rig.core.results.response import MOTIONS, Response
+
+if TYPE_CHECKING:
+    from daq.core.recording.markers import Marker
+    from daq.core.recording.recording import Recording
+
+
+# The ratio of the last to the first frequency of a segment is at least this, which excludes the harmonics of a
+# nonlinear structure.
+_MIN_FREQUENCY_RATIO = 1.35
+# Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
+_RATIO_INCREASE = 1.1
+# Number of frequencies at which the response is estimated.
+_POINTS = 400
+# Bins of a spectrum per fitted value: bins of a fit over its number of parameters.
+_BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
+# Dampers are assumed to stay on their floors up to this acceleration of their body, g. They lift off at 1 g.
+_MAX_FLOOR_ACCELERATION = 0.7
+# With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this.
+_MAX_SWEEP_ERROR_RATIO = 0.3
+# A sweep that is too fast causes a warning if it is so at more than this share of the lines with dampers in flight.
+_MAX_FAST_SHARE = 0.05
+# A warning recommends a sweep that is longer by this factor.
+_RECOMMENDED_SLOWDOWN = 10
+# Minimum number of periods over which the amplitude of a reading is evaluated.
+_MIN_PERIODS = 3.0
+
+
+@dataclass(frozen=True)
+class SweptTone:
+    """Spectra of a sweep: for each line, the spectra of the segment whose frequencies are near it."""
+
+    spectra: LocalSpectra
+    sweep_rate: Array  # Hz/s; shape (lines,)
+    label: str
+    warnings: tuple[str, ...]
+    # lines at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
+    on_floor: NDArray[np.bool_]
+    left_out: Array  # frequencies without a line, Hz
+    shared: float = 1.0  # number of neighboring lines with a common error
+
+    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
+        """Estimate the frequency response with coherence, random and systematic errors."""
+        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
+        frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings)
+        budget = frf.uncertainty
+        assert isinstance(budget.errors, LocalErrors)
+        # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
+        errors = replace(budget.errors, has_single_reference=False, shared=self.shared)
+        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.left_out)
+        if not warn_of_dampers(rec):
+            return frf
+        error = np.where(self.on_floor, 0.0, self._sweep_error(frf))
+        frf = frf.with_limits({UNSETTLED: error})
+        too_fast = error / abs(frf.value) > _MAX_SWEEP_ERROR_RATIO
+        if not np.sum(too_fast) > _MAX_FAST_SHARE * np.sum(error > 0.0):
+            return frf
+        # Two digits, so that responses with nearly the same band share one warning.
+        low, high = (format_number(float(f"{end:.2g}")) for end in frf.frequency[np.flatnonzero(too_fast)[[0, -1]]])
+        return frf.warn(
+            f"Between {low} and {high} Hz this sweep is too fast to reach steady state with dampers in "
+            f"flight, so the curve is a transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use "
+            "stepped sine."
+        )
+
+    def _sweep_error(self, frf: Response) -> Array:
+        """Estimate the error of a nonlinear response due to the sweep rate.
+
+        The response to a sweep differs from the steady-state response by half the sweep rate (in rad/s²) times the
+        curvature of the response (J. R. Carson, T. C. Fry, Variable frequency electric circuit theory, Bell System
+        Technical Journal 16 (1937) 513-540). The fit corrects this difference for a linear structure. For a nonlinear
+        structure it is a possible error.
+        """
+        if frf.frequency.size < 3:
+            return np.full(frf.frequency.size, np.inf)
+        slope = np.gradient(frf.value, frf.frequency)
+        return np.asarray(self.sweep_rate / (4.0 * np.pi) * abs(np.gradient(slope, frf.frequency)), dtype=float)
+
+
+def sweep_spectra(
+    rec: Recording, marker: Marker, channels: Sequence[str], progress: CountProgress | None = None
+) -> SweptTone:
+    """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
+
+    The transients at the beginning and end of a segment are part of the fit. Neither the sweep rate nor the length of
+    the segment therefore limits the resolution. `marker`: the ``measure`` marker of the sweep.
+    """
+    first = marker.first_sample
+    stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
+    names = tuple(channels)
+    low, high = sorted(float(marker.fields[key]) for key in ("from", "to"))
+    frequency = np.geomspace(low, high, _POINTS)
+    bounds = [_segment(marker, f, rec.rate, first, stop) for f in frequency]
+    all_flaws = find_flaws(rec, names, first, stop)
+    is_clean = [
+        not any(flaw.first < end and flaw.stop > begin for flaw in all_flaws) and end - begin > 4 * FIT_HALF_WIDTH
+        for begin, end in bounds
+    ]
+    notes = []
+    if not all(is_clean):
+        reasons = describe_flaws(rec, all_flaws) or "the sweep is too short"
+        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies left out: {reasons}.")
+    if not any(is_clean):
+        raise RecordingError(
+            f"{rec.path}: no part of the sweep can be used ({reasons}). {remedy(rec, all_flaws)}, or sweep for longer."
+        )
+    if marker.fields.get("settled") is False:
+        notes.append(
+            "The sweep began before steady state at its first frequency, so that the curve may be wrong near it. Begin "
+            "farther from a resonance (test.from)."
+        )
+    order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
+    bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
+    channel_spectra = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)
+    bin_frequency = np.empty((_POINTS, bin_offsets.size))
+    variances = np.empty((len(names), _POINTS))
+    direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
+    noise_levels = []
+    blocks = read_slices(rec, names, [bounds[index] for index in order])
+    for n_completed, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
+        if progress is not None:
+            progress(n_completed, len(order))
+        segment_samples = block.shape[1]
+        center = max(int(frequency[index] * segment_samples / rec.rate), FIT_HALF_WIDTH + 1)
+        # This shift of the spectrum moves the frequency exactly onto a bin.
+        shift = frequency[index] * segment_samples / rec.rate - center
+        # The noise is estimated from bins beyond the frequencies and the leakage of the tone.
+        half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * center, FIT_HALF_WIDTH)
+        noise_bin = center + direction * (int(_RATIO_INCREASE * half_range) + 2 * FIT_HALF_WIDTH)
+        has_noise = FIT_HALF_WIDTH < noise_bin < segment_samples // 2 - FIT_HALF_WIDTH
+        noise_bins = (
+            np.arange(noise_bin - FIT_HALF_WIDTH - 1, noise_bin + FIT_HALF_WIDTH + 2)
+            if has_noise
+            else np.zeros(0, dtype=np.int64)
+        )
+        bins = np.concatenate([center + bin_offsets, noise_bins])
+        spectrum = spectrum_at_bins(block - block.mean(axis=1, keepdims=True), bins, shift)
+        channel_spectra[index] = spectrum[:, : bin_offsets.size]
+        bin_frequency[index] = frequency[index] + bin_offsets * rec.rate / segment_samples
+        begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / segment_samples
+        # The passage of a logarithmic sweep is defined only for positive frequencies.
+        edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
+        # Samples at which the sweep passes the first and the last bin of the fit.
+        passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
+        variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
+        if has_noise:
+            noise = _noise(spectrum[:, bin_offsets.size :]) / segment_samples
+            noise_bin_frequency = (
+                bin_frequency[index, FIT_HALF_WIDTH] + (noise_bin - center) * rec.rate / segment_samples
+            )
+            noise_levels.append((noise_bin_frequency, *noise))
+    clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
+    noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
+    # Noise reduces the reproducible rounding error; its smallest value over all frequencies is used.
+    noise_counts = power_in_counts(rec, names, noise.min(axis=1))
+    rounding_gain_error = reproducible_rounding(noise_counts)[:, None] * tone_gain_error(
+        power_in_counts(rec, names, variances[:, clean_points])
+    )
+    spectra = LocalSpectra(
+        names,
+        np.moveaxis(channel_spectra[clean_points], 0, 1).reshape(1, len(names), -1),
+        np.ones((1, clean_points.size * bin_offsets.size), dtype=complex),
+        bin_frequency[clean_points].ravel(),
+        np.arange(clean_points.size) * bin_offsets.size + FIT_HALF_WIDTH,
+        FIT_HALF_WIDTH,
+        1.0,
+        rounding_gain_error,
+        noise * lengths[clean_points],
+        np.zeros((len(names), len(names))),
+    )
+    sweep_rate = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
+    shared = max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
+    on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
+    left_out = frequency[~np.array(is_clean)]
+    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, left_out, shared)
+
+
+def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
+    """Return whether all dampers stay on their floors at each frequency, from the variances of the motion channels."""
+    on_floor = np.ones(frequency.size, dtype=bool)
+    infos = [rec.channels[name] for name in names]
+    for damper in rec.scene.dampers:
+        largest = np.full(frequency.size, np.inf)
+        for info, variance in zip(infos, variances, strict=True):
+            if info.at != f"body {damper.body}" or info.quantity not in MOTIONS:
+                continue
+            order = 2 - MOTIONS.index(info.quantity)
+            acceleration = (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
+            largest = np.minimum(largest, acceleration * (1.0 + tolerance(info)))
+        on_floor &= damper.locked | (largest < _MAX_FLOOR_ACCELERATION * rec.scene.gravity)
+    return on_floor
+
+
+def _segment(marker: Marker, frequency: float, rate: float, first: int, stop: int) -> tuple[int, int]:
+    """Return the first and one-past-last sample of the segment around a frequency."""
+    frequency_ratio = _MIN_FREQUENCY_RATIO
+    while True:
+        edges = frequency / frequency_ratio**0.5, frequency * frequency_ratio**0.5
+        ends = sorted(first + _sample_at(marker, edge, rate) for edge in edges)
+        begin, end = max(first, int(ends[0])), min(stop, int(ends[1]))
+        excited_bins = (frequency_ratio**0.5 - 1.0) * frequency * (end - begin) / rate
+        if excited_bins >= FIT_HALF_WIDTH or (begin == first and end == stop):
+            return begin, end
+        frequency_ratio *= _RATIO_INCREASE
+
+
+def spectrum_at_bins(block: Array, bins: NDArray[np.int64], shift: float) -> ComplexArray:
+    """Compute a few bins of the spectrum of a long segment after a frequency shift.
+
+    The segment is folded into rows and multiplied by a small matrix of phase factors, much faster than a complete
+    transform. `block` has the shape (channels, samples). `shift`: frequency above each bin, in bins.
+
+    >>> block = np.random.default_rng(1).standard_normal((1, 1000))
+    >>> shifted = np.fft.fft(block * np.exp(-2j * np.pi * 0.3 / 1000 * np.arange(1000)))
+    >>> np.allclose(spectrum_at_bins(block, np.array([3, 80]), 0.3), shifted[:, [3, 80]], rtol=1e-12)
+    True
+    """
+    size = block.shape[1]
+    columns = max(1, int(size**0.5))
+    rows = size // columns
+
+    def phase_factors(samples: NDArray[np.int64]) -> ComplexArray:
+        # With integer arithmetic the phases of late samples are as exact as those of early samples.
+        return np.exp(-2j * np.pi * (np.outer(bins, samples) % size + shift * samples) / size)
+
+    by_row, by_column = phase_factors(columns * np.arange(rows)), phase_factors(np.arange(columns))
+    factors = np.concatenate([by_row.real, by_row.imag])
+    folded = []
+    for row in block:
+        real, imaginary = np.split(factors @ row[: rows * columns].reshape(rows, columns), 2)
+        folded.append(np.sum((real + 1j * imaginary) * by_column, axis=1))
+    last = np.arange(rows * columns, size)
+    return np.array(folded) + block[:, last] @ phase_factors(last).T
+
+
+def _noise(spectra: ComplexArray) -> Array:
+    """Estimate the noise power of each channel from bins without excitation or leakage, shape (channels,)."""
+    windowed = 0.5 * spectra[:, 1:-1] - 0.25 * (spectra[:, :-2] + spectra[:, 2:])
+    # A Hann window reduces the power to 3/8. The median of the power is ln 2 times its mean and excludes hum.
+    return np.asarray(np.median(abs(windowed) ** 2, axis=1) / (0.375 * np.log(2.0)))
+
+
+def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
+    """Interpolate the noise of each channel between the frequencies of its estimates; constant beyond them."""
+    if not levels:
+        return np.zeros((channels, frequency.size))
+    noise_frequency, *power = np.array(sorted(levels)).T
+    smooth = [scipy.ndimage.uniform_filter1d(row, 2 * FIT_HALF_WIDTH + 1, mode="nearest") for row in power]
+    return np.array([np.interp(frequency, noise_frequency, row) for row in smooth])
+
+
+def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:
+    """Return the samples between two positions of a segment, but at least `_MIN_PERIODS` around their middle.
+
+    The readings may be far larger in other parts of the segment.
+    """
+    middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _MIN_PERIODS / 2.0 * period)
+    return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]
+
+
+def _sample_at(marker: Marker, frequency: float, rate: float) -> float:
+    """Return the sample index, from the beginning of the sweep, at which the sweep reaches a frequency."""
+    low, high, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
+    if marker.fields.get("spacing") == "linear":
+        return (frequency - low) / (high - low) * duration * rate
+    return float(np.log(frequency / low) / np.log(high / low) * duration * rate)
+
+
+def _compute(request: Request) -> list[Response]:
+    """Estimate the response of each sweep."""
+    return request.compute(
+        sweep_spectra(request.rec, marker, request.channels, request.progress) for marker in request.measured
+    )
+
+
+ESTIMATOR = Estimator(_compute, "a sweep is processed as a whole, by the local rational method", jumps=True)

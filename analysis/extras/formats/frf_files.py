@@ -1,0 +1,398 @@
+"""Reading of frequency responses from files of this and other programs: Universal Files (58, 58b) and text tables."""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.responses.curve_checks import reversed_force
+from daq.extras.importing import uff
+from daq.extras.importing.files import signals_of
+from daq.extras.importing.text_layout import UNNAMED
+from daq.extras.importing.units import quantity_and_scale
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.escaping import unescape_cell
+from rig.core.base.input_files import as_path
+from rig.core.results.response import MOTIONS, Response, stack
+from rig.core.results.uncertainty import SYSTEMATIC
+from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
+from rig.core.settings.quantities import FREQUENCY
+
+ENDINGS = (".uff", ".unv", ".csv", ".txt")
+# Heading of a column: name of the response, component, and unit of the phase.
+_COLUMN_NAME = re.compile(
+    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
+    r"[\s_.]*(deg|rad|degrees|°)?",
+    re.IGNORECASE,
+)
+# Frequencies are lines of a DFT if their spacing varies relatively by less than this; the digits of a table cause such
+# variation.
+_MAX_SPACING_SPREAD = 0.05
+# Assumed noise bandwidth in lines, that of a Hann window, because files do not give the window.
+_HANN_BANDWIDTH_LINES = 1.5
+# Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
+_MIN_MAGNITUDE = 1e-30
+_MAX_MAGNITUDE = 1e30
+# Two lines are distinct if their relative frequency difference is at least this.
+_MIN_SPACING_RATIO = 1e-9
+# Beginning of the names of columns without a heading.
+_NO_NAME = UNNAMED.format("")
+_NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
+# Components of a response by the first letter of their names.
+_COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}
+
+
+def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
+    r"""Read frequency responses of other programs, with coherence if the file contains it.
+
+    Parameters
+    ----------
+    path : str or Path
+        A Universal File with data sets 58 of function type 4, the output of `analysis frf`, or a table. The first
+        column of a table contains frequencies in Hz, followed by two columns for each response: ``body1 real [m/N]``
+        and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``.
+    reference : str, optional
+        Node and direction of the force, such as ``"1 +Z"``, if the file has several.
+    unit : str, optional
+        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``; required if the file has none. It overrides the unit
+        in the file.
+
+    Returns
+    -------
+    Response
+        Named after nodes and directions, or as in the file. `identify` and all figures accept it. Only files written
+        by this program contain error bars, systematic errors and resolution.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or contains no frequency responses of motion to force.
+    SceneError
+        If the reference is ambiguous or not in the file, or if a unit is missing or wrong.
+    RunError
+        If a package is missing.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "beam.csv"
+    ...     _ = file.write_text("f [Hz],tip re [g/N],tip im [g/N]\n10,1,0\n20,0,-2\n")
+    ...     tip = read_frfs(file)["tip"]
+    >>> tip.name, tip.value.round(3).tolist()
+    ('accelerance', [(9.807+0j), -19.613j])
+    """
+    file = as_path(path)
+    if not file.is_file():
+        raise RecordingError(f"{file}: no such file. Check the path.")
+    if file.suffix.lower() in (".uff", ".unv"):
+        return _checked(_from_uff(file, reference, unit))
+    if file.suffix.lower() in ENDINGS:
+        if reference is not None:
+            raise SceneError(
+                f"{file}: a table has no references to choose from. Leave out the reference {reference!r}."
+            )
+        try:
+            curves = _from_long_table(file, unit)
+        except csv.Error as error:
+            raise RecordingError(f"{file}: not readable as a CSV table ({error}). Export it again.") from None
+        return _checked(curves or _from_table(file, unit))
+    raise RecordingError(f"{file}: unknown file type; expected one of {', '.join(ENDINGS)}")
+
+
+def _checked(curves: Sequence[Response]) -> Response:
+    """Join the curves of a file, with a warning if it gives no systematic errors."""
+    response = stack(curves)
+    return response if all(curve.limits for curve in curves) else response.warn(_NO_SYSTEMATIC_ERRORS)
+
+
+def is_frf_file(path: Path) -> bool:
+    """Return whether a file may contain frequency responses instead of a recording."""
+    return path.suffix.lower() in ENDINGS
+
+
+def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:
+    """Read the responses to one reference from a Universal File."""
+    sets = uff.functions(path)
+    frf_sets = [data_set for data_set in sets if int(data_set["func_type"]) == FRF]
+    if not frf_sets:
+        has_time = any(uff.is_time(data_set) for data_set in sets)
+        remedy = "It contains time responses: convert them with `daq import`."
+        remedy = remedy if has_time else "Export a frequency response to this file."
+        raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
+    references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
+    if reference is None and len(references) > 1:
+        raise SceneError(
+            f"{path}: the file contains responses to {len(references)} references. Choose one with --reference: "
+            f"{', '.join(references)[:300]}."
+        )
+    selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
+    if not selected:
+        raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
+    coherence, column_of = {}, {}
+    for data_set in sets:
+        kind, points = int(data_set["func_type"]), (uff.point(data_set, "rsp"), uff.point(data_set, "ref"))
+        if kind == uff.COHERENCE:
+            coherence[points] = np.asarray(data_set["data"]).real
+        elif kind == GENERAL and uff.title(data_set).startswith((DEVIATION_LINE, BOUND_LINE)):
+            column_of[points, uff.title(data_set)] = np.asarray(data_set["data"]).real
+    curves = []
+    for name, data_set in zip(_names(selected), selected, strict=True):
+        data, frequency = np.asarray(data_set["data"]), np.asarray(data_set["x"], dtype=float)
+        if not np.iscomplexobj(data) or data.size != frequency.size:
+            raise RecordingError(
+                f"{path}: {name} is not a complex value for each frequency. Export the response as complex values "
+                "(real and imaginary part)."
+            )
+        # The unit of the ratio, from the axis labels.
+        numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
+        label = f"({numerator})/({denominator})" if numerator and denominator else numerator
+        motion, scale = _ratio(f"{path}: {name}", unit or label)
+        points, id_line = (uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or "")
+        stated = (column_of.get((points, f"{line} {uff.title(data_set)}")) for line in (DEVIATION_LINE, BOUND_LINE))
+        error, bound = (None if column is None else scale * column for column in stated)
+        resolution = _stated_resolution(id_line)
+        curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution, bound)
+        # In files of this program, nodes are bodies.
+        places = [f"node {point}" for point in points]
+        if id_line.startswith(RESOLUTION_LINE):
+            places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
+        curves.append(curve.placed(*places))
+    warning = reversed_force(curves)
+    return [curve.warn(warning) for curve in curves] if warning else curves
+
+
+def _stated_resolution(id_line: str) -> float | None:
+    """Read the stated resolution (noise bandwidth), Hz, from a file of this program; None for other files.
+
+    >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
+    (0.5, None)
+    """
+    match = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", id_line.strip())
+    try:
+        width = float(match[1]) if match else np.nan
+    except ValueError:
+        return None
+    return width if 0.0 <= width < np.inf else None
+
+
+def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name responses by their titles if these are distinct, else by their positions if distinct, else with numbers."""
+    for names in ([uff.title(data_set) for data_set in sets], [uff.point(data_set, "rsp") for data_set in sets]):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{uff.point(data_set, 'rsp')} #{number}" for number, data_set in enumerate(sets, 1)]
+
+
+def _ratio(where: str, unit: str) -> tuple[str, float]:
+    """Return the motion quantity of a ratio of motion to force, and the SI value of its unit.
+
+    `where`: location in the file, for messages.
+
+    >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
+    (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
+    """
+    if not unit:
+        raise SceneError(f"{where}: the file states no unit. Give the unit, such as --unit m/s^2/N.")
+    for pattern in (
+        r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
+        r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
+        r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
+    ):
+        match = re.fullmatch(pattern, unit.strip())
+        if match is None:
+            continue
+        numerator, denominator = match["numerator"], match["denominator"]
+        # Notation of tables written by this program: m/(N s^2).
+        if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
+            numerator, denominator = f"{tail[1]}/{tail[3]}", tail[2]
+        try:
+            (motion, motion_unit), (force, force_unit) = quantity_and_scale(numerator), quantity_and_scale(denominator)
+        except ValueError:
+            continue
+        if motion in MOTIONS and force == "force":
+            return motion, motion_unit / force_unit
+    raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
+
+
+def _from_long_table(path: Path, unit: str | None) -> list[Response]:
+    """Read a table of `analysis frf`, with a row for each response and frequency; empty for other tables."""
+    with path.open(newline="", encoding="utf-8-sig", errors="replace") as stream:
+        reader = csv.DictReader(stream)
+        heading = reader.fieldnames or []
+        real = next((name for name in heading if name.startswith("real ")), None)
+        if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
+            return []
+        motion, scale = _ratio(str(path), unit or real.removeprefix("real "))
+        names = ("imag", "magnitude_std", "systematic")
+        imag, deviation, systematic = (real.replace("real", name, 1) for name in names)
+        rows: dict[str, list[tuple[float, complex, float, float, float, float]]] = {}
+        inputs: dict[str, str] = {}
+        for row in reader:
+            try:
+                # The test omitted frequencies with empty cells; a missing cell is an error.
+                parts = (float("nan" if row[name] == "" else row[name]) for name in (real, imag))
+                value = scale * complex(*parts)
+                columns = (
+                    float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz", systematic)
+                )
+                error, coherence, resolution, bound = columns
+                point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution, scale * bound
+            except (TypeError, ValueError):
+                columns_text = f"frequency_Hz, {real}, {imag}"
+                raise RecordingError(
+                    f"{path}:{reader.line_num}: a cell is not a number; expected numbers in the columns "
+                    f"{columns_text}. Correct this row."
+                ) from None
+            name = f"{row.get('scene') or ''}\0{unescape_cell(row['response'] or '')}"
+            rows.setdefault(name, []).append(point)
+            inputs[name] = unescape_cell(row.get("reference") or "").removeprefix("force at ")
+    scenes = {name.partition("\0")[0] for name in rows}
+    if len(scenes) > 1:
+        raise SceneError(
+            f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write a separate file for each test."
+        )
+    curves = []
+    for name, points in rows.items():
+        frequency, values, errors, coherences, resolutions, bounds = map(np.array, zip(*points, strict=True))
+        stated = float(resolutions[0]) if 0.0 <= resolutions[0] < np.inf else None
+        curve = _curve(path, name.partition("\0")[2], frequency, values, motion, coherences, errors, stated, bounds)
+        curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
+    return curves
+
+
+def _from_table(path: Path, unit: str | None) -> list[Response]:
+    """Read a table of columns: frequency, then two columns for each response."""
+    with ExitStack() as stack, warnings.catch_warnings():
+        # Without a heading, the rising first column is taken for times; here it contains frequencies.
+        warnings.filterwarnings("ignore", message=".* has no heading; its first column rises evenly")
+        first, *others = signals_of(path, stack)
+        unnamed = [signal.read(0, signal.samples) for signal in (first, *others) if signal.name.startswith(_NO_NAME)]
+        if first.name == UNNAMED.format(2) and first.rate is not None:
+            unnamed.insert(0, first.start_s + np.arange(first.samples) / first.rate)
+        if len(unnamed) == 3 and (np.diff(unnamed[0]) > 0.0).all():
+            frequency, real, imag = unnamed
+            return [_unnamed_curve(path, frequency, real, imag, unit)]
+        frequency = first.read(0, first.samples)
+        columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
+    if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
+        raise RecordingError(
+            f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'"
+        )
+    components: dict[str, dict[str, tuple[str, Array]]] = {}
+    for name, column_unit, values in columns:
+        match = _COLUMN_NAME.fullmatch(name)
+        if match is None:
+            raise RecordingError(
+                f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase"
+            )
+        component = _COMPONENTS[match[2][0].lower()]
+        components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)
+    curves = []
+    for name, pair in components.items():
+        if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
+            raise RecordingError(
+                f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase"
+            )
+        column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
+        motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
+        if "real" in pair:
+            value = first_column + 1j * pair["imag"][1]
+        else:
+            phase_unit, phase = pair["phase"]
+            value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
+        curves.append(_curve(path, name, frequency, scale * value, motion))
+    return curves
+
+
+def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit: str | None) -> Response:
+    """Return the curve of a table without a heading; reject a second column that may contain magnitudes."""
+    remedy = "a heading, such as: f [Hz],tip magnitude [m/N],tip phase [deg]"
+    if not (real < 0.0).any():
+        raise RecordingError(
+            f"{path} has no heading, and its second column has no negative value: it may be a real part or a "
+            f"magnitude. Add {remedy}."
+        )
+    motion, scale = _ratio(str(path), unit or "")
+    curve = _curve(path, "response", frequency, scale * (real + 1j * imag), motion)
+    return curve.warn(
+        f"{path} has no heading: frequency in Hz, real part and imaginary part are assumed. If this is wrong, add "
+        f"{remedy}."
+    )
+
+
+def _curve(
+    path: Path,
+    name: str,
+    frequency: Array,
+    value: NDArray[Any],
+    motion: str,
+    coherence: Array | None = None,
+    error: Array | None = None,
+    resolution: float | None = None,
+    bound: Array | None = None,
+) -> Response:
+    """Build a curve from its valid lines in order of frequency.
+
+    `error`: standard uncertainty; `resolution` in Hz; `bound`: of the systematic errors, infinite if unbounded.
+    """
+    lines = _valid_lines(f"{path}: {name}", frequency, value)
+    if resolution is None:
+        steps = np.diff(frequency[lines])
+        is_even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
+        resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if is_even else 0.0
+
+    def column(values: Array | None) -> Array:
+        """Select the valid lines; NaN where the file has no value or an impossible value."""
+        if values is None or values.size != frequency.size:
+            return np.full(lines.size, np.nan)
+        return np.where(np.isfinite(values[lines]) & (values[lines] >= 0.0), values[lines], np.nan)
+
+    limits = {}
+    if bound is not None and bound.size == frequency.size and not np.isnan(bound[lines]).all():
+        limits[SYSTEMATIC] = np.where(abs(bound[lines]) < _MAX_MAGNITUDE, abs(bound[lines]), np.inf)
+    return Response.curve(
+        frequency[lines],
+        np.asarray(value, dtype=complex)[lines],
+        name,
+        motion=motion,
+        error=column(error),
+        limits=limits,
+        coherence=column(coherence),
+        label=path.stem,
+        resolution=resolution,
+        omitted=np.sort(frequency[(frequency > 0) & np.isfinite(frequency) & ~np.isfinite(value)]),
+    )
+
+
+def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:
+    """Return the indices of the valid lines in order of frequency; reject magnitudes that no structure can have."""
+    valid = np.flatnonzero((frequency > 0) & np.isfinite(frequency) & np.isfinite(value))
+    if not valid.size:
+        raise RecordingError(f"{where} has no finite value at a frequency above 0 Hz. Export the file again.")
+    lines = valid[np.argsort(frequency[valid])]
+    for hertz in frequency[lines[[0, -1]]]:
+        if not FREQUENCY.supports(hertz):
+            raise RecordingError(f"{where} has a line at {hertz:.3g} Hz; expected {FREQUENCY.range}. Correct the file.")
+    largest = abs(value[lines]).max()
+    if largest and not _MIN_MAGNITUDE <= largest <= _MAX_MAGNITUDE:
+        raise RecordingError(
+            f"{where} reaches {largest:.3g} in SI units; expected {_MIN_MAGNITUDE:g} to {_MAX_MAGNITUDE:g}. Correct "
+            "the unit, or export the file again."
+        )
+    repeated = np.flatnonzero(np.diff(frequency[lines]) <= _MIN_SPACING_RATIO * frequency[lines[1:]])
+    if repeated.size:
+        raise RecordingError(
+            f"{where} has the frequency {frequency[lines[repeated[0]]]:.9g} Hz twice. Export the file with enough "
+            "digits to distinguish the frequencies."
+        )
+    return lines

@@ -1,4 +1,0 @@
-"""Figures of responses, decays, modes and dampers, in the common style of `rig.figure_style`.
-
-Start with `frf_figure`.
-"""

@@ -1,0 +1,86 @@
+"""Parts of the reproduction, whose results are stored, so that an interrupted reproduction can be continued.
+
+The results of a part are stored with a digest of its inputs and of the program. Results with the same digest are loaded
+instead of computed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.core.base.errors import RunError
+from rig.core.base.output_files import create_folder
+from rig.core.base.study import code_digest
+
+Arrays = dict[str, np.ndarray]
+
+
+def partial_name(target: Path) -> Path:
+    """Return a temporary file name with the process number, as workers of a killed run may still write."""
+    return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove incomplete files of earlier runs."""
+    for subfolder in (folder / "data", folder / "recordings"):
+        for path in subfolder.glob("*.partial.*"):
+            path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True)
+class PaperPart:
+    """A part of the reproduction: a simulation, or a recording with its evaluation, that needs no other part."""
+
+    name: str  # file stem of its results
+    all_inputs: str  # text that contains all inputs of the results: scenes, grids, options
+    compute: Callable[..., Arrays]
+    """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
+    arguments: Mapping[str, Any]  # arguments of `compute`
+    title: str  # for the progress report
+    effort: float = 1.0
+    """Approximate time relative to other parts, for the order and the estimate of the remaining time."""
+
+    @property
+    def digest(self) -> str:
+        """Digest of the inputs and of the program."""
+        code = code_digest("rig", "daq", "analysis")
+        return hashlib.sha256(f"{code}\n{self.all_inputs}".encode()).hexdigest()
+
+    def path(self, folder: Path) -> Path:
+        """Return the file of the results."""
+        return folder / "data" / f"{self.name}.npz"
+
+    def load(self, folder: Path) -> Arrays | None:
+        """Return the results of an earlier run with the same inputs, or None."""
+        try:
+            with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+                arrays = {key: archive[key] for key in archive.files}
+        except Exception:
+            # The file does not exist or is damaged, for which numpy raises various errors.
+            return None
+        return arrays if str(arrays.pop("digest", "")) == self.digest else None
+
+    def run(self) -> Arrays:
+        """Compute the results, possibly in another process."""
+        return self.compute(**self.arguments)
+
+    def store(self, folder: Path, arrays: Arrays) -> None:
+        """Store results; the file gets its name only when it is complete."""
+        target = self.path(folder)
+        partial = partial_name(target)
+        create_folder(target.parent, RunError)
+        try:
+            contents: dict[str, Any] = {"digest": np.array(self.digest), **arrays}
+            np.savez_compressed(partial, **contents)
+            partial.replace(target)
+        except OSError as error:
+            raise RunError(
+                f"{target}: cannot write the results of a part ({error.strerror}). Choose another folder with --output."
+            ) from None

@@ -1,0 +1,382 @@
+"""The `daq` command line."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rig.commands.arguments import Changes, Overwrite, SceneNames, load_scene
+from rig.commands.command_line import create_application, run_command
+from rig.core.base.console import pause_reports, progress, user_terminal
+from rig.core.base.errors import RecordingError
+
+if TYPE_CHECKING:
+    from rig.core.scene.scene import Scene
+
+app = create_application("The instrument: record, inspect, repair and replay tests.")
+
+# Suffixes of other formats.
+OTHER_SUFFIXES = (
+    ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
+)  # fmt: skip
+# Help text of the scene that scripts and clients drive.
+BENCH_SCENE_HELP = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, or a rig with three dampers."
+
+
+def _option(metavar: str | None, text: str, *names: str) -> Any:
+    """Return an option with a placeholder for its value, and a help text."""
+    return typer.Option(*names, metavar=metavar, help=text)
+
+
+def _output(text: str, metavar: str = "FILE") -> Any:
+    """Return the option -o for an output file."""
+    return _option(metavar, text, "-o", "--output")
+
+
+Replace = Annotated[bool, _option(None, "Replace the file if it exists.", "--overwrite")]
+Start = Annotated[float | None, _option("S", "Start of the part to use, in seconds from the first sample.", "--from")]
+Stop = Annotated[float | None, _option("S", "End of the part to use, in seconds from the first sample.", "--to")]
+Web = Annotated[bool, _option(None, "Show the viewer in a browser on this machine.", "--web")]
+Clock = Annotated[
+    str | None,
+    _option("real|fast", "Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real."),
+]
+
+
+@app.command(example="daq record fig8-three-dampers --set test.force=2N -o sweep.mcap")
+def record(
+    scenes: SceneNames,
+    changes: Changes = None,
+    output: Annotated[
+        Path | None, _output("Recording to write, or folder for SCENE.mcap. Default: folder recordings.", "FILE|DIR")
+    ] = None,
+    overwrite: Replace = False,
+    block: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            rich_help_panel="Test",
+            help="Largest number of samples per channel acquired at a time; it does not change the recording.",
+        ),
+    ] = None,
+    dry_run: Annotated[
+        bool, _option(None, "Record nothing; print the expected maxima, limits and duration.", "--dry-run")
+    ] = False,
+    anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
+) -> None:
+    """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
+    from daq.core.measurement.estimate import check_resources, estimate
+    from daq.core.measurement.run_report import is_recorded, record_and_report
+    from daq.core.prediction.announcement import reject_certain_abort
+    from daq.core.prediction.foresee import foresee
+
+    if dry_run:
+        for scene in scenes:
+            print(f"{scene}: {foresee(load_scene(scene, changes))}")
+        return
+    tests = [
+        (scene, load_scene(scene, changes), path)
+        for scene, path in zip(scenes, _recording_paths(scenes, output), strict=True)
+    ]
+    complete = [path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)]
+    for path in complete:
+        print(f"{path}: already contains the complete test of this scene. Use --overwrite to record it again.")
+    tests = [
+        (scene, scene_settings, _prepare_recording(path, overwrite))
+        for scene, scene_settings, path in tests
+        if path not in complete
+    ]
+    for scene, scene_settings, path in tests:
+        check_resources(estimate(scene_settings), path)
+        foresight = foresee(scene_settings)
+        print(f"{foresight}\n", file=sys.stderr)
+        if not anyway:
+            reject_certain_abort(scene, foresight)
+        if code := record_and_report(scene, scene_settings, path, overwrite, block):
+            raise typer.Exit(code)
+
+
+@app.command("import", example="daq import bench.csv --table channels.yaml -o bench.mcap")
+def import_recording(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program."
+        ),
+    ],
+    scene: Annotated[
+        str | None,
+        _option("SCENE", "Scene of the bench and its channels. Without a scene, the contents of FILE are listed."),
+    ] = None,
+    changes: Changes = None,
+    table: Annotated[
+        Path | None,
+        _option(
+            "FILE.yaml|csv",
+            "Table that assigns columns of FILE to channels. Default: the columns with their names.",
+        ),
+    ] = None,
+    start: Start = None,
+    stop: Stop = None,
+    output: Annotated[Path | None, _output("Recording to write. Default: FILE.mcap.", "REC")] = None,
+    overwrite: Annotated[bool, _option(None, "Replace the recording if it exists.", "--overwrite")] = False,
+) -> None:
+    """Make a recording from files of another program.
+
+    Without --scene, the contents of the files are listed.
+
+    The scene's test specifies the excitation. Hammer hits and the steps of a stepped sine are detected in the samples.
+    """
+    from daq.commands.import_report import import_and_report, listing
+
+    if scene is None:
+        if changes or overwrite or any(option is not None for option in (table, start, stop, output)):
+            raise typer.BadParameter(
+                "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene, or omit these options."
+            )
+        for line in listing(files):
+            print(line)
+        return
+    settings = load_scene(scene, changes)
+    path = output if output is not None else files[0].with_suffix(".mcap")
+    _reject_other_suffix(path)
+    import_and_report(files, settings, path, table, start, stop, overwrite)
+
+
+@app.command("replay", example="daq replay sweep.mcap --screenshot sweep.png")
+def replay_recording(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to show.")],
+    save: Annotated[
+        Path | None, _option("FILE.rrd", "Write a file for the viewer instead of opening a window.")
+    ] = None,
+    web: Web = False,
+    screenshot: Annotated[
+        Path | None,
+        _option("FILE.png", "Draw a picture instead of opening a window; needs Vulkan drivers, no display."),
+    ] = None,
+    at: Annotated[
+        float | None,
+        _option("S", "Time of the picture, s from the start. Default: at the largest damper gap or displacement."),
+    ] = None,
+    start: Start = None,
+    stop: Stop = None,
+    speed: Annotated[float, _option("X", "Playback speed; 1 is real time, 0.1 is ten times slower.")] = 1.0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Show a recording in the viewer, or draw a picture of it."""
+    from daq.extras.viewer.show import replay
+
+    with progress(file.stem) as report_progress:
+        replay(
+            file, save=save, screenshot=screenshot, web=web, at=at, from_s=start, to_s=stop, speed=speed,
+            overwrite=overwrite, progress=report_progress,
+        )  # fmt: skip
+
+
+@app.command("info", example="daq info sweep.mcap --check")
+def describe_recordings(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
+    check: Annotated[bool, _option(None, "Read the whole file and verify every record.", "--check")] = False,
+) -> None:
+    """Describe recordings and list the commands that can analyze them."""
+    from daq.extras.viewer.description import info
+
+    for file in files:
+        print(info(file, check))
+
+
+@app.command(example="daq recover damaged.mcap -o repaired.mcap")
+def recover(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is not changed.")
+    ],
+    output: Annotated[Path, _option("FIXED", "Recording to write.", "-o", "--output")],
+    overwrite: Annotated[bool, _option(None, "Replace FIXED if it exists.", "--overwrite")] = False,
+) -> None:
+    """Repair an incomplete or damaged recording.
+
+    The intact part is copied to FIXED, and all lost samples are listed.
+    """
+    from daq.core.recording.recovery import recover as recover_recording
+
+    _reject_other_suffix(output)
+    for line in recover_recording(file, output, overwrite).report():
+        print(line)
+
+
+@app.command(
+    "run",
+    context_settings={"ignore_unknown_options": True, "allow_interspersed_args": False},
+    example="daq run --scene fig9 my_script.py",
+)
+def run_a_script(
+    script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="Python script that uses nidaqmx.")],
+    arguments: Annotated[
+        list[str] | None,
+        # This callback replaces the common callback, which would check the arguments as options of `daq run`.
+        typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
+    ] = None,
+    scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
+    changes: Changes = None,
+    clock: Clock = None,
+    seconds: Annotated[
+        float | None,
+        _option("S", "Bench time after which the script receives Ctrl-C, or Enter at a prompt. Default: no limit."),
+    ] = None,
+) -> None:
+    """Run a nidaqmx script on the virtual rig, without changes to it."""
+    from daq.extras.ni_server.script import run_script
+
+    with user_terminal():
+        code = run_script(script, arguments or [], _load_bench_scene(scene, changes), clock, seconds)
+    if code == 1:
+        from rig.core.base.shadowing import shadowing_files
+
+        for note in shadowing_files(script.absolute().parent):
+            typer.echo(f"note: {note}", err=True)
+    raise typer.Exit(code)
+
+
+@app.command("serve", example="daq serve fig9 --clock fast")
+def serve_a_rig(
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
+    changes: Changes = None,
+    clock: Clock = None,
+    address: Annotated[
+        str, _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates.")
+    ] = "127.0.0.1",
+    port: Annotated[int, _option("N", "Port; 0 chooses a free one.")] = 31763,
+    certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
+    key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
+    client_ca: Annotated[
+        Path | None,
+        _option(
+            "FILE.pem",
+            "Certificate of an authority; only clients with a certificate from it are accepted (mutual TLS).",
+        ),
+    ] = None,
+    session_timeout: Annotated[
+        float, _option("S", "Time without connection after which the tasks of a client are closed.")
+    ] = 30.0,
+    output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
+    overwrite: Replace = False,
+    proto_folder: Annotated[
+        Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
+    ] = None,
+) -> None:
+    """Serve the virtual instrument to clients of NI's gRPC protocol.
+
+    Ctrl-C ends the server.
+    """
+    from daq.extras.ni_server.serve import Certificates, serve
+    from daq.extras.ni_server.served_instrument import Limits
+
+    if (certificate is None) != (key is None) or (client_ca is not None and certificate is None):
+        raise typer.BadParameter("--certificate and --key belong together, and --client-ca requires both. Give both.")
+    if overwrite and output is None:
+        raise typer.BadParameter("--overwrite requires -o. Add -o FILE, or omit --overwrite.")
+    _check_port("--port", port)
+    if session_timeout <= 0.0:
+        raise typer.BadParameter(f"--session-timeout: {session_timeout:g} s is not above 0 s. Give a longer time.")
+    certificates = None
+    if certificate is not None and key is not None:
+        certificates = Certificates(certificate, key, client_ca)
+    limits = Limits(disconnect_timeout=session_timeout)
+    bench = _load_bench_scene(scene, changes)
+    path = None if output is None else _prepare_recording(output, overwrite)
+    with pause_reports():
+        serve(bench, clock, address, port, certificates, limits, path, overwrite, proto_folder)
+
+
+@app.command("bench", example="daq bench fig9 --port 0")
+def bench_in_the_browser(
+    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
+    changes: Changes = None,
+    output: Annotated[
+        Path | None, _output("First recording; further ones are numbered. Default: recordings/SCENE-bench.mcap.")
+    ] = None,
+    overwrite: Replace = False,
+    address: Annotated[
+        str, _option("HOST[:PORT]", "Address of the page; a browser needs the printed token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, _option("N", "Port of the page; 0 chooses a free one.")] = 8031,
+    device_port: Annotated[int, _option("N", "Port of the device for NI clients; 0 chooses a free one.")] = 31763,
+    browser: Annotated[bool, _option(None, "Open the page in the browser.", "--browser/--no-browser")] = True,
+) -> None:
+    """Run a rig live in the browser.
+
+    The page shows all channels, starts tests, assesses hammer hits and records.
+    NI clients can use the device at the same time.
+    """
+    from daq.extras.bench_page.bench import bench
+
+    _check_port("--port", port)
+    _check_port("--device-port", device_port)
+    scene_name = scene or os.environ.get("SHOTRIG_SCENE") or "default"
+    path = Path("recordings") / f"{Path(scene_name).stem}-bench.mcap"
+    settings = _load_bench_scene(scene, changes)
+    if output is not None:
+        path = _prepare_recording(output, overwrite)
+    with pause_reports():
+        bench(settings, address, port, device_port, path, overwrite, browser)
+
+
+def _check_port(option: str, port: int) -> None:
+    if not 0 <= port < 65536:
+        raise typer.BadParameter(f"{option}: {port} is out of range. Give 0 to 65535.")
+
+
+def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene | None:
+    """Load the scene for a bench; return None for the default scene."""
+    scene_name = scene or os.environ.get("SHOTRIG_SCENE")
+    if scene_name is None and changes:
+        raise typer.BadParameter("--set requires a scene. Give the name of a scene, too.")
+    return None if scene_name is None else load_scene(scene_name, changes)
+
+
+def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
+    """Return the paths of the recordings: the given file, or files in a folder with the names of the scenes."""
+    if len(scenes) == 1 and output is not None and _is_file_name(output):
+        return [output]
+    if output is not None and output.suffix == ".mcap":
+        raise typer.BadParameter(f"-o {output}: one file cannot contain {len(scenes)} tests. Give a folder.")
+    folder = output if output is not None else Path("recordings")
+    paths = [folder / f"{Path(scene).stem}.mcap" for scene in scenes]
+    if len(set(paths)) < len(paths):
+        raise typer.BadParameter(
+            f"two scenes would be recorded to the same file in {folder}. Record them one by one, with -o FILE.mcap."
+        )
+    return paths
+
+
+def _is_file_name(path: Path) -> bool:
+    """Return whether an output is a file: a new name without suffix is a folder, as for other commands."""
+    return path.suffix == ".mcap" or path.is_file() or (path.suffix != "" and not path.is_dir())
+
+
+def _prepare_recording(path: Path, overwrite: bool) -> Path:
+    """Check the path of a new recording before the bench is switched on; the recorder would check it only later."""
+    from rig.core.base.output_files import resolve_output
+
+    _reject_other_suffix(path)
+    resolve_output(path, overwrite, RecordingError)
+    return path
+
+
+def _reject_other_suffix(path: Path) -> None:
+    """Raise `RecordingError` for the suffix of another format, which programs would misinterpret."""
+    if path.suffix.lower() in OTHER_SUFFIXES:
+        raise RecordingError(
+            f"{path}: a recording is an MCAP file; expected a name such as {path.with_suffix('.mcap')}. To write "
+            "another format, run `analysis export` on the recording, or `analysis frf` for figures and tables."
+        )
+
+
+def main() -> None:
+    """Run the `daq` command."""
+    run_command("daq.commands.cli")

@@ -1,0 +1,89 @@
+"""Lines that the command `daq import` prints: the signals of files, or the result of an import."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from daq.core.measurement.run_report import summary
+from daq.core.recording.recording import Recording
+from daq.core.recording.recording import open as open_recording
+from daq.extras.importing.files import signals_of
+from daq.extras.importing.import_files import import_files
+from rig.core.base.console import progress
+from rig.core.base.errors import RunWarning
+from rig.core.base.escaping import escape_terminal
+from rig.core.scene.scene import Scene
+
+
+def listing(files: Sequence[Path]) -> Iterator[str]:
+    """Yield the signals of files as lines of a table that can be edited and given to `--table`."""
+    with ExitStack() as stack:
+        # All files are checked before the first line is printed.
+        signals_by_file = [(path, signals_of(path, stack)) for path in files]
+        for path, signals in signals_by_file:
+            yield f"# {path}; replace signal1, ... by the names of the scene's channels"
+            for signal in signals:
+                unit = f", unit: {_quoted(signal.unit)}" if signal.unit else ""
+                rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
+                column = f"{{column: {_quoted(signal.name)}{unit}}}"
+                yield f"signal{signal.number}: {column}  # {signal.samples} samples{rate}"
+
+
+def _quoted(text: str) -> str:
+    return escape_terminal(json.dumps(text, ensure_ascii=False))
+
+
+def import_and_report(
+    files: Sequence[Path],
+    scene: Scene,
+    path: Path,
+    table: Path | None,
+    from_s: float | None,
+    to_s: float | None,
+    overwrite: bool,
+) -> None:
+    """Import files with a progress bar; print the detected hits or steps, and a summary."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", RunWarning)
+        with progress(f"importing {files[0].name}") as report_progress:
+            import_files(
+                files, scene, path, table=table, from_s=from_s, to_s=to_s, overwrite=overwrite, progress=report_progress
+            )
+    for warning in caught:
+        print(f"warning: {warning.message}", file=sys.stderr)
+    with open_recording(path) as recording:
+        for line in _detection_lines(recording, scene):
+            print(line)
+    print(summary(path))
+
+
+def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
+    """Yield lines about the hits or steps that were detected in the samples."""
+    hits = [marker for marker in recording.markers if marker.kind == "hit"]
+    if hits:
+        peaks = [float(hit.fields["peak"]) for hit in hits]
+        test, count = scene.test, len(hits)
+        # A default of the settings is not the plan of the test.
+        is_planned = test is not None and "repeats" in test.model_fields_set
+        planned = int(getattr(test, "repeats", count)) if is_planned else count
+        share = f"{count} of {planned} hits" if count < planned else "1 hit" if count == 1 else f"{count} hits"
+        plan = "" if count == planned else f" (test.repeats is {planned})"
+        peak_range = f"a peak of {peaks[0]:.3g} N" if count == 1 else f"peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
+        yield f"{share} detected in the force{plan}, with {peak_range}"
+    steps = [marker for marker in recording.markers if "settled" in marker.fields]
+    if steps:
+        frequencies = [float(step.fields["frequency"]) for step in steps]
+        total_s = recording.samples / recording.rate
+        settled_s = sum((step.stop - step.first_sample) / recording.rate for step in steps)
+        yield (
+            f"{len(steps)} step{'s' if len(steps) > 1 else ''} detected, {min(frequencies):.6g} to "
+            f"{max(frequencies):.6g} Hz; settled, and measured, for {settled_s:.4g} of {total_s:.4g} s"
+        )
+        unsettled_count = sum(not step.fields["settled"] for step in steps)
+        if unsettled_count:
+            yield f"{unsettled_count} of these steps did not reach steady state; marked as not settled"

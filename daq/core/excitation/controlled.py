@@ -1,0 +1,66 @@
+"""The force or motion that a controller reads, as a weighted sum of the displacements of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.core.excitation.station import Station
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+
+
+@dataclass(frozen=True)
+class Controlled:
+    """A controlled quantity."""
+
+    station: Station
+    rows: tuple[int, ...]  # rows of the readings
+    factors: tuple[float, ...]  # unit of the quantity per meter of displacement, for each row
+
+    def weights(self, frequency: Array | float) -> ComplexArray:
+        """Return the weights of the channels' amplitudes, shape (channels, ...), at frequencies in Hz.
+
+        The weights remove the responses of sensor, integrator and converter.
+        """
+        frequency = np.asarray(frequency, dtype=float)
+        weights = np.zeros((len(self.station.channels), *frequency.shape), dtype=complex)
+        for row, factor in zip(self.rows, self.factors, strict=True):
+            weights[row] = factor * self.station.displacement_factor(row, frequency)
+        return weights
+
+
+def controlled(station: Station) -> Controlled | None:
+    """Return the quantity that the test of a station controls; None in open loop.
+
+    Raises `SceneError` if no channel measures motion at one of its locations.
+    """
+    terms = station.scene.controlled_terms
+    return _sum_of_displacements(station, terms) if terms else None
+
+
+def spring_force(station: Station) -> Controlled:
+    """Return the force of the driven shaker's coil spring, F1 = k0 (x0 - x1); raise `SceneError` as `controlled`."""
+    shaker = station.scene.driven_shaker
+    assert shaker is not None
+    return _sum_of_displacements(station, shaker.force_terms("", station.scene.at_driven("table")))
+
+
+def _sum_of_displacements(station: Station, terms: Mapping[str, float]) -> Controlled:
+    """Return the sum of the displacements at some locations, with the factor of each."""
+    return Controlled(station, tuple(_motion_row(station, place) for place in terms), tuple(terms.values()))
+
+
+def _motion_row(station: Station, place: str) -> int:
+    """Return the row of the first channel that measures motion at a location, such as ``body 1``."""
+    for row, info in enumerate(station.channels):
+        if info.at == place and info.derivative is not None:
+            return row
+    listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
+    raise SceneError(
+        f"channels: control of the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels "
+        f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set test.drive instead of "
+        "test.force (open loop)."
+    )

@@ -1,0 +1,108 @@
+"""How a kind of test is run, predicted, imported and offered on the bench page.
+
+The module of a kind in this package defines a subclass of `Procedure` and its only instance, `PROCEDURE`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
+
+from daq.core.excitation.station import Excitation, Station
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.kind import KindOfTest
+
+if TYPE_CHECKING:
+    from rig.core.scene.scene import Scene
+
+TestT = TypeVar("TestT", bound=KindOfTest)
+
+
+@dataclass
+class FormValues:
+    """Values of the controls on the bench page."""
+
+    kind: str  # title of a form
+    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of a hit, N
+    frequency: float  # of a sine, Hz
+    low: float  # lower limit of a sweep or random test, Hz
+    high: float  # upper limit of a sweep or random test, Hz
+    duration: float  # of a sweep or random test, s
+    interval: float  # between hits, s
+    hits: int  # number of hits
+
+
+@dataclass(frozen=True)
+class Form:
+    """How the bench page offers a kind of test.
+
+    `fields`: names of the `FormValues` of the test. `adjustable`: the operator can change frequency and level of a tone
+    while it runs.
+    """
+
+    title: str
+    fields: tuple[str, ...]
+    adjustable: bool = False
+
+
+class Procedure(Generic[TestT]):
+    """The procedure of a kind of test; subclasses override what differs from a drive of fixed duration.
+
+    `detection`: what an import searches in the samples: hits, steps of constant frequency, the start of a decay, or
+    only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by steps about the
+    peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `form`: how the bench page offers
+    the test; None if it does not.
+    """
+
+    detection: ClassVar[Literal["hits", "steps", "start", "band"]] = "band"
+    rehearsal: ClassVar[Literal["part", "peaks"]] = "part"
+    budget: ClassVar[float] = 1.0
+    form: ClassVar[Form | None] = None
+
+    def excite(self, station: Station, test: TestT) -> Excitation:
+        """Run the test."""
+        raise NotImplementedError
+
+    def noise_gain(self, test: TestT, frequency: Array) -> Array | None:
+        """Return the ratio of amplitude to noise of a measurement for a level and a noise density of 1, sqrt(s).
+
+        The noise density is per sqrt(Hz); `frequency`: Hz, shape (n,), as the result. None if it is not defined.
+        """
+        return None
+
+    def waits(self, test: TestT, scene: Scene) -> float:
+        """Return the expected time of all waits for steady states, s."""
+        return 0.0
+
+    def control_seconds(self, test: TestT) -> float:
+        """Return the CPU time of the controller, s."""
+        return 0.0
+
+    def stored(self, test: TestT) -> float:
+        """Return the duration of the drive that is stored in memory, s."""
+        return 0.0
+
+    def part(self, test: TestT, seconds: float, scene: Scene) -> TestT:
+        """Return a first part of the test that takes about `seconds`."""
+        duration: float = getattr(test, "duration", seconds)
+        return test.replace(duration=min(duration, seconds))
+
+    def extension(self, test: TestT, seconds: float) -> float:
+        """Return the ratio of the largest value in the whole test to that in its first `seconds`."""
+        return 1.0
+
+    def seconds(self, test: TestT, part: TestT, part_seconds: float) -> float:
+        """Return the expected duration of the test, s, if a part of it takes `part_seconds`."""
+        return part_seconds + max(test.shortest - part.shortest, 0.0)
+
+    def periods_of_step(self, test: TestT) -> int:
+        """Return the number of measured periods of each step of the rehearsal about the peaks."""
+        return 5
+
+    def frequency_at(self, test: TestT, fraction: float) -> float | None:
+        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement, Hz; None if it is marked."""
+        return None
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
+        """Return a test, or the settings of a test, with the values of the page; `test`: the test of the scene."""
+        raise NotImplementedError

@@ -1,0 +1,85 @@
+"""Sine test: a tone of constant frequency and amplitude."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import whole_periods
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.settling import Settling
+from daq.core.excitation.station import Excitation, Station
+from daq.core.excitation.steady_tone import WINDOW_S, SteadyTone
+from rig.core.base.arrays import Array
+from rig.core.results.text import format_decimals
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import Sine
+    from rig.core.scene.excitation.kind import KindOfTest
+
+# The steady state is reached when the transient is at most this fraction of the amplitude.
+_TOLERANCE = 1e-3
+# Maximum wait for the steady state, s.
+_MAX_WAIT_S = 60.0
+
+
+def excite(station: Station, test: Sine) -> Excitation:
+    """Run a tone of constant frequency; mark the measurement.
+
+    With a controlled spring force, the duration of the test begins when the force is steady at its level. In open loop
+    it begins with the first sample, at full amplitude.
+    """
+    tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
+    if station.is_force_controlled:
+        fields = {"frequency": test.frequency, "level": level}
+        station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")
+        settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, fields)
+        if not settled:
+            station.warn(
+                f"{format_decimals(test.frequency, 3)} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
+                "The measurement is marked as not settled. Choose another frequency or level."
+            )
+        station.report(0.5, f"{format_decimals(test.frequency, 2)} Hz, measuring")
+        yield from tone.measure(station.samples(test.duration), settled, fields)
+        yield tone.end()
+        return
+    # Open loop: the level is the amplitude of the drive.
+    tone.amplitude = level
+    detector = Settling(_TOLERANCE)
+    window = whole_periods(test.frequency, station.rate, WINDOW_S)
+    first, total, steady_from = station.now, station.samples(test.duration), None
+    while (remaining := first + total - station.now) > 0:
+        station.report((total - remaining) / total, f"{format_decimals(test.frequency, 2)} Hz, level {level:g}")
+        n_samples, phase = min(window, remaining), tone.phase
+        readings = yield station.drive(tone.hold(n_samples))
+        if n_samples == window and steady_from is None:
+            detector.add(tone.amplitudes(readings, phase))
+            steady_from = station.now if detector.settled else None
+    settled = steady_from is not None and station.now - steady_from >= window
+    # Without a steady state, the second half of the test is measured.
+    begin = steady_from if settled else first + total // 2
+    station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
+
+
+class SineProcedure(Procedure["Sine"]):
+    """A tone of constant frequency."""
+
+    detection = "steps"
+    form = Form("sine", ("level", "frequency"), adjustable=True)
+
+    def excite(self, station: Station, test: Sine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: Sine, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the duration."""
+        return np.full(frequency.size, np.sqrt(test.duration / 2.0))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return a tone of the given frequency and force."""
+        return {"kind": "sine", "frequency": values.frequency, "force": values.level}
+
+
+PROCEDURE = SineProcedure()

@@ -1,0 +1,112 @@
+"""Interface of a test to the bench (its station): sample clock, drive inputs, channels, marks and messages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+import numpy as np
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+from rig.core.base.progress import FractionProgress
+from rig.core.scene.shaker import at_shaker
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+    from rig import Scene
+
+
+# A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and receives the readings of
+# the channels in that window, shape (channels, samples), in physical units.
+Excitation = Generator[Array, Array, None]
+
+
+@dataclass
+class Station:
+    """Access of a test to the bench: scene, sample clock, channels, drive inputs, marks and messages."""
+
+    scene: Scene
+    channels: Sequence[ChannelInfo]  # in the order of the rows of the readings
+    inputs: Sequence[str]  # drive inputs of the bench, in the order of the rows of drives
+    rate: float  # samples per second
+    # ``mark(kind, first, stop, **fields)`` marks the samples `first` to `stop` - 1 in the recording.
+    mark: Callable[..., Any]
+    report: FractionProgress = lambda fraction, message: None  # reports the progress of the test
+    warn: Callable[[str], None] = lambda message: None  # adds a warning that is shown after the test
+    # Delay of the converter's filter, samples, which is removed from the readings: the readings of a window begin this
+    # number of samples before its drive.
+    latency: int = 0
+    now: int = 0  # index of the first sample of the next window
+
+    def samples(self, seconds: float) -> int:
+        """Return the nearest number of samples in a time, at least 1."""
+        return max(1, round(seconds * self.rate))
+
+    def generator(self, purpose: str) -> np.random.Generator:
+        """Return a random generator that depends only on the scene's seed and on the purpose, such as "multisine"."""
+        seeds = np.random.SeedSequence([self.scene.seed, crc32(purpose.encode())])
+        return np.random.Generator(np.random.PCG64(seeds))
+
+    @property
+    def level(self) -> float:
+        """Level of the test: its force in N, or its drive in the shaker's unit (V, m or N)."""
+        levels = () if self.scene.test is None else self.scene.test.levels
+        return levels[0] if levels else 0.0
+
+    @property
+    def force_is_drive(self) -> bool:
+        """Whether the drive is the force on the structure itself."""
+        return self.scene.driven_shaker is not None and self.scene.driven_shaker.drive_is_force
+
+    @property
+    def is_force_controlled(self) -> bool:
+        """Whether the test prescribes a spring force, which is controlled from the channels."""
+        return bool(self.scene.controlled_terms)
+
+    def drive(self, wave: Array, name: str | None = None) -> Array:
+        """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
+        name = self.scene.at_driven("shaker") if name is None else name
+        if name not in self.inputs:
+            existing_inputs = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
+            raise SceneError(
+                f"test: drives the {name}, but the scene has {existing_inputs}. "
+                + ("Add a shaker to the scene." if name != "hammer" else "Choose another test.")
+            )
+        rows = np.zeros((len(self.inputs), wave.size))
+        rows[list(self.inputs).index(name)] = wave
+        return rows
+
+    @property
+    def shakers(self) -> tuple[int, ...]:
+        """Numbers of the shakers that the test drives, the main shaker first."""
+        return (self.scene.driven or 1, *(() if self.scene.test is None else self.scene.test.also_driven))
+
+    def drives(self, waves: Array) -> Array:
+        """Return a drive with waves, shape (shakers, samples), at the driven shakers, and zeros elsewhere."""
+        names = [at_shaker("shaker", number, len(self.scene.shakers)) for number in self.shakers]
+        return np.asarray(sum(self.drive(wave, name) for name, wave in zip(names, waves, strict=True)))
+
+    def zero_drive(self, samples: int) -> Array:
+        """Return a zero drive for a number of samples."""
+        return np.zeros((len(self.inputs), samples))
+
+    def displacement_factor(self, row: int, frequency: Array | float) -> ComplexArray:
+        """Return the factor from a channel's complex amplitude to its displacement in m, at frequencies in Hz."""
+        info = self.channels[row]
+        frequency = np.asarray(frequency, dtype=float)
+        response = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
+        return np.asarray(1.0 / response, dtype=complex)
+
+    @property
+    def drive_limit(self) -> float:
+        """Largest drive within the range of the shaker's amplifier; V, m or N."""
+        return np.inf if self.scene.driven_shaker is None else self.scene.driven_shaker.drive_limit
+
+    @property
+    def cautious_drive(self) -> float:
+        """Initial drive per newton of spring force: a fifth of a rough static estimate, to start below the level."""
+        assert self.scene.driven_shaker is not None
+        return 0.2 / self.scene.driven_shaker.newtons_per_drive

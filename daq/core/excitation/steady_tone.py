@@ -1,0 +1,313 @@
+"""Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude.
+
+A *transition* is a smooth change to another frequency and amplitude. The *level* is the required amplitude of the
+force. If the force is not controlled, the level is the amplitude of the drive.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from daq.core.excitation.controlled import Controlled
+from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
+from daq.core.excitation.settling import MIN_OBSERVATIONS, Settling
+from daq.core.excitation.station import Station
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.scene.excitation import FORCE_TOLERANCE
+
+# Duration of a transition to a new frequency, s: so slow that it does not excite modes more than a few hertz away.
+TRANSITION_S = 0.4
+# A transition to a new amplitude lasts at most this time, s.
+_MAX_TRANSITION_S = 3.0
+# An amplitude is estimated from a window of at least this duration, s.
+WINDOW_S = 0.1
+# Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
+_MAX_FORCE_RATIO = 3.0
+# Largest sudden change of the drive, as ln(new / old), whose transient is negligible.
+_MAX_SUDDEN_CHANGE = 0.03
+# The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
+# its deviation from the level.
+_MAX_PREDICTION_CHANGE = 0.3
+# A measurement longer than twice this number of samples is evaluated in blocks of this size or more.
+_BLOCK_SAMPLES = 1 << 16
+
+
+class Tone:
+    """Source of amplitude * sin(phase), with frequency in Hz and the phase in rad at the next sample.
+
+    >>> tone = Tone(1000.0, 10.0)
+    >>> change, constant = tone.transition(200, 10.0, 2.0), tone.hold(100)
+    >>> float(round(abs(np.diff(np.concatenate([change, constant]))).max(), 3))  # as the final tone: 2 (2 pi 10 / 1000)
+    0.126
+    """
+
+    def __init__(self, rate: float, frequency: float) -> None:
+        self.rate = rate
+        self.frequency = frequency
+        self.amplitude = 0.0
+        self.phase = 0.0
+
+    def hold(self, samples: int) -> Array:
+        """Generate samples of constant frequency and amplitude; shape (samples,)."""
+        return self.amplitude * np.sin(self._advance(_elapsed_phases(self.frequency / self.rate, samples)))
+
+    def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
+        """Generate a transition along half a cosine to a frequency and an amplitude; shape (samples,)."""
+        u, rise, integrated_rise = _half_cosine(samples)
+        # Phase in periods: the integral of f0 + (f1 - f0) rise.
+        periods = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
+        envelope = self.amplitude + (amplitude - self.amplitude) * rise
+        wave = envelope * np.sin(self._advance(_phases(periods)))
+        self.frequency, self.amplitude = frequency, amplitude
+        return wave
+
+    def _advance(self, elapsed: Array) -> Array:
+        """Return the phases of a window, rad, and move `phase` to the next window.
+
+        `elapsed`: phase since the start of the window, at each of its samples and at the first sample of the next.
+        """
+        phase = self.phase + elapsed
+        self.phase = math.fmod(phase[-1], 2 * math.pi)
+        return phase[:-1]
+
+
+def _phases(periods: Array) -> Array:
+    """Return the phases, rad, of numbers of periods, without whole periods."""
+    return 2 * np.pi * np.fmod(periods, 1.0)
+
+
+# Most transitions have one of a few lengths.
+@lru_cache(maxsize=4)
+def _half_cosine(samples: int) -> tuple[Array, Array, Array]:
+    """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and the integral of the rise, samples.
+
+    The relative times and the integral have a value more, at the end.
+    """
+    u = np.arange(samples + 1) / samples
+    return u, (1 - np.cos(np.pi * u[:-1])) / 2, samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
+
+
+# The windows in which a tone settles have the same length.
+@lru_cache(maxsize=2)
+def _elapsed_phases(frequency: float, samples: int) -> Array:
+    """Return the phases since the start of a window and at its end, rad; `frequency`: in periods per sample."""
+    return _phases(frequency * np.arange(samples + 1, dtype=float))
+
+
+class SteadyTone(Tone):
+    """A tone that drives a shaker, and the complex amplitudes that it causes.
+
+    These are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
+    """
+
+    def __init__(self, station: Station, frequency: float, controlled: Controlled | None) -> None:
+        super().__init__(station.rate, frequency)
+        self.station, self._controlled = station, controlled
+        self.control: AmplitudeControl | None = None
+        self._motion_rows = [
+            row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
+        ]
+        self._weights_frequency, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
+
+    def start(self, level: float) -> float:
+        """Start the control of the spring force, if prescribed, at a level in N; return the first drive amplitude."""
+        if self._controlled is None:
+            return level
+        self.control = AmplitudeControl(level, self.station.drive_limit)
+        return level * self.station.cautious_drive
+
+    def end(self) -> Array:
+        """Return the drive of a transition to zero amplitude."""
+        return self.station.drive(self.transition(self.station.samples(TRANSITION_S), self.frequency, 0.0))
+
+    def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
+        """Return the complex amplitudes (quantities,) in a window that begins at a phase of the tone in rad."""
+        if self.frequency != self._weights_frequency:
+            self._weights_frequency, channels = self.frequency, len(self.station.channels)
+            force = [] if self._controlled is None else [self._controlled.weights(self.frequency)]
+            motions = np.zeros((len(self._motion_rows), channels), dtype=complex)
+            for weights, row in zip(motions, self._motion_rows, strict=True):
+                weights[row] = self.station.displacement_factor(row, self.frequency)
+            self._weights = np.array([*force, *motions]).reshape(-1, channels)
+        latency_phase = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
+        return self._weights @ lock_in(readings, self.frequency, self.rate, phase - latency_phase)
+
+    def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+        """Hold the tone for a window; return the amplitudes (quantities,)."""
+        phase = self.phase
+        return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
+
+    def settle(
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float
+    ) -> Generator[Array, Array, bool]:
+        """Change to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
+
+        `drive`: amplitude of the drive after the transition; `tolerance`: permitted remaining relative change of any
+        amplitude.
+        """
+        station, control, detector = self.station, self.control, Settling(tolerance)
+        end = station.now + station.samples(max_wait_s)
+        window = whole_periods(frequency, self.rate, WINDOW_S)
+        if control is not None:
+            control.restart()
+        yield station.drive(self.transition(max(station.samples(TRANSITION_S), window), frequency, drive))
+        while station.now + window <= end:
+            detector.add((yield from self.observe(window)))
+            new_drive = None if control is None else _new_drive(control, detector, self.amplitude)
+            if new_drive is not None:
+                transition_samples = window
+                if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
+                    # The transient of a mode beats with the drive. A transition of two beat periods hardly excites it.
+                    two_beats = round(window * 4 * np.pi / detector.phase_change())
+                    transition_samples = max(window, min(station.samples(_MAX_TRANSITION_S), two_beats))
+                detector.restart()
+                yield station.drive(self.transition(transition_samples, frequency, new_drive))
+            elif detector.settled:
+                return control is None or control.is_at_level(
+                    float(abs(detector.predicted_final())), detector.standard_error()
+                )
+        return False
+
+    def settle_and_mark(
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float, fields: dict[str, Any]
+    ) -> Generator[Array, Array, bool]:
+        """Call `settle`, and mark the interval in the recording; return the result of `settle`.
+
+        `fields`: further fields of the marker.
+        """
+        first = self.station.now
+        settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
+        self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **fields)
+        return settled
+
+    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+        """Hold the tone for at least a number of samples, and mark the interval with its force amplitude in N.
+
+        `settled` and `fields` are fields of the marker.
+        """
+        first, samples = self.station.now, max(samples, min_samples(self.frequency, self.rate))
+        # The tone is generated in blocks to limit the memory. Their amplitudes matter only if the force is controlled.
+        block_samples, remaining = whole_periods(self.frequency, self.rate, _BLOCK_SAMPLES / self.rate), samples
+        amplitude: complex = 0.0
+        while remaining:
+            window = block_samples if remaining >= 2 * block_samples else remaining
+            remaining -= window
+            if self.control is None:
+                yield self.station.drive(self.hold(window))
+            else:
+                amplitude += window / samples * (yield from self.observe(window))[0]
+        force = fields["level"] if self.station.force_is_drive else None
+        if self.control is not None:
+            force = float(abs(amplitude))
+        self.station.mark(
+            "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **fields
+        )
+
+
+def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
+    """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
+    force = float(abs(detector.predicted_final()))
+    if detector.count < MIN_OBSERVATIONS + 1:
+        latest_force = float(abs(detector.latest))
+        is_excessive = detector.is_rising and latest_force > _MAX_FORCE_RATIO * control.level
+        return control.reduce_drive(drive, latest_force) if is_excessive else None
+    # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
+    max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
+    is_predictable = detector.settled or detector.prediction_change() < max_change
+    if not is_predictable or control.is_at_level(force, detector.standard_error()):
+        return None
+    new_drive = control.next_drive(drive, force)
+    # At the limit of the amplifier, the point is measured as not settled.
+    return None if new_drive == drive else new_drive
+
+
+# If the force scatters, its relative tolerance is twice its standard error, up to this value.
+_MAX_TOLERANCE = 0.02
+# The slope d log(force) / d log(drive) is assumed to be at least this. When dampers begin to impact, the force can rise
+# slowly or even fall with the drive.
+_MIN_SLOPE = 0.3
+# The slope is assumed to be at most this. When dampers begin to impact, the force can also rise steeply.
+_MAX_SLOPE = 3.0
+# A slope is computed if log(drive) differs by at least this.
+_MIN_LOG_DIFFERENCE = 1e-3
+# The bracket in log(drive) has at least this width. In a narrower bracket that does not contain the level, the force
+# jumps or has changed; the bracket is then discarded.
+_MIN_BRACKET = 2e-3
+# The next drive is at least this fraction of the width of the bracket from both ends.
+_BRACKET_MARGIN = 0.1
+# log(drive) changes by at most this from one drive to the next.
+_MAX_LOG_STEP = math.log(3.0)
+# `_MAX_LOG_STEP` is multiplied by this factor if the slope is below `_MIN_SLOPE`.
+_FLAT_STEP_FACTOR = 0.5
+# If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
+_MIN_REDUCTION_RATIO = 1e-4
+# A smaller force than this fraction of the level is replaced with this value, so that its logarithm is finite.
+_MIN_FORCE_RATIO = 1e-9
+
+
+class AmplitudeControl:
+    """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
+
+    The bracket is the interval between the nearest drives with forces below and above the level. `level`: required
+    force, N; `limit`: largest drive.
+
+    >>> control, drive = AmplitudeControl(2.6), 0.1
+    >>> for step in range(12):
+    ...     force = 3 * drive**1.5
+    ...     if control.is_at_level(force):
+    ...         break
+    ...     drive = control.next_drive(drive, force)
+    >>> step, abs(force / 2.6 - 1) < 0.005
+    (3, True)
+    """
+
+    def __init__(self, level: float, limit: float = math.inf) -> None:
+        self.level = level
+        self.limit = limit
+        self.restart()
+
+    def restart(self) -> None:
+        """Discard all observations: the frequency has changed."""
+        self._previous: tuple[float, float] | None = None  # log(drive), log(level / force)
+        # The bracket, in log(drive).
+        self._low, self._high = -math.inf, math.inf
+        self._largest_reduced_drive = 0.0
+
+    def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
+        """Return whether a force amplitude in N, with a relative standard error, is at the level within tolerance."""
+        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), _MAX_TOLERANCE)
+
+    def reduce_drive(self, drive: float, force: float) -> float | None:
+        """Return a smaller drive for an excessive force in N; None if a much smaller drive did not reduce the force."""
+        self._largest_reduced_drive = max(self._largest_reduced_drive, drive)
+        if drive < _MIN_REDUCTION_RATIO * self._largest_reduced_drive:
+            return None
+        return drive * max(math.exp(-_MAX_LOG_STEP), min(1.0, self.level / force))
+
+    def next_drive(self, drive: float, force: float) -> float:
+        """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
+        log_drive, error = math.log(drive), math.log(self.level / max(force, _MIN_FORCE_RATIO * self.level))
+        slope = 1.0
+        if self._previous is not None and abs(log_drive - self._previous[0]) > _MIN_LOG_DIFFERENCE:
+            slope = (self._previous[1] - error) / (log_drive - self._previous[0])
+        self._previous = log_drive, error
+        # Update the bracket: the nearest drives with forces below and above the level.
+        if error > 0.0:
+            self._low, self._high = log_drive, self._high if self._high > log_drive else math.inf
+        else:
+            self._low, self._high = self._low if self._low < log_drive else -math.inf, log_drive
+        if self._high - self._low < _MIN_BRACKET:
+            self._low, self._high = -math.inf, math.inf
+        max_step, step = _FLAT_STEP_FACTOR * _MAX_LOG_STEP, error
+        if slope >= _MIN_SLOPE:
+            max_step, step = _MAX_LOG_STEP, error / min(slope, _MAX_SLOPE)
+        next_log_drive = log_drive + max(-max_step, min(max_step, step))
+        if math.isfinite(self._high - self._low):
+            margin = _BRACKET_MARGIN * (self._high - self._low)
+            next_log_drive = max(self._low + margin, min(self._high - margin, next_log_drive))
+        return min(math.exp(next_log_drive), self.limit)

@@ -1,0 +1,125 @@
+"""Stepped sine test: at each frequency, wait for the steady state and measure; then change to the next frequency.
+
+A measurement contains whole periods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.core.excitation.controlled import controlled
+from daq.core.excitation.procedure import Procedure
+from daq.core.excitation.station import Excitation, Station
+from daq.core.excitation.steady_tone import SteadyTone
+from rig.core.base.arrays import Array
+from rig.core.results.text import format_decimals
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import SteppedSine
+    from rig.core.scene.scene import Scene
+
+# The drive is extrapolated by at most this, as the natural logarithm of its ratio.
+_MAX_LOG_CHANGE = 0.2
+# The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
+_FIXED_WAIT_S = 1.4
+# In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
+_STEP_TIME_CONSTANTS = 2.0
+# Maximum number of frequencies that a warning lists.
+_MAX_LISTED = 8
+
+
+def excite(station: Station, test: SteppedSine) -> Excitation:
+    """Run a stepped sine at each level; mark the wait (`settle`) and the measurement (`measure`) of each step."""
+    tone, steps = SteadyTone(station, test.order[0], controlled(station)), list(test.order)
+    up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
+    total, completed = len(test.levels) * len(steps), 0
+    unsettled: list[str] = []
+    for level in test.levels:
+        drive = tone.start(level)
+        last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
+        tone.frequency = steps[0]
+        # In open loop the level is the amplitude of the drive; its unit depends on the shaker.
+        at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
+        for index, frequency in enumerate(steps):
+            direction = "down" if test.direction == "down" or index >= up_steps else "up"
+            station.report(completed / total, f"{format_decimals(frequency, 2)} Hz {direction}, {at_level}")
+            if station.is_force_controlled and last_drives:
+                drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
+            fields = {"frequency": frequency, "level": level, "direction": direction}
+            settled = yield from tone.settle_and_mark(
+                frequency, drive, test.settle.tolerance, test.settle.longest, fields
+            )
+            yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, fields)
+            if not settled:
+                unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
+            drive = tone.amplitude
+            last_drives = [*last_drives[-2:], (frequency, drive)]
+            completed += 1
+        yield tone.end()
+    if unsettled:
+        listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
+        station.warn(
+            f"{len(unsettled)} of {total} steps did not reach steady state at the required level within "
+            f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
+        )
+    station.report(1.0, "done")
+
+
+def expected_wait(scene: Scene, longest: float) -> float:
+    """Return the expected time from one measurement to the next, s, from the slowest mode; `longest`: limit, s."""
+    from rig.core.system.structural_model import structural_model
+
+    modes = structural_model(scene).modes
+    longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
+    return _FIXED_WAIT_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, longest)
+
+
+def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: float) -> float:
+    """Extrapolate the drive to a frequency in Hz by a parabola through the logarithms of the last three drives.
+
+    `last_drives`: pairs of frequency (Hz) and drive. Returns the last drive if the extrapolated change is large.
+
+    >>> round(extrapolate_drive([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
+    1.298
+    >>> extrapolate_drive([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
+    40.0
+    """
+    frequencies, drives = np.array([point[0] for point in last_drives]), np.log([point[1] for point in last_drives])
+    if len(last_drives) < 3 or len(set(frequencies)) < 3:
+        return float(np.exp(drives[-1]))
+    # Weights of Lagrange interpolation.
+    weights = [
+        np.prod([(frequency - other) / (node - other) for other in frequencies if other != node])
+        for node in frequencies
+    ]
+    change = float(np.dot(weights, drives) - drives[-1])
+    return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))
+
+
+class SteppedSineProcedure(Procedure["SteppedSine"]):
+    """A series of tones in steady state."""
+
+    detection = "steps"
+    rehearsal = "peaks"
+
+    def excite(self, station: Station, test: SteppedSine) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: SteppedSine, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the measured periods."""
+        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+
+    def waits(self, test: SteppedSine, scene: Scene) -> float:
+        """Return the expected time of the waits before all measurements, s."""
+        return len(test.levels) * len(test.order) * expected_wait(scene, test.settle.longest)
+
+    def periods_of_step(self, test: SteppedSine) -> int:
+        """Return the number of measured periods of each step."""
+        return test.measure.periods
+
+
+PROCEDURE = SteppedSineProcedure()

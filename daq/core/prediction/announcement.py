@@ -1,0 +1,30 @@
+"""The predicted test as text for `rig explain` and `rig design`, and the check at the start of `daq record`."""
+
+from __future__ import annotations
+
+from daq.core.prediction.foresee import foresee
+from daq.core.prediction.foresight import Foresight
+from rig.core.base.errors import SceneError, ShotrigError
+from rig.core.scene.scene import Scene
+
+
+def foresight_text(scene: Scene) -> str:
+    """Return the predicted test of a scene as text; empty for a scene without a test."""
+    if scene.test is None:
+        return ""
+    try:
+        return str(foresee(scene))
+    except ShotrigError as error:
+        return f"the test cannot be run: {error}"
+
+
+def reject_certain_abort(name: str, foresight: Foresight) -> None:
+    """Raise `SceneError` if the test will abort; `name`: name of the scene."""
+    if foresight.aborts is None:
+        return
+    remedy = "Raise the limit"
+    if foresight.limited_by is not None and foresight.largest_level < foresight.level:
+        remedy = f"Lower {foresight.key}, raise the limit"
+    raise SceneError(
+        f"{name}: the test will abort ({foresight.aborts}). {remedy}, or record the test up to the abort with --anyway."
+    )

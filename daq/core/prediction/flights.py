@@ -1,0 +1,89 @@
+"""Predict at which frequencies dampers leave their floors (fly) in a test, and list the modes outside its band.
+
+A damper leaves its floor if the acceleration of the body exceeds gravity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.core.prediction.linear import test_frequencies
+from daq.core.prediction.rehearsal import Rehearsal
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.results import format_frequencies, format_number
+from rig.core.scene.scene import Scene
+from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.open_loop_drive import accelerations_per_level
+from rig.core.system.structural_model import structural_model
+
+# Number of frequencies of a sweep at which the acceleration is compared with gravity.
+_N_FREQUENCIES = 400
+# Maximum number of listed modes.
+_MAX_LISTED_MODES = 5
+
+
+def onset_level(scene: Scene, system: HybridSystem) -> float:
+    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests.
+
+    The level is the force in N, or the drive in the shaker's unit.
+    """
+    accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
+    return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
+
+
+def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
+    """Return the acceleration amplitude under each damper per unit of level, m/s^2; (dampers, frequencies).
+
+    All dampers are on their floors. Without dampers, or for other tests than tones and sweeps, the array is empty.
+    """
+    if not system.dampers or scene.test is None or not scene.test.single_tone:
+        return np.zeros((0, 0))
+    try:
+        return accelerations_per_level(scene, system, 2.0 * np.pi * frequencies)[system.damper_coordinate]
+    except SceneError:
+        return np.zeros((0, 0))
+
+
+def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
+    """Return lines that state for each damper whether it flies, and at which frequencies or at what time.
+
+    `rehearsals`: simulations of parts of the test.
+    """
+    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
+    exceeds_gravity = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
+    names_by_range: dict[str, list[str]] = {}
+    for row, number in enumerate(system.damper_number.tolist()):
+        impacts = [(rehearsal, time) for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]
+        flight_range = ""
+        if exceeds_gravity.size:
+            # A damper flies where the linear response exceeds gravity, or where a rehearsal contains an impact.
+            at_impacts = {rehearsal.frequency_at(round(time * rehearsal.rate)) for rehearsal, time in impacts} - {None}
+            has_impact = [any(abs(f - tone) < 1e-3 * f for tone in at_impacts if tone) for f in frequencies]
+            flies = exceeds_gravity[row] | np.array(has_impact)
+            flight_range = f" at {format_frequencies(frequencies.tolist(), flies.tolist())}" if flies.any() else ""
+        elif impacts:
+            flight_range = f" first at {min(time for _, time in impacts):.2f} s"
+        body = scene.structure.label(scene.dampers[number - 1].body)
+        names_by_range.setdefault(flight_range, []).append(f"damper {number} ({body})")
+    lines = []
+    for flight_range, names in names_by_range.items():
+        verb, plural = ("flies", "fly") if flight_range else ("stays on its floor", "stay on their floors")
+        lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural}{flight_range}")
+    return tuple(lines)
+
+
+def outside_band(scene: Scene) -> tuple[str, ...]:
+    """Return a line with the natural frequencies outside the band of the test, or nothing."""
+    band = None if scene.test is None else scene.test.band
+    if band is None or band[0] == band[1]:
+        return ()
+    modes = structural_model(scene).modes.frequency
+    modes_outside = [(k, mode) for k, mode in enumerate(modes.tolist(), 1) if not band[0] <= mode <= band[1]]
+    if not modes_outside:
+        return ()
+    listed = ", ".join(f"{k} at {mode:.4g} Hz" for k, mode in modes_outside[:_MAX_LISTED_MODES])
+    remainder = f" and {len(modes_outside) - _MAX_LISTED_MODES} more" if len(modes_outside) > _MAX_LISTED_MODES else ""
+    return (f"outside {format_number(band[0])} to {format_number(band[1])} Hz: mode {listed}{remainder}",)

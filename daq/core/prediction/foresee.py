@@ -1,0 +1,371 @@
+"""Predict a test: rehearse the parts that contain its extremes, and compare the extremes with the limits.
+
+A rehearsal simulates the test on the virtual bench without a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from daq.core.excitation import procedure_of, test_of
+from daq.core.excitation.impulse import settling_time
+from daq.core.measurement.estimate import estimate
+from daq.core.prediction.chain_limits import reading_limit, without_limits
+from daq.core.prediction.flights import flight_lines, onset_level, outside_band
+from daq.core.prediction.foresight import Expectation, Foresight, format_quantity
+from daq.core.prediction.linear import LowestSignalToNoise, lowest_signal_to_noise, required_drive
+from daq.core.prediction.rehearsal import POWER_ON_RATIO, Rehearsal, recording_size
+from daq.core.prediction.rehearsal_plan import (
+    RehearsalPlan,
+    affordable_seconds,
+    expected_seconds,
+    level_key,
+    plan_about_peaks,
+    plan_rehearsal,
+    shorten_to_tone,
+    with_level,
+)
+from daq.core.virtual_bench.bench import Bench
+from rig.core.scene.loading import load
+from rig.core.scene.presets import complete_from_preset
+from rig.core.scene.scene import Scene
+from rig.core.scene.shaker import DRIVE_PER_VOLT
+from rig.core.system.assembly import assemble
+from rig.core.system.impact_acceleration import impact_acceleration
+
+# A rehearsal may last at most this multiple of the duration that the CPU time allows, or of the expected duration.
+_MAX_TIME_RATIO = 1.5
+# A drive above this ratio to its limit counts as limited.
+_LIMITED_DRIVE_RATIO = 0.999
+# If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
+_MAX_SECANT_STEPS = 3
+# The search for the largest permissible level ends when the largest reading differs from its limit by less than this
+# fraction.
+_LEVEL_TOLERANCE = 0.02
+# If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
+# proportion.
+_MAX_LEVEL_RATIO = 4.0
+
+
+def foresee(scene: Scene | str | Path) -> Foresight:
+    """Predict the maxima of a test and their limits, its duration, and the size of its recording.
+
+    A short test is rehearsed completely, with noise. Of a long test, the parts with the largest linear response are
+    rehearsed. A bed of grains is treated as one mass.
+
+    Parameters
+    ----------
+    scene : Scene or str or Path
+        Scene, name of a bundled scene, or path of a scene file.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no test, or the test cannot be run on its bench.
+
+    Examples
+    --------
+    >>> import daq
+    >>> foresight = daq.foresee("fig10b-no-damper")
+    >>> foresight.fits, foresight["body1"].unit
+    (True, 'm/s^2')
+    """
+    loaded = scene if isinstance(scene, Scene) else load(scene)
+    loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
+    test_of(loaded)
+    bench = Bench(loaded)
+    rehearsed_test = rehearse_test(loaded, bench)
+    unlimited_test = rehearsed_test
+    if any(part.aborted or any(part.overloaded) for part in rehearsed_test.parts):
+        unlimited_test = rehearse_test(without_limits(loaded), bench)
+    return _Assessment(loaded, bench, rehearsed_test, unlimited_test).foresight()
+
+
+@dataclass(frozen=True)
+class RehearsedTest:
+    """Rehearsals of the parts of a test."""
+
+    parts: tuple[Rehearsal, ...]
+    is_complete: bool  # the parts are the complete test
+    rehearsed: str = ""  # description of the rehearsed part; "" for the complete test
+    extension: float = 1.0  # factor on the extremes of a test that was rehearsed in part
+
+    @property
+    def aborted(self) -> str | None:
+        """Reason why the test would abort; None if it would not."""
+        return next((part.aborted for part in self.parts if part.aborted is not None), None)
+
+    def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
+        """Return the largest magnitude of a quantity in a row, with its frequency (Hz) or else its time (s).
+
+        `quantity`: attribute of `Rehearsal`, such as ``readings``; `row`: row of the channel, input or point.
+        """
+        part = max(self.parts, key=lambda rehearsal: getattr(rehearsal, quantity).magnitude[row])
+        magnitude, sample = (float(getattr(part, quantity).magnitude[row]), int(getattr(part, quantity).sample[row]))
+        frequency = part.frequency_at(sample)
+        return magnitude * self.extension, frequency, sample / part.rate if frequency is None else None
+
+    def reading_time(self, row: int) -> float:
+        """Return the time of a channel's largest reading, s from the start; infinite if it is not in the first part."""
+        part = max(self.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
+        return float(part.readings.sample[row] / part.rate) if part is self.parts[0] else np.inf
+
+
+def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
+    """Rehearse a test, or the parts of it for which the CPU time suffices."""
+    plan, seconds = plan_rehearsal(scene, bench.channels), affordable_seconds(scene)
+    parts = _rehearse_parts(plan, _MAX_TIME_RATIO * max(seconds, expected_seconds(plan.parts[0][0])))
+    test = scene.test
+    if plan.is_complete and (parts[0].complete or parts[0].aborted is not None):
+        return RehearsedTest(parts, True)
+    assert test is not None
+    procedure = procedure_of(test)
+    if procedure.rehearsal == "peaks":
+        if plan.is_complete:
+            # The rehearsal took longer than expected. Therefore only the peaks of the test are rehearsed.
+            plan = plan_about_peaks(scene, bench.channels, seconds)
+            parts += _rehearse_parts(plan, _MAX_TIME_RATIO * seconds)
+        steps = sum(len(part.steps) // 2 for part in parts)
+        return RehearsedTest(parts, False, f"{steps} steps about the peaks of the linear response")
+    if parts[0].aborted is not None:
+        # The test ends here.
+        return RehearsedTest(parts, True)
+    extension = 1.0 if plan.is_complete else procedure.extension(test, parts[0].seconds)
+    return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
+
+
+def _rehearse_parts(plan: RehearsalPlan, max_seconds: float) -> tuple[Rehearsal, ...]:
+    """Rehearse the parts one after another, up to an abort; each takes at most `max_seconds` of bench time."""
+    parts: list[Rehearsal] = []
+    for scene, excluded_steps in plan.parts:
+        parts.append(Rehearsal(scene, excluded_steps).run(max_seconds))
+        if parts[-1].aborted is not None:
+            break
+    return tuple(parts)
+
+
+class _Assessment:
+    """Comparison of a rehearsed test with the limits of its scene; `unlimited` is the test without these limits."""
+
+    def __init__(self, scene: Scene, bench: Bench, rehearsed: RehearsedTest, unlimited: RehearsedTest) -> None:
+        self.scene, self.bench, self.rehearsed_test, self.unlimited_test = scene, bench, rehearsed, unlimited
+        self.system = assemble(scene)
+        self.key, self.level, self.level_unit = level_key(scene)
+
+    def foresight(self) -> Foresight:
+        """Return the prediction."""
+        expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
+        dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
+        by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)
+        limiting = by_ratio_to_limit[-1] if by_ratio_to_limit else None
+        largest_level = np.nan
+        if limiting is not None and limiting.driven_share > 0.0 and self.key:
+            largest_level, dampers_fly = self._largest_level(limiting, dampers_fly)
+            # The second nearest limit must not be exceeded either.
+            second_ratio = by_ratio_to_limit[-2].driven_share if len(by_ratio_to_limit) > 1 else 0.0
+            if second_ratio > 0.0:
+                second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
+                largest_level = min(largest_level, second_level)
+        seconds = self._test_duration()
+        signals = lowest_signal_to_noise(self.scene, self.bench.channels)
+        last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
+        return Foresight(
+            scene=self.scene.name,
+            expectations=expectations,
+            key=self.key,
+            level=self.level,
+            largest_level=largest_level,
+            level_unit=self.level_unit,
+            limited_by=limiting if np.isfinite(largest_level) else None,
+            nonlinear=dampers_fly,
+            aborts=self.rehearsed_test.aborted,
+            signals=signals,
+            unread=(*self._below_resolution(expectations), *self._below_noise(signals)),
+            flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
+            seconds=seconds,
+            disk=recording_size(self.scene, self.bench, last_blocks, seconds),
+            rehearsed=self.rehearsed_test.rehearsed,
+            outside=outside_band(self.scene),
+        )
+
+    def _channels(self) -> Iterable[Expectation]:
+        """Yield the largest reading of each channel, and its limit."""
+        settings = {channel.name: channel for channel in self.scene.channels or ()}
+        for row, info in enumerate(self.bench.channels):
+            largest, frequency, time = self.unlimited_test.largest("readings", row)
+            driven = None
+            limit, limiting_part = reading_limit(settings.get(info.name), info)
+            if POWER_ON_RATIO * settling_time(info) > self.unlimited_test.reading_time(row):
+                # While the bias of a sensor settles, its reading is not a response to the tone.
+                frequency, time = None, self.unlimited_test.reading_time(row)
+                first, *later = self.unlimited_test.parts
+                later_peaks = (float(part.readings.magnitude[row]) for part in later)
+                driven = max(later_peaks, default=float(first.driven_readings.magnitude[row])) or largest
+            recorded = min(self.rehearsed_test.largest("readings", row)[0], np.inf if info.range is None else limit)
+            yield Expectation(
+                info.name, info.unit, largest, frequency, time, limit, limiting_part, largest > limit, recorded, driven
+            )
+
+    def _below_resolution(self, expectations: Iterable[Expectation]) -> Iterable[str]:
+        """Yield a warning for each channel whose signal is below the resolution of the converter."""
+        maxima = {row.name: row.largest for row in expectations}
+        controlled_positions = self.scene.controlled_terms
+        for info in self.bench.channels:
+            count = info.unit_per_count
+            if info.volts_per_count is not None and maxima[info.name] < 2.0 * count:
+                consequence = ""
+                if info.at in controlled_positions:
+                    consequence = ", so that the force cannot be controlled and all maxima are uncertain"
+                yield (
+                    f"{info.name}: the largest reading is below two counts of the converter "
+                    f"({format_quantity(count, info.unit)} each){consequence}. Choose a smaller range or a higher "
+                    "sensitivity."
+                )
+
+    def _below_noise(self, signals: Mapping[str, LowestSignalToNoise]) -> Iterable[str]:
+        """Yield a warning for each channel whose noise exceeds its signal at a frequency of the test."""
+        for name, lowest in signals.items():
+            if lowest.ratio < 1.0:
+                yield (
+                    f"{name}: at {lowest.frequency:.4g} Hz, the signal is {-lowest.decibels:.0f} dB below the noise. "
+                    f"Raise {self.key or 'the level of the test'}, or use a sensor with a higher sensitivity."
+                )
+
+    def _sensors(self) -> Iterable[Expectation]:
+        """Yield the largest acceleration, of the motion or of an impact, at each accelerometer with a limit."""
+        closing_speeds = np.max([part.closing_speed for part in self.unlimited_test.parts], axis=0)
+        speeds = closing_speeds[self.system.damper_number - 1]
+        names = [info.name for info in self.bench.channels]
+        for channel in self.scene.channels or ():
+            sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
+            if sensor is None or sensor.saturation is None:
+                continue
+            row = self.system.points.index(channel.at)
+            motion_peak, frequency, time = self.unlimited_test.largest("accelerations", row)
+            landing_peak = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
+            is_overload_marked = any(part.overloaded[names.index(channel.name)] for part in self.rehearsed_test.parts)
+            largest = max(motion_peak, landing_peak)
+            # The mark does not distinguish an overload of the sensor from an overload of the input.
+            is_overloaded = is_overload_marked and largest > sensor.saturation
+            name, limit = f"{channel.name} sensor", sensor.saturation
+            yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)
+
+    def _outputs(self) -> Iterable[Expectation]:
+        """Yield the voltage of the output that drives the shaker, and the voltage or current of its power amplifier."""
+        shaker = self.scene.driven_shaker
+        for row, (name, unit) in enumerate(zip(self.bench.inputs, self.bench.drive_units, strict=True)):
+            if shaker is None or name != self.scene.at_driven("shaker") or self.scene.driven is None:
+                continue
+            drive, frequency, time = self.unlimited_test.largest("drives", row)
+            if drive == 0.0:
+                continue
+            output = complete_from_preset(shaker.output).range
+            amplifier, drive_limit = shaker.power_amplifier, shaker.drive_limit
+            if drive >= _LIMITED_DRIVE_RATIO * drive_limit:
+                # The drive cannot exceed the limit; the linear response gives the required drive.
+                required = required_drive(self.scene, self.system)
+                if required is not None:
+                    drive, frequency = required[0] * self.level, required[1]
+            volts = drive / DRIVE_PER_VOLT[unit]
+            limit, name = np.inf if output is None else output, f"ao{self.scene.driven - 1}"
+            yield Expectation(name, "V", volts, frequency, time, limit, "output", volts > limit)
+            if amplifier is not None:
+                unit, magnitude, is_limited = amplifier.unit, amplifier.gain * drive, drive > drive_limit
+                yield Expectation(
+                    "amplifier", unit, magnitude, frequency, time, amplifier.limit, "amplifier", is_limited
+                )
+
+    def _tables(self) -> Iterable[Expectation]:
+        """Yield the largest displacement of each shaker table."""
+        for row, name in enumerate(self.bench.points):
+            magnitude, frequency, time = self.unlimited_test.largest("displacements", row)
+            if name.startswith("table") and magnitude > 0.0:
+                yield Expectation(f"{name} travel", "m", magnitude, frequency, time)
+
+    def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
+        """Return the largest level without overload, and whether dampers fly at this level or at the level of the test.
+
+        `limiting`: the maximum that is nearest to its limit; `dampers_fly`: whether they fly at the test's level.
+        """
+        onset = onset_level(self.scene, self.system)
+        if not np.isfinite(limiting.driven_share):
+            return onset, True
+        level = self.level / limiting.driven_share
+        flies = dampers_fly or level > onset
+        names = [info.name for info in self.bench.channels]
+        if (
+            not flies
+            or limiting.name not in names
+            or not 1.0 / _MAX_LEVEL_RATIO < limiting.driven_share < _MAX_LEVEL_RATIO
+        ):
+            return level, flies
+        return self._solve_level(limiting, names.index(limiting.name), level), True
+
+    def _solve_level(self, limiting: Expectation, row: int, level: float) -> float:
+        """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals.
+
+        `row`: row of the channel; `level`: first estimate.
+        """
+        part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
+        seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)
+        scene, excluded_steps = shorten_to_tone(part.scene, limiting.frequency, seconds)
+        if scene is None:
+            return level
+        # Pairs: logarithms of the level, and of the ratio of the largest reading to its limit.
+        unlimited_scene, log_ratios = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
+        for _ in range(_MAX_SECANT_STEPS):
+            rehearsal = Rehearsal(with_level(unlimited_scene, level), excluded_steps).run(4.0 * seconds)
+            reading_ratio = max(float(rehearsal.readings.magnitude[row]) / limiting.limit, 1e-12)
+            log_ratios.append((np.log(level), np.log(reading_ratio)))
+            if abs(reading_ratio - 1.0) < _LEVEL_TOLERANCE:
+                break
+            (level_1, ratio_1), (level_2, ratio_2) = log_ratios[-2:]
+            slope = (ratio_2 - ratio_1) / (level_2 - level_1) if level_2 != level_1 else 1.0
+            level = float(np.exp(level_2 - ratio_2 / np.clip(slope, 0.5, 2.0)))
+        return level
+
+    def _test_duration(self) -> float:
+        """Return the duration of the test, s."""
+        rehearsed_test, test = self.rehearsed_test, self.scene.test
+        rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
+        if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
+            return rehearsed_seconds
+        assert test is not None
+        procedure = procedure_of(test)
+        if procedure.rehearsal == "part":
+            return procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
+        if not test.dwells:
+            return test.shortest
+        # A step between the peaks is assumed to settle in the 25 % quantile of the settling times about the peaks.
+        settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part)] or [1.0]
+        steps = len(test.levels) * len(test.dwells)
+        typical_time = float(np.percentile(settling_times, 25))
+        # Time by which the steps about the peaks take longer than the typical step, s.
+        excess = sum(wait - typical_time for wait in settling_times)
+        complete_seconds = estimate(self.scene).seconds + steps * typical_time + max(excess, 0.0)
+        if rehearsed_test.aborted is None:
+            return complete_seconds
+        # The test aborts near the last rehearsed tone.
+        last_part = rehearsed_test.parts[-1]
+        last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
+        order = np.array(test.dwells)
+        index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
+        return max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
+
+    def _settling_times(self, part: Rehearsal) -> Iterable[float]:
+        """Yield the times until the tones of a part are steady, s.
+
+        If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
+        The geometric mean of both times is assumed.
+        """
+        assert self.scene.test is not None
+        longest = self.scene.test.steady_state.longest
+        for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
+            wait = (settle.stop - settle.first) / self.bench.rate
+            is_irregular = not measure.settled and any(part.impact_times)
+            yield float(np.sqrt(wait * max(longest, wait))) if is_irregular else wait

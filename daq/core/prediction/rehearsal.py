@@ -1,0 +1,186 @@
+"""Rehearse a test: simulate it on the virtual bench without a recording, to predict its extremes.
+
+The size of the recording is estimated by recording a few blocks.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.core.excitation import excitation, procedure_of
+from daq.core.excitation.impulse import settling_time
+from daq.core.measurement.bench_loop import BenchLoop, LimitReached
+from daq.core.recording.recorder import Recorder
+from daq.core.virtual_bench.bench import Bench, Block
+from rig.core.base.arrays import Array
+from rig.core.scene.scene import Scene
+
+#: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
+POWER_ON_RATIO = 0.5
+# Time after a stored impact of a damper in which its further impacts are not stored, s.
+_MIN_IMPACT_INTERVAL_S = 0.5
+# Duration at the end of a rehearsal whose blocks are stored, s.
+_STORED_END_S = 4.0
+
+
+class Extremes:
+    """Largest magnitude of each row of a quantity so far, and the index of its sample."""
+
+    def __init__(self, rows: int) -> None:
+        self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
+
+    def add(self, first: int, values: Array) -> None:
+        """Update with the next values (rows, samples), starting at sample `first`."""
+        if values.size:
+            magnitudes = np.abs(values)
+            samples = magnitudes.argmax(axis=1)
+            for row, sample in enumerate(samples.tolist()):
+                largest = magnitudes[row, sample]
+                if largest > self.magnitude[row]:
+                    self.magnitude[row], self.sample[row] = largest, first + sample
+
+
+@dataclass(frozen=True)
+class Step:
+    """The wait for the steady state of a tone, or its measurement."""
+
+    first: int  # index of the first sample
+    stop: int  # index of the sample after the last
+    frequency: float  # Hz
+    settled: bool  # whether the steady state was reached
+
+
+class Rehearsal(BenchLoop):
+    """A test on the bench that is not recorded; only the extremes of each quantity are stored.
+
+    The first `excluded_steps` steps are run but not evaluated. Each quantity has a row for each channel (`readings`, in
+    its unit), input (`drives`), or body and table (`accelerations`, m/s^2, and `displacements`, m).
+    """
+
+    def __init__(self, scene: Scene, excluded_steps: int = 0) -> None:
+        super().__init__(scene)
+        bench = self.bench
+        self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
+        self.readings = Extremes(len(bench.channels))
+        powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
+        self._powered_on = np.round(powered_on_s * self.rate)
+        # Readings after the power-on transient; without such a transient, these are all readings.
+        self.driven_readings = Extremes(len(bench.channels)) if self._powered_on.any() else self.readings
+        self.overloaded = [False] * len(bench.channels)
+        # Drive of each input of the rig, before the limits of output and amplifier.
+        self.drives = Extremes(len(bench.inputs))
+        self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
+        # Largest closing speed of each damper before an impact, m/s.
+        self.closing_speed = np.zeros(len(scene.dampers))
+        # Times of the impacts of each damper, s.
+        self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
+        self.steps: list[Step] = []
+        # First sample of the sweep, and the sample after its last; None without a complete sweep.
+        self.sweep: tuple[int, int] | None = None
+        # Simulated duration, s, and whether the test ran to its end.
+        self.seconds, self.complete = 0.0, False
+        # Reason why the test was aborted; None if it was not.
+        self.aborted: str | None = None
+        # Blocks of the last seconds, from which the size of the recording is estimated.
+        self.last_blocks: deque[Block] = deque()
+        self._stored_samples = 0
+
+    def run(self, max_duration: float) -> Self:
+        """Run the test up to its end, an abort, or a maximum duration in s."""
+        test = excitation(self.station)
+        try:
+            self.complete = self.run_test(test, next(test), max_duration)
+        except LimitReached as limit_reached:
+            self.aborted = str(limit_reached)
+        self.seconds = self.station.now / self.rate
+        return self
+
+    def frequency_at(self, sample: int) -> float | None:
+        """Return the frequency of the tone at a sample, Hz; None if there is no single tone."""
+        test = self.scene.test
+        if self.sweep is not None and test is not None and sample >= self.sweep[0]:
+            fraction = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
+            frequency = procedure_of(test).frequency_at(test, min(fraction, 1.0))
+            if frequency is not None:
+                return frequency
+        earlier = [step for step in self.steps if step.first <= sample]
+        return earlier[-1].frequency if earlier else None
+
+    def report(self, fraction: float, message: str) -> None:
+        """Ignore the progress of the test."""
+
+    def ending_error(self, readings: Array) -> BaseException | None:
+        """Return the error that ends the test at an exceeded limit; None while steps are still excluded."""
+        error = super().ending_error(readings)
+        return None if self._excluded_steps else error
+
+    def on_block(self, block: Block, readings: Array) -> None:
+        """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
+        self.last_blocks.append(block)
+        self._stored_samples += block.samples.shape[1]
+        while self._stored_samples - self.last_blocks[0].samples.shape[1] > _STORED_END_S * self.rate:
+            self._stored_samples -= self.last_blocks.popleft().samples.shape[1]
+        if self._excluded_steps:
+            return
+        motion = block.motion
+        self.readings.add(block.first, readings)
+        if self.driven_readings is not self.readings:
+            is_driven = block.first >= self._powered_on
+            self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
+        self.accelerations.add(motion.first, motion.acceleration)
+        self.displacements.add(motion.first, motion.displacement)
+        if motion.events.size:
+            self._add_events(motion.events)
+
+    def _add_events(self, events: NDArray[Any]) -> None:
+        """Update the closing speeds and the times of impacts."""
+        impacts = events[events["speed"] > 0.0]
+        np.maximum.at(self.closing_speed, impacts["damper"] - 1, impacts["speed"])
+        for number, time in zip(impacts["damper"].tolist(), impacts["time"].tolist(), strict=True):
+            times = self.impact_times[number - 1]
+            if not times or time - times[-1] > _MIN_IMPACT_INTERVAL_S:
+                times.append(time)
+
+    def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
+        """Update the extremes of the drives, and the overloads."""
+        if self._excluded_steps:
+            return
+        self.drives.add(first, drive)
+        for row in np.flatnonzero(overload.any(axis=1)):
+            self.overloaded[row] = True
+
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        """Store the tones and the sweep of the test."""
+        if kind == "measure" and "from" in fields:
+            self.sweep = first, stop
+        elif kind in ("settle", "measure") and "frequency" in fields:
+            settled = bool(fields.get("settled", True))
+            self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
+            self._excluded_steps -= kind == "measure" and self._excluded_steps > 0
+
+
+def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
+    """Return the estimated size in bytes of the recording of a test that takes `seconds`, from some of its blocks."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "size.mcap"
+        written_samples = 0
+        with Recorder(path, scene, bench.channels, bench.rate) as recorder:
+            empty_size = recorder.size
+            for block in blocks:
+                if not block.samples.shape[1]:
+                    continue
+                if scene.recording.truth:
+                    motion = replace(block.motion, first=written_samples, events=block.motion.events[:0])
+                    recorder.write_truth(motion)
+                recorder.write(block.samples)
+                written_samples += block.samples.shape[1]
+        total_size = path.stat().st_size
+    return empty_size + (total_size - empty_size) / max(written_samples, 1) * seconds * bench.rate

@@ -1,0 +1,221 @@
+"""Choose the parts of a test that are simulated in advance, within a CPU-time budget, to predict the largest readings.
+
+Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
+its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.
+These peaks are computed with the dampers on their floors and without dampers. A long random test is represented by its
+beginning, equal hits by the first hits, and repeated periods by one period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.core.excitation import procedure_of
+from daq.core.excitation.stepped_sine import expected_wait
+from daq.core.measurement.estimate import estimate
+from daq.core.prediction.linear import channel_readings, test_frequencies
+from daq.core.signal_chain.channel import ChannelInfo
+from daq.core.signal_chain.oversampling import choose_oversampling
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation import Test
+from rig.core.scene.presets import complete_from_preset, input_settings
+from rig.core.scene.scene import Scene
+from rig.core.system.assembly import assemble
+
+# A rehearsal takes about this CPU time, s.
+_CPU_BUDGET_S = 0.7
+# CPU time of a sample, to which states and channels add, s. All CPU times here were measured on one core of 2 GHz.
+_SAMPLE_CPU_S = 130e-9
+# CPU time of each state in a sample, s.
+_STATE_CPU_S = 6e-9
+# CPU time of each channel in a sample, s.
+_CHANNEL_CPU_S = 130e-9
+# A channel with a decimation filter needs this multiple of the CPU time of a channel without.
+_FILTER_TIME_RATIO = 2.0
+# CPU time of each element of the state matrix in a sample, s.
+_ELEMENT_CPU_S = 0.6e-9
+# A rehearsal of parts waits at most this time for the steady state, s.
+_LONGEST_WAIT_S = 10.0
+# Peaks of a channel's linear response below this ratio to its largest peak are omitted.
+_MIN_PEAK_RATIO = 0.15
+# The frequencies to rehearse form groups; in a group, successive indices differ by at most this number.
+_MAX_INDEX_GAP = 4
+# Number of steps at the start of each group that are run but not evaluated, because their initial motion differs from
+# the complete test.
+_EXCLUDED_STEPS = 2
+# Number of frequencies of the stepped sine that replaces a long sweep.
+_SWEEP_POINTS = 400
+
+
+@dataclass(frozen=True)
+class RehearsalPlan:
+    """The rehearsed parts of a test: scenes whose tests are run one after another."""
+
+    # Each scene with the number of steps at its beginning that are run but not evaluated.
+    parts: tuple[tuple[Scene, int], ...]
+    is_complete: bool = False  # whether the only part is the complete test
+
+
+def affordable_seconds(scene: Scene) -> float:
+    """Return the longest duration of a test, s, that can be rehearsed in the CPU time `_CPU_BUDGET_S`."""
+    system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
+    channels = system.coordinates if scene.channels is None else len(scene.channels)
+    states = system.states + system.dampers
+    channel_cpu_s = _CHANNEL_CPU_S * (_FILTER_TIME_RATIO if has_filter else 1.0)
+    sample_cpu_s = _SAMPLE_CPU_S + _STATE_CPU_S * states + _ELEMENT_CPU_S * states**2 + channel_cpu_s * channels
+    return _CPU_BUDGET_S / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
+
+
+def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
+    """Choose the parts of a scene's test to rehearse; `channels` are those of the bench."""
+    # Affordable duration of the rehearsed parts, s.
+    test, seconds = scene.test, affordable_seconds(scene)
+    assert test is not None
+    procedure = procedure_of(test)
+    seconds *= procedure.budget
+    control_cpu_s = procedure.control_seconds(test) if scene.controlled_terms else 0.0
+    if expected_seconds(scene) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
+        return RehearsalPlan(((scene, 0),), is_complete=True)
+    if procedure.rehearsal == "peaks":
+        return plan_about_peaks(scene, channels, seconds)
+    return RehearsalPlan(((scene.replace(test=procedure.part(test, seconds, scene)), 0),))
+
+
+def expected_seconds(scene: Scene) -> float:
+    """Return the expected duration of a test with its waits for steady state, s."""
+    test = scene.test
+    assert test is not None
+    return test.shortest + procedure_of(test).waits(test, scene)
+
+
+def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:
+    """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest.
+
+    `seconds` is the affordable duration of all groups, s.
+    """
+    test = scene.test
+    assert test is not None
+    frequencies, direction = test_frequencies(test, _SWEEP_POINTS), test.sweep_direction
+    settings, periods = _stepped_sine_settings(test, direction), procedure_of(test).periods_of_step(test)
+    n_directions = 2 if direction == "both" else 1
+    step_s = expected_wait(scene, settings["settle"].longest) + periods / frequencies.mean()
+    indices = _peak_indices(scene, channels, frequencies, max(2, int(seconds / step_s / n_directions)))
+    groups = np.split(indices, np.flatnonzero(np.diff(indices) > _MAX_INDEX_GAP) + 1)
+    if direction == "down":
+        groups = groups[::-1]
+    first_indices = [frequencies.size - 2, frequencies.size - 1] if direction == "down" else [0, 1]
+    parts: list[tuple[Scene, int]] = []
+    for group_indices in (np.clip(first_indices, 0, frequencies.size - 1), *groups):
+        first, last, is_beginning = int(group_indices[0]), int(group_indices[-1]), not parts
+        if direction != "down" and not is_beginning:
+            first = max(first - _EXCLUDED_STEPS, 0)
+        if direction != "up" and not is_beginning:
+            last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
+        group = np.unique(frequencies[first : last + 1]).tolist()
+        excluded_steps = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
+        # Only a part that begins with the first tone of the test contains the power-on transient of the sensors.
+        part = _with_settled_bias(scene) if excluded_steps else scene
+        parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
+    return RehearsalPlan(tuple(parts))
+
+
+def _with_settled_bias(scene: Scene) -> Scene:
+    """Return the scene with the bias of its sensors long after power-on: zero if a high-pass filter follows."""
+    if scene.channels is None:
+        return scene
+    channels = []
+    for channel in scene.channels:
+        sensor, amplifier = channel.accelerometer, channel.integrator
+        if sensor is not None and complete_from_preset(sensor).bias is not None:
+            has_high_pass = input_settings(scene.converter, channel).coupling == "AC" or (
+                amplifier is not None and amplifier.low_cutoff is not None
+            )
+            settled_sensor = complete_from_preset(sensor).replace(preset=None, bias_settling=None)
+            channel = channel.replace(
+                accelerometer=settled_sensor.replace(bias=0.0) if has_high_pass else settled_sensor
+            )
+        channels.append(channel)
+    return scene.replace(channels=tuple(channels))
+
+
+def _peak_indices(
+    scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
+) -> NDArray[np.intp]:
+    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors.
+
+    The highest peaks are chosen first, then the frequencies nearest to them.
+    """
+    peak_heights: dict[int, float] = {}
+    for dampers in dict.fromkeys((scene.dampers, ())):
+        for readings in channel_readings(scene.replace(dampers=dampers), channels, frequencies):
+            largest = float(readings.max(initial=0.0))
+            padded = np.concatenate([[-1.0], readings, [-1.0]])
+            peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+            for peak in peaks[readings[peaks] >= _MIN_PEAK_RATIO * largest].tolist():
+                peak_heights[peak] = max(peak_heights.get(peak, 0.0), readings[peak] / largest if largest else 0.0)
+    ranked = sorted(peak_heights, key=lambda peak: -peak_heights[peak])[:max_count]
+    indices = set(ranked)
+    distance = 1
+    while len(indices) < min(max_count, frequencies.size) and distance < frequencies.size:
+        for peak in ranked:
+            for index in (peak - distance, peak + distance):
+                if 0 <= index < frequencies.size and len(indices) < max_count:
+                    indices.add(index)
+        distance += 1
+    return np.array(sorted(indices), dtype=np.intp)
+
+
+def level_key(scene: Scene) -> tuple[str, float, str]:
+    """Return the setting of the test's level (such as ``test.force``), the highest level, and its unit.
+
+    Without a level, the result is ("", nan, "").
+    """
+    test = scene.test
+    if test is None or not test.levels:
+        return "", np.nan, ""
+    unit = "N"
+    if test.level_key == "drive":
+        assert scene.driven_shaker is not None
+        unit = scene.driven_shaker.drive_unit
+    return f"test.{test.level_key}", float(max(test.levels)), unit
+
+
+def with_level(scene: Scene, level: float) -> Scene:
+    """Return the scene with another level of its test, in the unit of `level_key`."""
+    assert scene.test is not None
+    return scene.replace(test=scene.test.at_level(level))
+
+
+def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
+    """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
+
+    Only a series of tones is shortened; its first step is evaluated only if it is also the first step of the test.
+    Another test is not changed if it takes at most `seconds`; otherwise the scene is None.
+    """
+    test = scene.test
+    if test is None or frequency is None or not test.dwells or procedure_of(test).rehearsal != "peaks":
+        return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
+    order = list(test.dwells)
+    index = int(np.argmin(np.abs(np.array(order) - frequency)))
+    first = max(index - 2, 0)
+    direction = "up" if len(order) < 2 or order[max(index, 1)] >= order[max(index - 1, 0)] else "down"
+    settings = _stepped_sine_settings(test, direction) | {"frequencies": sorted(set(order[first : index + 2]))}
+    return scene.replace(test=settings), min(index - first, 1)
+
+
+def _stepped_sine_settings(test: Test, direction: str) -> dict[str, Any]:
+    """Return the settings of a stepped sine that replaces a test at its highest level, without its frequencies."""
+    steady_state = test.steady_state
+    return {
+        "kind": "stepped_sine",
+        "start": test.start,
+        "direction": direction,
+        "shaker": test.driven,
+        "settle": steady_state.replace(longest=min(steady_state.longest, _LONGEST_WAIT_S)),
+        "measure": {"periods": procedure_of(test).periods_of_step(test)},
+        test.level_key: max(test.levels),
+    }

@@ -1,0 +1,83 @@
+"""Displacements for the drawing of a recorded rig: choice of their source, and integration without drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+
+# Corner of the high-pass, Hz: below it an integrated signal is mostly drift and noise.
+HIGH_PASS_HZ = 1.0
+_INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
+
+
+@dataclass(frozen=True)
+class MotionSource:
+    """Source of the displacement of a point of the drawn rig, such as ``body 1``.
+
+    `quantity` is that of the channel; without a channel it is ``truth``, or ``nothing`` if the point is not measured.
+    """
+
+    point: str
+    channel: str | None
+    quantity: str
+
+    @property
+    def sentence(self) -> str:
+        """Description of the source for the user."""
+        if self.channel is None:
+            return "recorded truth" if self.quantity == "truth" else "not measured, drawn at rest"
+        if self.quantity == "displacement":
+            return f"channel {self.channel}"
+        count = _INTEGRATIONS[self.quantity]
+        return f"channel {self.channel}, {self.quantity} integrated {count} (high-passed at {HIGH_PASS_HZ:g} Hz)"
+
+
+def motion_sources(points: Iterable[str], channels: Sequence[ChannelInfo], has_truth: bool) -> tuple[MotionSource, ...]:
+    """Return the source of each point: a displacement channel, otherwise the truth, otherwise another channel."""
+    sources = []
+    for point in points:
+        channel_of_quantity = {info.quantity: info.name for info in channels if info.at == point}
+        quantities = ("displacement",) if has_truth else ("displacement", "velocity", "acceleration")
+        quantity = next((candidate for candidate in quantities if candidate in channel_of_quantity), None)
+        if quantity is None:
+            sources.append(MotionSource(point, None, "truth" if has_truth else "nothing"))
+        else:
+            sources.append(MotionSource(point, channel_of_quantity[quantity], quantity))
+    return tuple(sources)
+
+
+class DisplacementFilter:
+    """Integrates a sampled signal to a displacement, block by block, high-passed at `HIGH_PASS_HZ`.
+
+    With the corner w in rad/s, an acceleration is filtered by ``s^2 / (s^2 + sqrt(2) w s + w^2)^2`` and a velocity by
+    ``s / (s^2 + sqrt(2) w s + w^2)``, both by bilinear transform; a displacement is not changed.
+    """
+
+    def __init__(self, quantity: str, rate: float) -> None:
+        self._sections: Array | None = None
+        if quantity == "displacement":
+            return
+        from scipy.signal import bilinear_zpk, zpk2sos
+
+        corner = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
+        order = {"velocity": 1, "acceleration": 2}[quantity]
+        zeros, poles = np.zeros(order), np.tile(corner, order)
+        self._sections = zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=rate))
+        self._state = np.zeros((self._sections.shape[0], 2))
+
+    def run(self, samples: Array) -> Array:
+        """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
+        if self._sections is None or not samples.size:
+            return samples
+        from scipy.signal import sosfilt
+
+        result, self._state = sosfilt(self._sections, samples, zi=self._state)
+        return np.asarray(result)

@@ -1,0 +1,165 @@
+"""The kind of the test in a recording, and a summary of its scene that is available without loading the scene.
+
+Loading a scene takes longer than everything else in `daq info`. A recording therefore repeats the summary in its
+metadata record `run`. For an imported or older recording, the kind is determined from the markers, and the summary from
+the scene.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from daq.core.recording.markers import Marker
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+    from rig.core.scene.excitation import Test
+    from rig.core.scene.scene import Scene
+
+
+class TestKind(StrEnum):
+    """Kinds of tests, which are evaluated by different methods; recordings state the values."""
+
+    __test__ = False  # not a test for pytest
+
+    TONES = "tones"
+    """Dwells until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
+    SWEEP = "sweep"
+    MULTISINE = "multisine"
+    RANDOM = "random"
+    HITS = "hits"
+    """Hammer hits."""
+    FREE = "free"
+    """A free decay without a force."""
+    NONE = "none"
+    """No test, or a test without a measurement."""
+
+    @property
+    def field(self) -> str:
+        """Field of `measure` markers that the markers of the kinds below lack; empty if there is none."""
+        fields = {"tones": "frequency", "sweep": "spacing", "multisine": "realisation", "random": "from"}
+        return fields.get(self.value, "")
+
+    @property
+    def drives(self) -> bool:
+        """Whether frequency responses can be estimated if a force was measured: the test is not a free decay."""
+        return self is not TestKind.FREE
+
+    @property
+    def decays(self) -> bool:
+        """Whether the response is a free decay."""
+        return self in (TestKind.HITS, TestKind.FREE)
+
+    @property
+    def steady(self) -> bool:
+        """Whether the motion is measured in the steady state of one tone at a time."""
+        return self is TestKind.TONES
+
+    @property
+    def marked(self) -> bool:
+        """Whether the measured intervals need markers `measure`."""
+        return self in (TestKind.SWEEP, TestKind.RANDOM, TestKind.MULTISINE)
+
+    @property
+    def hammered(self) -> bool:
+        """Whether the force is that of a hammer."""
+        return self is TestKind.HITS
+
+
+@dataclass(frozen=True)
+class RecordedTest:
+    """The kind of a recorded test, and its settings in the scene; None if the scene has no test."""
+
+    kind: TestKind
+    settings: Test | None
+
+    @property
+    def name(self) -> str:
+        """Description of the test, for error messages."""
+        return "no test" if self.settings is None else f"a test of kind {self.settings.kind}"
+
+    @property
+    def drives(self) -> bool:
+        """Whether frequency responses can be estimated if a force was measured."""
+        return self.kind.drives
+
+    @property
+    def decays(self) -> bool:
+        """Whether the response is a free decay."""
+        return self.kind.decays
+
+
+def kind_of_settings(test: Test | None) -> TestKind:
+    """Return the kind of test with the given settings."""
+    return TestKind.NONE if test is None else TestKind(test.recorded_as)
+
+
+def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
+    """Return the kind of a test from its markers, for a recording that does not give it.
+
+    >>> kind_from_markers([Marker("hit", 512)], None)
+    <TestKind.HITS: 'hits'>
+    """
+    measure_markers = [marker for marker in markers if marker.kind == "measure"]
+    fields = measure_markers[0].fields if measure_markers else {}
+    for kind in TestKind:
+        if kind.field in fields:
+            return kind
+    if any(marker.kind == "hit" for marker in markers):
+        return TestKind.HITS
+    stated = kind_of_settings(settings)
+    return stated if measure_markers or not stated.drives else TestKind.NONE
+
+
+@dataclass(frozen=True)
+class SceneOutline:
+    """Summary of a scene that a recording repeats in its metadata."""
+
+    scene_name: str
+    test_kind: str  # "none" without a test
+    body_names: tuple[str, ...]  # body 1 first; empty if the bodies have no names
+    n_dampers: int
+    # Points whose motion gives the force of the shaker if no channel measures it, such as the ends of its spring. Empty
+    # without a shaker, or if the test does not use it.
+    force_points: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scene: Scene) -> SceneOutline:
+        """Return the summary of a scene."""
+        test = "none" if scene.test is None else scene.test.kind
+        shaker, force_points = scene.driven_shaker, tuple[str, ...]()
+        if shaker is not None and (scene.test is None or scene.test.uses_shaker):
+            force_points = tuple(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
+        return cls(scene.name, test, scene.structure.names or (), len(scene.dampers), force_points)
+
+    @classmethod
+    def from_metadata(cls, run: Mapping[str, str]) -> SceneOutline | None:
+        """Return the summary in the metadata record `run`; None if it is incomplete."""
+        try:
+            body_names, force_points = (tuple(json.loads(run[key])) for key in ("bodies", "force_places"))
+            return cls(run["scene"], run["test"], body_names, int(run["dampers"]), force_points)
+        except (KeyError, ValueError, TypeError):
+            return None
+
+    def to_metadata(self) -> dict[str, str]:
+        """Return the summary as fields of the metadata record `run`."""
+        lists = {"bodies": json.dumps(self.body_names), "force_places": json.dumps(self.force_points)}
+        return {"scene": self.scene_name, "test": self.test_kind, "dampers": str(self.n_dampers)} | lists
+
+    def label(self, position: str) -> str:
+        """Return the name of the body at a location such as ``body 2``, or the location if the body has no name."""
+        if not self.body_names or not position.startswith("body "):
+            return position
+        number = int(position.removeprefix("body "))
+        return self.body_names[number - 1] if 1 <= number <= len(self.body_names) else position
+
+    def missing_force_points(self, channels: Collection[ChannelInfo]) -> list[str]:
+        """Return the `force_points` without a channel; an empty list if a channel measures the force."""
+        if any(info.quantity == "force" for info in channels):
+            return []
+        measured = {info.at for info in channels}
+        return [point for point in self.force_points if point not in measured]

@@ -1,0 +1,1 @@
+"""One vendor's device, foreign files, viewers."""

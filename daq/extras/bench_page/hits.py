@@ -1,0 +1,113 @@
+"""Detect hammer hits in the live force signal, and their faults: clipping, a double hit, or a peak that is too low."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+
+# Time before the trigger that belongs to the window of a hit, s.
+_PRETRIGGER_S = 0.01
+# A hit is double if its second pulse is at least this fraction of the highest pulse. A double hit is rejected, because
+# its spectrum has deep minima.
+_REBOUND_RATIO = 0.05
+# The trigger level is this fraction of the smallest accepted peak: smaller hits are detected, too, and rejected.
+_TRIGGER_RATIO = 0.3
+# Samples above the trigger level with a shorter gap than this belong to one pulse, s. The force of a ringing hammer
+# crosses zero several times in a pulse.
+_PULSE_GAP_S = 1e-3
+# Duration of the displayed force, s.
+_DISPLAYED_S = 0.05
+
+
+@dataclass(eq=False)
+class Hit:
+    """A hit, its faults, and whether it is accepted."""
+
+    number: int  # From 1
+    first: int  # First sample of its window
+    peak: float  # Peak force, N
+    faults: list[str]  # Reasons to reject it
+    force: Array  # Force around the pulse, N
+    readings: Array  # Readings of all channels in the window, shape (channels, samples)
+    accepted: bool = field(init=False)  # Whether it is used for the frequency response; the operator can change it
+
+    def __post_init__(self) -> None:
+        self.accepted = not self.faults
+
+    @property
+    def window_samples(self) -> int:
+        """Number of samples of its window."""
+        return self.readings.shape[1]
+
+
+class HitDetector:
+    """Detects hits in the channel of the hammer, and checks each hit for faults at the end of its window.
+
+    `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
+    of a window, s: the time after the trigger, and a short time before it, that belong to one hit.
+    """
+
+    def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
+        self._row, self._rate, self.min_peak = row, rate, min_peak
+        self._pretrigger, self._window_samples = round(_PRETRIGGER_S * rate), round(window * rate)
+        self._readings: Array | None = None
+        self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
+        self._first = 0
+        self.hits: list[Hit] = []
+
+    def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
+        """Add the next readings, the first with the number `first`; return the hits whose windows are complete."""
+        if self._readings is None or first != self._first + self._readings.shape[1]:
+            self._readings, self._overload, self._first = readings, overload, first
+        else:
+            self._readings = np.concatenate([self._readings, readings], axis=1)
+            self._overload = np.concatenate([self._overload, overload], axis=1)
+        n_before = len(self.hits)
+        while (hit := self._next_hit()) is not None:
+            self.hits.append(hit)
+        return self.hits[n_before:]
+
+    def _next_hit(self) -> Hit | None:
+        """Return and remove the first hit whose window is complete; None if there is none."""
+        assert self._readings is not None
+        force = self._readings[self._row]
+        is_above = force > _TRIGGER_RATIO * self.min_peak
+        trigger = int(np.argmax(is_above)) if is_above.any() else force.size
+        self._drop(max(0, trigger - self._pretrigger))
+        if not is_above.any() or self._readings.shape[1] < self._window_samples:
+            return None
+        window, overload = self._readings[:, : self._window_samples], self._overload[:, : self._window_samples]
+        force = window[self._row]
+        peak = float(force.max())
+        faults = []
+        if overload.any():
+            faults.append("clipped")
+        if count_pulses(force, max(_REBOUND_RATIO * peak, 0.1 * self.min_peak), _PULSE_GAP_S * self._rate) > 1:
+            faults.append("double hit")
+        # The true peak of a clipped hit is higher.
+        if peak < self.min_peak and "clipped" not in faults:
+            faults.append("too weak")
+        displayed = force[: round(_DISPLAYED_S * self._rate)]
+        hit = Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window)
+        self._drop(self._window_samples)
+        return hit
+
+    def _drop(self, samples: int) -> None:
+        """Remove the oldest stored samples."""
+        assert self._readings is not None
+        self._readings, self._overload = self._readings[:, samples:], self._overload[:, samples:]
+        self._first += samples
+
+
+def count_pulses(force: Array, threshold: float, gap: float) -> int:
+    """Count the pulses above a threshold that are more than `gap` samples apart.
+
+    >>> count_pulses(np.array([0.0, 5.0, 9.0, 4.0, 0.0, 0.0, 0.0, 3.0, 0.0]), threshold=1.0, gap=2)
+    2
+    """
+    indices_above = np.flatnonzero(force > threshold)
+    return 0 if not indices_above.size else 1 + int(np.count_nonzero(np.diff(indices_above) > gap))

@@ -1,0 +1,140 @@
+"""Estimate frequency responses during a test: H1 and coherence, averaged over hits or over Hann-windowed blocks.
+
+Successive blocks overlap by half. The estimate is a quick view for the operator. `analysis frf` estimates the response
+from the recording, with its uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from daq.core.excitation import Station
+from daq.core.excitation.controlled import spring_force
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+    from daq.extras.bench_page.hits import Hit
+    from rig.core.scene.scene import Scene
+
+
+# A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum.
+_EXCITED_RATIO = 1e-3
+
+
+@dataclass(frozen=True)
+class LiveCurves:
+    """Estimated frequency responses of the channels on bodies, at the excited frequencies."""
+
+    names: list[str]  # names of the channels
+    frequency: Array  # Hz; (frequencies,)
+    value: ComplexArray  # receptance (displacement over force), m/N; (channels, frequencies)
+    coherence: Array  # (channels, frequencies)
+    averages: int  # number of averaged blocks or hits
+
+
+class _SpectrumSums:
+    """Sums of the auto- and cross-spectra of force (lines,) and motion (channels, lines) over blocks or hits."""
+
+    def __init__(self, channels: int, lines: int) -> None:
+        self.force = np.zeros(lines)
+        self.motion = np.zeros((channels, lines))
+        self.cross = np.zeros((channels, lines), complex)
+        self.count = 0
+
+    def add(self, force: ComplexArray, motion: ComplexArray) -> None:
+        self.force += np.abs(force) ** 2
+        self.motion += np.abs(motion) ** 2
+        self.cross += motion * force.conj()
+        self.count += 1
+
+
+class LiveFrf:
+    """Estimates the responses of all channels on bodies to the force on the structure.
+
+    `scene` contains the test; `block` is the duration of a block, or of the window of a hit, in s; `band` contains the
+    lowest and the highest frequency, Hz. Raises `SceneError` if no channel measures the force.
+    """
+
+    def __init__(
+        self, scene: Scene, channels: Sequence[ChannelInfo], rate: float, block: float, band: tuple[float, float]
+    ) -> None:
+        self._block_samples = round(block * rate)
+        frequency = np.fft.rfftfreq(self._block_samples, 1.0 / rate)
+        self._line_indices = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
+        self.frequency = np.asarray(frequency[self._line_indices], dtype=float)
+        station = Station(scene, channels, (), rate, mark=lambda *arguments, **fields: None)
+        self._channel_weights = _force_weights(station, self.frequency)
+        self._rows = [row for row, info in enumerate(channels) if info.body and info.quantity != "force"]
+        self.names = [channels[row].name for row in self._rows]
+        self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
+        self._hann_window = np.hanning(self._block_samples)
+        self._pending = np.zeros((len(channels), 0))
+        self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
+        self._hits: list[tuple[Hit, ComplexArray]] = []
+
+    def add(self, readings: Array) -> None:
+        """Add the next readings of a continuous test, shape (channels, samples)."""
+        self._pending = np.concatenate([self._pending, readings], axis=1)
+        while self._pending.shape[1] >= self._block_samples:
+            block = self._pending[:, : self._block_samples]
+            spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._hann_window)
+            self._block_sums.add(*self._force_and_motion(spectra))
+            self._pending = self._pending[:, self._block_samples // 2 :]
+
+    def add_hit(self, hit: Hit) -> None:
+        """Add the window of a hit; it is used as long as the hit is accepted."""
+        window = hit.readings[:, : self._block_samples]
+        padding = self._block_samples - window.shape[1]
+        self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
+
+    def curves(self) -> LiveCurves | None:
+        """Return the present estimate; None before the first block."""
+        sums = self._block_sums
+        if self._hits:
+            sums = _SpectrumSums(len(self._rows), self._line_indices.size)
+            for hit, spectra in self._hits:
+                if hit.accepted:
+                    sums.add(*self._force_and_motion(spectra))
+        if not sums.count:
+            return None
+        excited = sums.force > _EXCITED_RATIO * sums.force.max()
+        if self._hits:
+            # A pulse excites the band below the first zero of its spectrum.
+            strongest = int(sums.force.argmax())
+            beyond = np.flatnonzero(~excited[strongest:])
+            excited[strongest + beyond[0] if beyond.size else excited.size :] = False
+        force, motion, cross = sums.force[excited], sums.motion[:, excited], sums.cross[:, excited]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            coherence = np.abs(cross) ** 2 / (force * motion)
+        return LiveCurves(self.names, self.frequency[excited], cross / force, coherence, sums.count)
+
+    def _spectra(self, block: Array) -> ComplexArray:
+        return np.asarray(np.fft.rfft(block, axis=1)[:, self._line_indices])
+
+    def _force_and_motion(self, spectra: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Convert the spectra of all channels to force (lines,) and displacements (channels on bodies, lines)."""
+        return (self._channel_weights * spectra).sum(axis=0), self._displacement_factors * spectra[self._rows]
+
+
+def _force_weights(station: Station, frequency: Array) -> ComplexArray:
+    """Return the weights (channels, lines) of the channels' spectra in the force, N per unit of the channel."""
+    has_hammer = station.scene.hammer is not None
+    for row, info in enumerate(station.channels):
+        if info.quantity == "force" and (info.at == "hammer") == has_hammer:
+            weights = np.zeros((len(station.channels), frequency.size), complex)
+            weights[row] = 1.0 / info.response(frequency)
+            return weights
+    shaker = station.scene.driven_shaker
+    if has_hammer or shaker is None or shaker.coil_spring is None:
+        position = "hammer" if has_hammer else "shaker"
+        raise SceneError(
+            f"channels: no channel measures the force at the {position}. Add {{name: force, at: {position}}} to the "
+            "channels of the scene."
+        )
+    return spring_force(station).weights(frequency)

@@ -1,0 +1,165 @@
+"""Read signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat.
+
+An array contains samples, times, or a setting such as the sample rate; its size and its name decide which.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.extras.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_used_as_times
+from daq.extras.importing.matlab_file import MAX_DEPTH, matlab_arrays
+from daq.extras.importing.signal import Signal
+from rig.core.base.errors import RecordingError, ShotrigError
+from rig.core.numerics.memory import require_memory_with_program
+
+# Names of arrays that state the sample rate, the sample interval, and the times of the samples.
+_RATE_NAMES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE)
+_INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
+_TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
+# Shorter arrays are settings, not samples.
+_MIN_SAMPLES = 16
+# Two-dimensional arrays with more channels do not contain samples.
+_MAX_CHANNELS = 4096
+# Maximum number of structures that are read from an array.
+_MAX_STRUCTURES = 1000
+# Memory for estimating the clock, bytes per time: the times, those of an even grid, and their differences.
+_CLOCK_BYTES = 48
+
+
+def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
+    """List the arrays of an .npz or .npy file as signals in memory; arrays of Python objects are rejected."""
+    try:
+        with path.open("rb") as file:
+            if file.read(6) == b"\x93NUMPY":
+                return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
+        # Compression can shrink an archive to a thousandth of its content.
+        with zipfile.ZipFile(path) as packed:
+            require_memory_with_program(sum(entry.file_size for entry in packed.infolist()), f"{path}: importing it")
+        with np.load(path, allow_pickle=False) as archive:
+            return _signals(path, {name: archive[name] for name in archive.files})
+    except (OSError, MemoryError, ShotrigError):
+        raise
+    except Exception as error:
+        # A damaged file can cause any exception in the reader.
+        raise RecordingError(
+            f"{path} cannot be read as an .npz or .npy file of numbers ({error!s:.200}). Save the file again, "
+            "with arrays of numbers only."
+        ) from error
+
+
+def matlab_signals(path: Path, _stack: ExitStack) -> list[Signal]:
+    """List the arrays of a MATLAB file, and those in its structures, as signals in memory."""
+    return _signals(path, dict(_flatten(matlab_arrays(path))))
+
+
+def _flatten(content: Mapping[str, Any], prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
+    """Yield name and array of each variable; the fields of structures have paths: ``Signal_1.y_values.values``."""
+    for name, value in content.items():
+        path = f"{prefix}{name}"
+        if isinstance(value, Mapping):
+            if depth < MAX_DEPTH:
+                yield from _flatten(value, f"{path}.", depth + 1)
+            continue
+        array = np.asarray(value)
+        items = array.ravel()[:_MAX_STRUCTURES]
+        if array.dtype.names and depth < MAX_DEPTH:
+            for number, item in enumerate(items, 1):
+                item_path = path if items.size == 1 else f"{path}({number})"
+                yield from _flatten(dict(zip(array.dtype.names, item, strict=True)), f"{item_path}.", depth + 1)
+        elif array.dtype.kind == "O" and array.size == 1 and depth < MAX_DEPTH:
+            yield from _flatten({name: array.item()}, prefix, depth + 1)
+        elif array.dtype.kind == "O" and all(isinstance(item, Mapping) for item in array.flat):
+            for number, item in enumerate(items, 1):
+                yield from _flatten({f"{name}({number})": item}, prefix, depth + 1)
+        else:
+            yield path, array
+
+
+def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
+    """Return the signals in named arrays, with the clocks and units that other arrays state."""
+    arrays = {name: np.asarray(value) for name, value in content.items()}
+    numbers = {name: array for name, array in arrays.items() if array.dtype.kind in "fiu"}
+    in_memory = sum(array.nbytes for array in numbers.values() if not isinstance(array, np.memmap))
+    sample_arrays: dict[str, NDArray[Any]] = {}
+    clocks: dict[str, Clock] = {}
+    for name, array in numbers.items():
+        if array.size < _MIN_SAMPLES or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS):
+            continue
+        where = f"{path}: {name!r}"
+        if array.ndim == 1 and not _TIME_NAMES.fullmatch(name):
+            sample_arrays[name] = array
+            continue
+        require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
+        if array.ndim == 1:
+            clocks[name] = clock_of_times(array.astype(float), 0.0, f"{path}: the times in {name!r}")
+            continue
+        # There are more samples than channels, in either orientation.
+        channel_rows = array if array.shape[0] <= array.shape[1] else array.T
+        times = channel_rows[0].astype(float)
+        has_times = len(channel_rows) > 1 and looks_like_times(times, float(times[-1]), times.size)
+        if has_times:
+            warn_used_as_times(f"{where}: its first row or column", times[1] - times[0])
+            clocks[f"{name}(1)"] = clock_of_times(times, 0.0, f"{path}: the times in {name!r}")
+        sample_arrays |= {
+            f"{name}({number})": row for number, row in enumerate(channel_rows[int(has_times) :], 1 + has_times)
+        }
+    if not sample_arrays:
+        listed = [f"{name} {array.shape}" for name, array in arrays.items()]
+        ellipsis = " ..." if len(listed) > 8 else ""
+        raise RecordingError(
+            f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + ellipsis or 'nothing'}. "
+            "Save the samples as numbers: one array for each channel, or one array with a row or column for each."
+        )
+    scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
+    # Units as `analysis export` writes them: two rows of strings, ``channels`` and ``units``.
+    texts = (arrays.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
+    units = dict(zip(*(map(str, text) for text in texts), strict=False))
+    return [
+        Signal.from_array(
+            path,
+            number,
+            name,
+            units.get(name) or units.get(name.partition("(")[0]) or "",
+            row,
+            _clock_of(path, name, scalars, clocks),
+        )
+        for number, (name, row) in enumerate(sample_arrays.items(), 1)
+    ]
+
+
+def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, Clock]) -> Clock:
+    """Return the clock of a signal; a clock in its own structure overrides the clock of the whole file."""
+    clock_key = f"{name.partition('(')[0]}(1)"
+    if clock_key in clocks:
+        return clocks[clock_key]
+    structure = name.split(".", 1)[0] if "." in name else ""
+
+    def matching_names(pattern: re.Pattern[str], named: Mapping[str, Any]) -> list[str]:
+        matching = [key for key in named if pattern.fullmatch(key)]
+        in_structure = [key for key in matching if structure and key.startswith(f"{structure}.")]
+        return in_structure or [key for key in matching if "." not in key]
+
+    if times := matching_names(_TIME_NAMES, clocks):
+        return clocks[times[0]]
+    start = next((scalars[key] for key in ("start_s", f"{structure}.x_values.start_value") if key in scalars), 0.0)
+    for key in matching_names(_RATE_NAMES, scalars):
+        if not 0 < scalars[key] < 1e12:
+            raise RecordingError(
+                f"{path}: {key} = {scalars[key]!r}; expected a sample rate above 0, in Hz. Correct the file."
+            )
+        return Clock(scalars[key], start)
+    for key in matching_names(_INTERVAL_NAMES, scalars):
+        try:
+            return Clock(rate_of_interval(scalars[key]), start)
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {key}: {error}") from None
+    return Clock(None, start)

@@ -1,0 +1,137 @@
+"""Read the table of an import, a YAML or CSV file: the column of each channel in the files, and its unit."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from rig.core.base.errors import SceneError, suggestion
+from rig.core.base.input_files import read_file
+from rig.core.scene.yaml_reader import read_yaml
+from rig.core.settings.quantities import FREQUENCY, TIME, expected_quantity, parse
+
+EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
+# Line number, name of the channel, and its keys.
+TableRows = list[tuple[int, str, Mapping[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Column:
+    """One line of the table.
+
+    `unit`: unit of the numbers in the file, or the quantity for the number 1, such as ``5 V``; None: as the file
+    states. `sensitivity`: sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the scene
+    states.
+    """
+
+    column: str  # name of a signal in the files, or its number from 1
+    file: str | None = None  # name of the file, if several files have a signal of this name
+    unit: str | None = None
+    sensitivity: str | None = None
+    sign: int = 1  # -1 reverses a sensor that was mounted upside down
+    offset: float = 0.0  # reading at rest, in the file's unit
+    delay: float | None = None  # delay of the signal, s; None: as the file's start times state
+    rate: float | None = None  # sample rate, Hz, if the file gives none or a wrong one
+
+
+_KEYS = [field.name for field in fields(Column)]
+
+
+def read_table(path: Path) -> dict[str, Column]:
+    """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all problems at once."""
+    try:
+        text = read_file(path).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(
+            f"cannot read {path}: {getattr(error, 'strerror', None) or error}. Give a YAML or CSV file."
+        ) from None
+    rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
+    table: dict[str, Column] = {}
+    problems = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
+    for line, name, values in rows:
+        try:
+            if name in table:
+                raise ValueError("a second line for this channel. Remove one of them.")
+            table[name] = column(values)
+        except ValueError as error:
+            problems.append(f"{path}:{line}: {name}: {error}")
+    if problems:
+        raise SceneError("\n".join(problems))
+    return table
+
+
+def column(settings: Mapping[str, Any]) -> Column:
+    """Check and convert the keys of one channel; raise `ValueError` for the first problem.
+
+    >>> column({"column": "ai0", "unit": "g", "sign": "-1", "delay": "2 us"})
+    Column(column='ai0', file=None, unit='g', sensitivity=None, sign=-1, offset=0.0, delay=2e-06, rate=None)
+    """
+    cell_texts = {key: text for key, value in settings.items() if value is not None and (text := str(value).strip())}
+    for key in cell_texts:
+        if key not in _KEYS:
+            hint = suggestion(key, _KEYS)
+            raise ValueError(f"unknown key {key!r}; expected one of {', '.join(_KEYS)}{hint and '. ' + hint}")
+    if "column" not in cell_texts:
+        raise ValueError("column missing; expected the name of a signal in the files, or its number from 1")
+    values: dict[str, Any] = dict(cell_texts)
+    if "sign" in cell_texts:
+        if cell_texts["sign"] not in ("1", "+1", "-1", "+", "-"):
+            raise ValueError(f"sign: got {cell_texts['sign']!r}; expected 1 or -1")
+        values["sign"] = -1 if cell_texts["sign"].startswith("-") else 1
+    for key, kind in (("delay", TIME), ("rate", FREQUENCY)):
+        if key in cell_texts:
+            try:
+                values[key] = parse(cell_texts[key], kind)
+            except ValueError as error:
+                raise ValueError(f"{key}: {error}; expected {expected_quantity(cell_texts[key], [kind])}") from None
+            if not math.isfinite(values[key]) or (key == "rate" and values[key] <= 0):
+                raise ValueError(f"{key}: got {cell_texts[key]!r}; expected {kind.noun} such as {kind.example}")
+    if "offset" in cell_texts:
+        try:
+            values["offset"] = float(cell_texts["offset"])
+        except ValueError:
+            values["offset"] = math.nan
+        if not math.isfinite(values["offset"]):
+            raise ValueError(f"offset: got {cell_texts['offset']!r}; expected a number, in the file's unit")
+    return Column(**values)
+
+
+def _from_yaml(path: Path, text: str) -> TableRows:
+    document = read_yaml(text)
+    if document.problems:
+        line, problem = document.problems[0]
+        raise SceneError(f"{path}:{line}: {problem.message}")
+    content = document.content if document.content is not None else {}
+    if not isinstance(content, dict):
+        raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")
+    # A line may state the column alone: `body1: ai0`.
+    return [
+        (document.line((name,)), name, values if isinstance(values, dict) else {"column": values})
+        for name, values in content.items()
+    ]
+
+
+def _from_csv(path: Path, text: str) -> TableRows:
+    try:
+        lines = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise SceneError(f"{path} is not a table of channels: {error}. Save it as CSV.") from None
+    if not lines or "channel" not in (column_names := [cell.strip() for cell in lines[0]]):
+        raise SceneError(
+            f"{path}:1: the heading has no column channel; expected channel,column and any of {','.join(_KEYS[1:])}."
+        )
+    rows: TableRows = []
+    for number, line in enumerate(lines[1:], 2):
+        if len(line) > len(column_names):
+            raise SceneError(
+                f"{path}:{number}: {len(line)} cells, but the heading has {len(column_names)}. Put cells that contain "
+                "commas in double quotes."
+            )
+        if any(cell.strip() for cell in line):
+            values = dict(zip(column_names, line, strict=False))
+            rows.append((number, values.pop("channel").strip(), values))
+    return rows

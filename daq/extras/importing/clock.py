@@ -1,0 +1,232 @@
+"""Estimate the sample clock of an imported file: its rate, and where rows are missing.
+
+Programs round the sample interval and the times that they write. The rate is the number with the fewest digits that
+agrees with them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError, RunWarning
+from rig.core.results import format_percent
+
+# Names of a column of times.
+TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
+
+# Relative rounding error of a number with all its digits.
+_RATE_ROUNDING = 1e-12
+# A time deviates from evenly spaced times by at most this, samples. Beyond it samples are missing, or there is no
+# clock.
+_MAX_DEVIATION = 0.5
+# Jitter is reported if times deviate from even spacing by more than this and rounding, samples.
+_MAX_UNREPORTED_JITTER = 0.02
+# If two successive times are farther apart than this number of sample intervals, rows are missing.
+_MAX_REGULAR_INTERVALS = 1.5
+# An interval without missing rows deviates by at most this from one sample interval, and a gap from a whole number of
+# sample intervals.
+_INTERVAL_TOLERANCE = 0.25
+# Maximum number of gaps in the times of a clock.
+_MAX_GAPS = 10_000
+
+#: Row before which rows are missing, and their number.
+MissingRows = tuple[int, int]
+
+
+class Clock(NamedTuple):
+    """The clock of a signal: rate in Hz (None: not stated), time of the first sample in s, missing rows."""
+
+    rate: float | None
+    start_s: float = 0.0
+    missing: Sequence[MissingRows] = ()
+
+
+def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
+    """Return the rate (Hz) with the fewest digits that agrees with a sample interval (s) within `max_error` (s).
+
+    If the interval has fewer digits than this rate, it is exact: the rate is 1 / interval.
+
+    >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
+    (65536.0, 51200.0)
+    >>> rate_of_interval(1.9999999999999998e-05), rate_of_interval(1e-4, 5e-10)
+    (50000.0, 10000.0)
+    >>> rate_of_interval(1e-4, 1.0)
+    Traceback (most recent call last):
+    rig.core.base.errors.RecordingError: the sample interval 0.0001 s ± 1 s is too inexact. Export it with more digits.
+    """
+    if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
+        raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct the file.")
+    if max_error >= interval:
+        raise RecordingError(
+            f"the sample interval {interval:.6g} s ± {max_error:.2g} s is too inexact. Export it with more digits."
+        )
+    relative_error = max(max_error / interval, _RATE_ROUNDING)
+    reciprocal = 1.0 / interval
+    rate, digits = _shortest_number(reciprocal * (1.0 - relative_error), reciprocal * (1.0 + relative_error))
+    # An interval of few digits, such as 39 µs, is exact.
+    _, digits_of_interval = _shortest_number(interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING))
+    return rate if digits <= digits_of_interval else reciprocal
+
+
+def _shortest_number(low: float, high: float) -> tuple[float, int]:
+    """Return the number with the fewest decimal digits in [low, high], and its number of digits."""
+    highest = math.floor(math.log10(high))
+    for digits in range(1, 17):
+        step = Fraction(10) ** (highest - digits + 1)
+        number = float(round(Fraction((low + high) / 2) / step) * step)
+        if low <= number <= high:
+            return number, digits
+    return (low + high) / 2, 17
+
+
+def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
+    """Estimate the clock from times (s), rounded to `resolution` (s); warn of missing rows and jitter.
+
+    Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
+    """
+    missing = missing_rows([times], resolution)
+    if times.size < 2:
+        raise RecordingError(f"{where}: number of times is {times.size}; expected at least 2. Export more samples.")
+    first, last = float(times[0]), float(times[-1])
+    # Deviations from evenly spaced times show the rounding.
+    deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
+    tolerated = (last - first) * _MAX_UNREPORTED_JITTER / (times.size - 1) + resolution
+    if last > first and deviation > tolerated:
+        # Evenly spaced times by least squares.
+        centered_number = np.arange(times.size) - (times.size - 1) / 2.0
+        sum_of_squares = float(centered_number @ centered_number)
+        interval, mean_time = float(centered_number @ times) / sum_of_squares, float(times.mean())
+        residual = times - mean_time - interval * centered_number
+        # Four standard errors of the slope.
+        error = 4.0 * float(np.std(residual)) / math.sqrt(sum_of_squares)
+        try:
+            rate = rate_of_interval(interval, error)
+        except RecordingError as uneven:
+            raise RecordingError(f"{where}: {uneven}") from None
+        first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
+        warn(
+            f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
+            "The samples are imported as evenly spaced, because usually only the written times jitter."
+        )
+    else:
+        rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
+    require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
+    return Clock(rate, first, missing)
+
+
+def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
+    """Return (row, number of rows missing before it) for each gap in times.
+
+    `times` are blocks of times in s, rounded to `resolution` (s). The list is empty if the other times are unevenly
+    spaced, so that the size of a gap is unknown, or if more rows are missing than present.
+
+    >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
+    [(3, 2)]
+    """
+    interval, rows, regular_time, regular_count = 0.0, 0, 0.0, 0
+    previous_time = np.empty(0)
+    gaps: list[tuple[int, float]] = []
+    for times_block in times:
+        intervals = np.diff(np.concatenate([previous_time, times_block]))
+        if not rows:
+            interval = float(np.median(intervals)) if intervals.size else 0.0
+            if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval):
+                return []
+        is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
+        regular = intervals[~is_gap]
+        if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
+            return []
+        # From the second block on, the first interval begins in the block before.
+        first = rows if previous_time.size else 1
+        gaps += [(first + int(index), float(intervals[index])) for index in np.flatnonzero(is_gap)]
+        if len(gaps) > _MAX_GAPS:
+            return []
+        regular_time, regular_count = regular_time + float(regular.sum()), regular_count + regular.size
+        rows, previous_time = rows + times_block.size, times_block[-1:]
+    if not gaps or not regular_count:
+        return []
+    try:
+        rate = rate_of_interval(regular_time / regular_count, 2.0 * resolution * (len(gaps) + 1) / regular_count)
+    except RecordingError:
+        return []
+    lost_counts = [round(gap * rate) - 1 for _, gap in gaps]
+    errors = [abs(gap * rate - count - 1) for (_, gap), count in zip(gaps, lost_counts, strict=True)]
+    if max(errors) > _INTERVAL_TOLERANCE + 2.0 * resolution * rate or sum(lost_counts) > rows:
+        return []
+    return [(row, count) for (row, _), count in zip(gaps, lost_counts, strict=True)]
+
+
+def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
+    """Return the sample indices of rows, which skip the missing rows.
+
+    >>> sample_numbers(np.arange(5), [(3, 2)])
+    array([0, 1, 2, 5, 6])
+    """
+    gap_rows = np.array([row for row, _ in missing], np.int64)
+    lost_counts = np.cumsum([0, *(count for _, count in missing)])
+    return rows + lost_counts[np.searchsorted(gap_rows, rows, side="right")]
+
+
+def rate_with_gaps(
+    first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
+) -> float:
+    """Estimate the rate (Hz) from first and last time (s) and the missing rows; warn of the missing rows."""
+    if not last > first:
+        raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
+    lost_total = sum(count for _, count in missing)
+    intervals = rows + lost_total - 1
+    rate = rate_of_interval((last - first) / intervals, resolution / intervals)
+    if missing:
+        places = "one place" if len(missing) == 1 else f"{len(missing)} places"
+        lost = "1 sample is" if lost_total == 1 else f"{lost_total} samples are"
+        warn(
+            f"{where} have gaps in {places}, the first before row {missing[0][0] + 1} of the data: {lost} missing at "
+            f"{rate:.6g} Hz, and imported as lost."
+        )
+    return rate
+
+
+def require_even(
+    times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
+) -> None:
+    """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval."""
+    deviation = abs(times - start - numbers / rate)
+    uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
+    if uneven.size:
+        index = int(uneven[0])
+        raise RecordingError(
+            f"{where} are not evenly spaced: sample {numbers[index] + 1} is at {float(times[index]):.9g} s instead of "
+            f"{start + numbers[index] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or "
+            "import the segments before and after with --from and --to."
+        )
+
+
+def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
+    """Return whether the numbers of an unnamed column can only be times: they rise evenly, but not by 1.
+
+    >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
+    (True, False)
+    """
+    step = (last - first_times[0]) / max(samples - 1, 1)
+    if not (np.isfinite(step) and step > 0.0) or step == 1.0:
+        return False
+    return bool((abs(first_times - first_times[0] - step * np.arange(first_times.size)) < 0.1 * step).all())
+
+
+def warn_used_as_times(column: str, step: float) -> None:
+    """Warn that the numbers of an unnamed column are used as times."""
+    warn(f"{column} rises evenly, by {step:.6g}, and is used as times in s. If it is a signal, save it under a name.")
+
+
+def warn(text: str) -> None:
+    """Warn of an uncertain interpretation of a file."""
+    warnings.warn(text, RunWarning, stacklevel=3)

@@ -1,0 +1,59 @@
+"""List the signals of a file of another program, with the reader that its suffix selects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from importlib import import_module
+from pathlib import Path
+
+from daq.extras.importing.signal import Signal
+from rig.core.base.errors import RecordingError
+
+# Suffix: module of this package, and its function; imported when needed, because their packages are optional.
+_TEXT = ("text_table", "text_signals")
+_NUMPY = ("arrays", "numpy_signals")
+_UNIVERSAL = ("uff", "uff_signals")
+READERS = {
+    ".tdms": ("tdms", "tdms_signals"),
+    ".uff": _UNIVERSAL,
+    ".unv": _UNIVERSAL,
+    ".wav": ("wav", "wav_signals"),
+    ".csv": _TEXT,
+    ".txt": _TEXT,
+    ".tsv": _TEXT,
+    ".lvm": _TEXT,
+    ".dat": _TEXT,
+    ".npz": _NUMPY,
+    ".npy": _NUMPY,
+    ".mat": ("arrays", "matlab_signals"),
+    ".mcap": ("float_topics", "mcap_signals"),
+}
+
+
+def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
+    """List the signals of a file, which stays open until `stack` is closed.
+
+    Raises `RecordingError` for a file without readable signals, `RunError` for a missing package.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file. Check the path.")
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file. Give the path of each file to import.")
+    if path.suffix.lower() not in READERS:
+        raise RecordingError(
+            f"{path}: this type of file cannot be imported. Export the data as one of {', '.join(READERS)}."
+        )
+    module, function = READERS[path.suffix.lower()]
+    read: Callable[[Path, ExitStack], list[Signal]] = getattr(import_module(f"daq.extras.importing.{module}"), function)
+    try:
+        signals = [signal for signal in read(path, stack) if signal.samples > 1]
+    except OSError as error:
+        raise RecordingError(f"cannot read {path}: {error.strerror or error}. Check the file and its disk.") from error
+    except MemoryError:
+        raise RecordingError(
+            f"{path} does not fit into memory. Export it as TDMS, WAV or CSV, which are read in pieces."
+        ) from None
+    if not signals:
+        raise RecordingError(f"{path} contains no samples. Export time histories of at least two samples.")
+    return signals

@@ -1,0 +1,72 @@
+"""Detect hammer hits in the force channel of an imported file, which has no markers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+from rig.core.numerics.runs import merge_spans, runs_of
+
+# A pulse begins and ends at this fraction of the largest force.
+_PULSE_RATIO = 0.05
+# A pulse is a hit if its peak is at least this fraction of the largest force.
+_HIT_RATIO = 0.1
+# The force of a hammer acts for at most this fraction of the time.
+_MAX_CONTACT_SHARE = 0.2
+# Time after a hit in which further pulses are ignored as bounces of the hammer, s.
+_BOUNCE_S = 0.2
+# Crossings of the threshold within this time belong to the same pulse, s.
+_CHATTER_S = 1e-3
+# Maximum number of stored pulses.
+_MAX_PULSES = 200_000
+
+
+class Pulse(NamedTuple):
+    """A pulse of the force: its samples [first, stop), and its peak in N."""
+
+    first: int
+    stop: int
+    peak: float
+
+
+class ForcePulses:
+    """Detects pulses of a force, block by block."""
+
+    def __init__(self) -> None:
+        self._baseline: float | None = None
+        self._peak = 0.0
+        self._pulses: list[Pulse] = []
+        self._contact_samples = self._samples = 0
+
+    def add(self, first: int, force: Array) -> None:
+        """Add the next samples in N; the first has the number `first`."""
+        if self._baseline is None:
+            self._baseline = float(np.nanmedian(force)) if np.isfinite(force).any() else 0.0
+        magnitude = np.nan_to_num(abs(force - self._baseline))
+        largest = float(magnitude.max(initial=0.0))
+        if largest > self._peak:
+            self._peak = largest
+            self._pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * largest]
+        runs = runs_of(magnitude > _PULSE_RATIO * self._peak)
+        self._samples += magnitude.size
+        self._contact_samples += sum(stop - start for start, stop in runs)
+        if len(self._pulses) < _MAX_PULSES:
+            self._pulses += [Pulse(first + a, first + b, float(magnitude[a:b].max())) for a, b in runs]
+
+    def hits(self, rate: float) -> list[Pulse]:
+        """Return the hits at a sample rate in Hz; an empty list if this is not the force of a hammer."""
+        pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * self._peak]
+        contact_samples = sum(pulse.stop - pulse.first for pulse in pulses)
+        if not pulses or len(self._pulses) >= _MAX_PULSES or contact_samples > _MAX_CONTACT_SHARE * self._samples:
+            return []
+        hits: list[Pulse] = []
+        for first, stop in merge_spans([(pulse.first, pulse.stop) for pulse in pulses], round(_CHATTER_S * rate)):
+            peak = max(pulse.peak for pulse in pulses if first <= pulse.first < stop)
+            if peak < _HIT_RATIO * self._peak or (hits and first - hits[-1].first < _BOUNCE_S * rate):
+                continue
+            # The ends of a pulse are below the threshold.
+            flank = 2 + (stop - first) // 5
+            hits.append(Pulse(max(first - flank, 0), min(stop + flank, self._samples), peak))
+        return hits

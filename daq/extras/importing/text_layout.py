@@ -1,0 +1,282 @@
+"""Detect the layout of a text table: encoding, delimiter, decimal mark, and the names and units in its heading.
+
+LabVIEW's text tables (.lvm) have a heading with names, units, clocks, and the columns that contain times (NI,
+"Specification for the LabVIEW Measurement File (.lvm)", 2022). Each line has a key, and a cell for each channel. The
+heading has two parts, for the file and for the first segment. The names of the columns and the numbers follow.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from daq.extras.importing.clock import rate_of_interval
+from rig.core.base.errors import RecordingError
+from rig.core.base.escaping import unescape_cell
+
+# Maximum number of lines before the first line of numbers.
+_MAX_HEADING_LINES = 200
+# A unit in brackets after a name; the unit may contain parentheses.
+_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
+# A unit after an underscore, as `analysis export` writes it.
+_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
+# Units of time: the first cell of a line of units is one of them.
+_TIME_UNITS = ("s", "ms", "us", "sec", "Seconds", "")
+# Length of the longest unit, characters.
+_MAX_UNIT_LENGTH = 12
+#: Name of a column without a name.
+UNNAMED = "column {}"
+# Decimal digits of the seconds in a time of day.
+_SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
+# A date or time of day is read to microseconds.
+_MAX_FRACTION_DIGITS = 6
+# First words of a LabVIEW file.
+LABVIEW_BEGIN = "LabVIEW Measurement"
+# Last line of each part of a heading.
+_LABVIEW_END = "***End_of_Header***"
+# First words of the lines that begin a further segment.
+LABVIEW_SEGMENT_BEGINS = ("Channels", "Notes", "X_Value", _LABVIEW_END)
+_LABVIEW_TIME = re.compile(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
+
+
+class Layout(NamedTuple):
+    """The layout of a text table."""
+
+    encoding: str
+    delimiter: str | None  # None: any number of blanks
+    decimal_comma: bool
+    heading_lines: int  # number of lines before the first line of numbers
+    names: list[str]
+    units: list[str]
+    cells: tuple[int, ...] | None = None  # positions of the cells of a line that are read; None: all
+
+
+def read_beginning(path: Path) -> tuple[list[str], str]:
+    """Return the first lines of a table (at least one), and its encoding."""
+    with path.open("rb") as binary:
+        head = binary.read(1 << 18)
+    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if b"\0" in head and not is_utf16:
+        raise RecordingError(f"{path} is not a text file. Export the data as a table of numbers.")
+    encoding = "utf-16" if is_utf16 else "utf-8-sig"
+    try:
+        text = head.decode(encoding)
+    except UnicodeDecodeError as error:
+        # The last character may be truncated.
+        encoding = encoding if error.start > len(head) - 4 else "cp1252"
+        text = head.decode(encoding, errors="replace")
+    return text.splitlines()[:_MAX_HEADING_LINES] or [""], encoding
+
+
+def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
+    """Return the layout of a table from its first lines; raise `RecordingError` if none of them has only numbers."""
+    for heading, line in enumerate(lines):
+        for delimiter in ("\t", ";", ",", None):
+            row = split_cells(line, delimiter)
+            decimal_comma = delimiter != "," and "," in line
+            values = [parse_number(cell, decimal_comma) for cell in row]
+            if len(values) > 1 and values[0] is None:
+                values[0] = stamp_seconds(row[0])
+            # Empty cells are NaN; a line of empty cells alone has no numbers.
+            has_numbers = None not in values and any(value == value for value in values)
+            if len(row) < (1 if delimiter is None else 2) or not has_numbers:
+                continue
+            rows_above = [
+                split_cells(text_line.lstrip("#%").strip() if text_line[:1] in "#%" else text_line, delimiter)
+                for text_line in lines[:heading]
+                if text_line.strip()
+            ]
+            column_count, read_cells = len(row), None
+            if column_count > 2 and not row[-1] and rows_above and len(rows_above[-1]) == column_count - 1:
+                # Each line ends with a delimiter.
+                column_count, read_cells = column_count - 1, tuple(range(column_count - 1))
+            return Layout(
+                encoding, delimiter, decimal_comma, heading, *_names_and_units(rows_above, column_count), read_cells
+            )
+    raise RecordingError(
+        f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
+    )
+
+
+def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[list[str], list[str]]:
+    """Return names and units of the columns, from the lines above the numbers."""
+    rows = [[unescape_cell(cell.strip(" ,;")) for cell in row] for row in rows_above[-2:] if len(row) == column_count]
+    if not rows or len(rows_above[-1]) != column_count:
+        return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
+    names, units = rows[-1], [""] * column_count
+    are_units = all(len(cell) <= _MAX_UNIT_LENGTH for cell in rows[-1])
+    are_units &= rows[-1][0].strip("[]()") in _TIME_UNITS
+    if len(rows) == 2 and not any(map(_UNIT_IN_BRACKETS.fullmatch, rows[0])) and are_units:
+        names, units = rows[0], [cell.strip("[]()") for cell in rows[1]]
+    else:
+        for position, cell in enumerate(names):
+            if match := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
+                names[position], units[position] = match[1], match[2].strip()
+    return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
+
+
+def split_cells(line: str, delimiter: str | None) -> list[str]:
+    """Split a line into cells."""
+    if delimiter is None:
+        return line.split()
+    try:
+        (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
+    except csv.Error:
+        # The csv module rejects cells of more than a hundred thousand characters.
+        return [line]
+    return [cell.strip() for cell in row]
+
+
+def parse_number(cell: str, decimal_comma: bool) -> float | None:
+    """Read a cell: a number, NaN if it is empty, None if it is something else."""
+    if not cell:
+        return float("nan")
+    try:
+        return float(cell.replace(",", ".") if decimal_comma else cell)
+    except ValueError:
+        return None
+
+
+def stamp_seconds(cell: str) -> float | None:
+    """Return a time of day (ISO 8601), with or without a date, in s since 1970; None if the cell is something else.
+
+    A time without a zone is taken as UTC, because only differences of times are used.
+
+    >>> stamp_seconds("1970-01-02 00:00:00.25"), stamp_seconds("1970-01-01T00:00:01Z"), stamp_seconds("1.5")
+    (86400.25, 1.0, None)
+    >>> stamp_seconds("00:01:00.5")
+    60.5
+    """
+    if ":" not in cell:
+        return None
+    date_and_time = cell if re.match(r"\d{4}-?\d\d", cell) else f"1970-01-01T{cell}"
+    try:
+        stamp = datetime.fromisoformat(date_and_time)
+    except ValueError:
+        return None
+    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+
+
+def stamp_resolution(cell: str) -> float:
+    """Return the size of the last digit of a time of day, s.
+
+    >>> stamp_resolution("2024-05-01 10:00:00"), stamp_resolution("2024-05-01 10:00:00.0625")
+    (1.0, 0.0001)
+    """
+    fraction = _SECOND_FRACTION.search(cell)
+    return float(f"1e-{min(len(fraction[1]), _MAX_FRACTION_DIGITS)}") if fraction else 1.0
+
+
+def significant_digits(cell: str) -> int:
+    """Count the significant digits of a number as it is written.
+
+    >>> significant_digits("0.0125"), significant_digits("1.250E-2"), significant_digits("-12")
+    (3, 4, 2)
+    """
+    mantissa = re.split("[eE]", cell)[0]
+    return len(re.sub(r"\D", "", mantissa).lstrip("0"))
+
+
+class LabviewChannel(NamedTuple):
+    """A channel in the heading of a LabVIEW file."""
+
+    name: str
+    unit: str
+    cell: int  # its position in a line
+    samples: int  # -1: not stated
+    rate: float | None  # Hz
+    rate_error: float  # largest error of the rate from the rounding of the sample interval, Hz
+    start_s: float
+    start_ns: int
+
+
+class LabviewHeading(NamedTuple):
+    """The heading of a LabVIEW file; `lines` is its number of lines."""
+
+    separator: str
+    decimal_comma: bool
+    lines: int
+    has_times: bool  # whether the first cell of every line is its time
+    channels: list[LabviewChannel]
+
+
+def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
+    """Read the heading of a LabVIEW file; raise `RecordingError` if the file is truncated or contradicts itself."""
+    ends = [number for number, line in enumerate(lines) if line.startswith(_LABVIEW_END)]
+    if len(ends) < 2 or len(lines) <= ends[1] + 1:
+        raise RecordingError(
+            f"{where}: its LabVIEW heading has no end; expected {_LABVIEW_END} twice, then a line of names, then "
+            "numbers. Export it again."
+        )
+    separator = "," if _cells_by_key(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"
+    file_keys = _cells_by_key(lines[: ends[0]], separator)
+    segment = _cells_by_key(lines[ends[0] + 1 : ends[1]], separator)
+    names = [cell.strip() for cell in lines[ends[1] + 1].rstrip("\r\n").split(separator)]
+    columns = file_keys.get("X_Columns", ["One"])[0]
+    # Old versions do not give the decimal separator.
+    numbers = [*file_keys.get("Decimal_Separator", []), *segment.get("Delta_X", [])]
+    decimal_comma = separator != "," and "," in "".join(numbers)
+    cells_per_channel = 2 if columns == "Multi" else 1
+    try:
+        count = int(segment.get("Channels", ["0"])[0])
+        if not 0 < cells_per_channel * count < len(names) + cells_per_channel - 1:
+            raise ValueError(f"{count} channels, but {len(names)} names of columns")
+        channels = [
+            _labview_channel(segment, names[1 + cells_per_channel * k], cells_per_channel * k, decimal_comma)
+            for k in range(count)
+        ]
+    except ValueError as error:
+        raise RecordingError(f"{where}: its LabVIEW heading cannot be used ({error}). Export it again.") from None
+    return LabviewHeading(separator, decimal_comma, ends[1] + 2, columns == "One", channels)
+
+
+def _cells_by_key(lines: Sequence[str], separator: str) -> dict[str, list[str]]:
+    rows = [re.split(separator, line.strip("\r\n")) for line in lines]
+    return {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows if len(row) > 1}
+
+
+def _labview_channel(segment: dict[str, list[str]], name: str, position: int, decimal_comma: bool) -> LabviewChannel:
+    def stated_value(key: str, default: str) -> str:
+        cells = segment.get(key, [])
+        text = (cells[position] if position < len(cells) else "") or default
+        return text.replace(",", ".") if decimal_comma else text
+
+    interval = stated_value("Delta_X", "0")
+    error = _rounding_error(interval)
+    rate = rate_of_interval(float(interval), error) if float(interval) else None
+    return LabviewChannel(
+        name,
+        stated_value("Y_Unit_Label", ""),
+        position + 1,
+        int(stated_value("Samples", "-1")),
+        rate,
+        rate**2 * error if rate else 0.0,
+        float(stated_value("X0", "0")),
+        _nanoseconds(f"{stated_value('Date', '')} {stated_value('Time', '').replace(',', '.')}"),
+    )
+
+
+def _rounding_error(number: str) -> float:
+    """Return the largest rounding error of a number as it is written.
+
+    >>> _rounding_error("0.000977"), _rounding_error("1.9531E-5")
+    (5e-07, 5e-10)
+    """
+    mantissa, _, power = number.lower().partition("e")
+    return float(f"0.5e{int(power or 0) - len(mantissa.partition('.')[2])}")
+
+
+def _nanoseconds(stamp: str) -> int:
+    """Return a local time without a zone in ns since 1970, as if it were UTC; 0 if it is not a time."""
+    match = _LABVIEW_TIME.fullmatch(stamp)
+    if match is None:
+        return 0
+    try:
+        instant = datetime(*map(int, match.groups()[:6]), tzinfo=UTC)  # type: ignore[arg-type,misc]
+    except ValueError:
+        return 0
+    return max(0, int(instant.timestamp()) * 10**9 + int(float(match[7] or 0.0) * 1e9))

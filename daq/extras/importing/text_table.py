@@ -1,0 +1,313 @@
+"""Read the columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from daq.extras.importing.clock import (
+    TIME_NAMES,
+    Clock,
+    looks_like_times,
+    missing_rows,
+    rate_with_gaps,
+    require_even,
+    sample_numbers,
+    warn,
+    warn_used_as_times,
+)
+from daq.extras.importing.signal import Signal
+from daq.extras.importing.text_layout import (
+    LABVIEW_BEGIN,
+    LABVIEW_SEGMENT_BEGINS,
+    UNNAMED,
+    LabviewHeading,
+    Layout,
+    detect_layout,
+    parse_number,
+    read_beginning,
+    read_labview_heading,
+    significant_digits,
+    split_cells,
+    stamp_resolution,
+    stamp_seconds,
+)
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.numerics.memory import require_memory_with_program
+from rig.core.settings.quantities import TIME, parse
+
+# Maximum number of characters in a line; longer lines are not read.
+_MAX_LINE = 1 << 20
+# The uncertainty of a sample rate is reported above this fraction of the rate.
+_MAX_RATE_UNCERTAINTY = 2e-5
+# Number of lines at the beginning that are examined for the digits of times.
+_MAX_EXAMINED_LINES = 50
+# Minimum number of lines that show the usual length of the last number in a line.
+_MIN_LINES = 10
+# Number of lines in a block.
+BLOCK_LINES = 1 << 16
+# Memory for text and numbers per byte of a block, measured.
+_MEMORY_PER_BYTE = 4
+
+
+def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
+    """List the columns of a text table as signals; each pass through the samples reads the file line by line.
+
+    If the first column contains times, they determine the clock. Names and units are those of the heading:
+    ``acc1 [m/s^2]``, ``acc1 (g)``, or a line of names above a line of units.
+    """
+    lines, encoding = read_beginning(path)
+    if lines[0].startswith(LABVIEW_BEGIN):
+        return _labview_signals(path, read_labview_heading(lines, str(path)), encoding, stack)
+    layout = detect_layout(path, lines, encoding)
+    table = _Table(path, layout, stack)
+    columns = list(zip(layout.names, layout.units, strict=True))
+    clock, first_data_column = Clock(None), 0
+    has_time_name = TIME_NAMES.fullmatch(layout.names[0]) is not None
+    if len(columns) > 1 and (has_time_name or table.has_times_of_day or table.first_column_can_only_be_times()):
+        clock, first_data_column = table.estimate_clock(layout.units[0]), 1
+    if not table.rows:
+        raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
+    return [
+        table.signal(position, name, unit, first_data_column + position - 1, clock)
+        for position, (name, unit) in enumerate(columns[first_data_column:], 1)
+    ]
+
+
+def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: ExitStack) -> list[Signal]:
+    """List the channels of a LabVIEW file as signals; a column of times overrides the clock of the heading."""
+    channels, has_times = heading.channels, heading.has_times
+    layout = Layout(
+        encoding,
+        heading.separator,
+        heading.decimal_comma,
+        heading.lines,
+        [*(["time"] if has_times else []), *(channel.name for channel in channels)],
+        [""] * (len(channels) + has_times),
+        (*([0] if has_times else []), *(channel.cell for channel in channels)),
+    )
+    table = _Table(path, layout, stack)
+    clock = table.estimate_clock("s") if has_times else None
+    stated_samples = max(channel.samples for channel in channels)
+    if stated_samples > table.rows:
+        warn(
+            f"{path}: the heading states {stated_samples} samples, but the table has only {table.rows}. Check that the "
+            "file is complete."
+        )
+    if 0 < stated_samples < table.rows and not has_times:
+        warn(
+            f"{path}: the heading states {stated_samples} samples, but the table has {table.rows}, which are imported "
+            "without a gap. If the measurement was paused, import the parts one by one with --from and --to."
+        )
+    uncertain = [each for each in channels if each.rate and each.rate_error > _MAX_RATE_UNCERTAINTY * each.rate]
+    if uncertain and not has_times:
+        rate, error = uncertain[0].rate or 0.0, uncertain[0].rate_error
+        warn(
+            f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
+            f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. If this rate is wrong, give rate: in the channel table."
+        )
+    signals = []
+    for position, channel in enumerate(channels, 1):
+        signal = table.signal(
+            position,
+            channel.name,
+            channel.unit,
+            position - 1 + has_times,
+            clock or Clock(channel.rate, channel.start_s),
+            # Programs append lines without updating the counts in the header. The count of a channel is therefore used
+            # only if another channel has a larger one.
+            table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
+        )
+        signals.append(replace(signal, start_ns=channel.start_ns))
+    return signals
+
+
+class _InvalidLine(RecordingError):
+    """Error of a line; `fault` is the message without the remedy, for a last line that is left out."""
+
+    def __init__(self, fault: str, remedy: str) -> None:
+        super().__init__(f"{fault}. {remedy}")
+        self.fault = fault
+
+
+class _Table:
+    """The numbers of a text table, read in blocks of lines that all columns share."""
+
+    def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
+        self._path, self._layout = path, layout
+        self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
+        self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times, s
+        self._examined_lines: list[str] = []  # the first lines, and the last line
+        self.rows = 0
+        previous_line, last_line = "", (0, "")
+        for numbered_line in self._lines():
+            if self.rows < _MAX_EXAMINED_LINES:
+                self._examined_lines.append(numbered_line[1])
+            previous_line, last_line = last_line[1], numbered_line
+            self.rows += 1
+        if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
+            warn(f"{path}: the last line is truncated, and is not imported ({reason})")
+            self.rows -= 1
+            self._examined_lines = self._examined_lines[: self.rows]
+            last_line = (0, previous_line)
+        if self.rows:
+            self._examined_lines.append(last_line[1])
+            block_bytes = min(1.0, BLOCK_LINES / self.rows) * path.stat().st_size
+            require_memory_with_program(_MEMORY_PER_BYTE * block_bytes, f"{path}: importing it")
+        self._line_iterator = self._lines()
+        self._position = 0
+        self._cached_block: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+
+    def _truncation_reason(self, line_number: int, line: str) -> str:
+        """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""
+        try:
+            self._parse_line(line_number, line)
+        except _InvalidLine as error:
+            return error.fault
+        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
+        lengths = [len(cell.lstrip("+-")) for cell in last_cells]
+        if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
+            return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
+        return ""
+
+    @property
+    def has_times_of_day(self) -> bool:
+        """Whether the first column contains times of day, with or without dates."""
+        return bool(self._examined_lines) and stamp_seconds(self._first_cell(self._examined_lines[0])) is not None
+
+    def first_column_can_only_be_times(self) -> bool:
+        """Return whether the first column of a table without heading can only be times; warn if so."""
+        if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
+            return False
+        first_times = np.array([self._parse_line(0, line)[0] for line in self._examined_lines[:-1]])
+        if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):
+            return False
+        warn_used_as_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
+        return True
+
+    def estimate_clock(self, unit: str) -> Clock:
+        """Estimate the clock from the first column, which contains times in `unit`."""
+        where = f"{self._path}: the times in its first column"
+        try:
+            scale = parse(f"1 {unit}", TIME) if unit and not self.has_times_of_day else 1.0
+        except ValueError as error:
+            raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
+        if self.rows < 2:
+            raise RecordingError(f"{where}: number of times is {self.rows}; expected at least 2. Export more samples.")
+        first, last = (self._parse_line(0, self._examined_lines[end])[0] * scale for end in (0, -1))
+        time_cells = [self._first_cell(line) for line in self._examined_lines]
+        if self.has_times_of_day:
+            resolution = min(map(stamp_resolution, time_cells))
+        else:
+            largest = max(abs(first), abs(last), 1e-300)
+            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(significant_digits, time_cells)))
+        missing = missing_rows(self._times(scale), resolution)
+        rate = rate_with_gaps(first, last, self.rows, missing, resolution, where)
+        clock = Clock(rate, first, missing)
+        self._time_column = clock, resolution, scale
+        return clock
+
+    def _first_cell(self, line: str) -> str:
+        return split_cells(line, self._layout.delimiter)[0]
+
+    def _times(self, scale: float) -> Iterator[Array]:
+        """Yield the first column in blocks, s."""
+        lines = islice(self._lines(), self.rows)
+        while block := list(islice(lines, BLOCK_LINES)):
+            yield np.array([self._time(*each) for each in block]) * scale
+
+    def _time(self, line_number: int, line: str) -> float:
+        delimiter = self._layout.delimiter
+        cell = self._first_cell(line) if delimiter is None else line.split(delimiter, 1)[0]
+        value = parse_number(cell.strip(' "\r\n'), self._layout.decimal_comma)
+        return self._parse_line(line_number, line)[0] if value is None else value
+
+    def signal(
+        self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
+    ) -> Signal:
+        """Return the signal of a column, counted from 0; `position` is the number of the signal, from 1."""
+
+        def read(start: int, stop: int) -> Array:
+            return self._read_block(start, stop)[:, column]
+
+        rows = self.rows if samples is None else samples
+        signal = Signal(self._path.name, position, name, unit, rows, clock.rate, read, clock.start_s)
+        return signal.with_gaps(clock)
+
+    def _read_block(self, start: int, stop: int) -> Array:
+        """Return lines of numbers, shape (lines, columns); the block is cached for the other columns."""
+        if self._cached_block[:2] == (start, stop):
+            return self._cached_block[2]
+        if start < self._position:
+            self._line_iterator, self._position = self._lines(), 0
+        for _ in islice(self._line_iterator, start - self._position):
+            pass
+        lines = list(islice(self._line_iterator, stop - start))
+        self._position = start + len(lines)
+        values = self._parse_lines(lines)
+        if self._time_column is not None:
+            (rate, first, missing), resolution, scale = self._time_column
+            numbers = sample_numbers(np.arange(start, start + len(values)), missing)
+            where = f"{self._path}: the times in its first column"
+            require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
+        self._cached_block = start, stop, values
+        return values
+
+    def _lines(self) -> Iterator[tuple[int, str]]:
+        """Yield the lines of numbers, each with its line number in the file, from 1."""
+        self._file.seek(0)
+        line_number = 0
+        while line := self._file.readline(_MAX_LINE):
+            line_number += 1
+            if line_number <= self._layout.heading_lines or not line.strip():
+                continue
+            if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT_BEGINS):
+                raise RecordingError(
+                    f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file "
+                    "before this line, or log to TDMS."
+                )
+            yield line_number, line
+
+    def _parse_lines(self, lines: list[tuple[int, str]]) -> Array:
+        layout = self._layout
+        texts = [line.replace(",", ".") if layout.decimal_comma else line for _, line in lines]
+        shape = len(lines), len(layout.names)
+        try:
+            values = np.loadtxt(texts, delimiter=layout.delimiter, comments=None, ndmin=2, usecols=layout.cells)
+            if values.shape == shape:
+                return values
+        except ValueError:
+            # Lines with empty cells, times of day or errors are read cell by cell.
+            pass
+        return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
+
+    def _parse_line(self, line_number: int, line: str) -> list[float]:
+        """Return the numbers of a line, NaN for empty cells; raise `RecordingError` with line and column otherwise."""
+        layout = self._layout
+        row = split_cells(line, layout.delimiter)
+        where = f"{self._path}, " + (f"line {line_number}" if line_number else "its first or last line")
+        if layout.cells is not None and len(row) > layout.cells[-1]:
+            row = [row[position] for position in layout.cells]
+        if len(row) != len(layout.names):
+            raise _InvalidLine(
+                f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers",
+                "Correct or remove the line.",
+            )
+        values = []
+        for column, cell in enumerate(row, 1):
+            value = parse_number(cell, layout.decimal_comma)
+            if value is None and column == 1:
+                value = stamp_seconds(cell)
+            if value is None:
+                raise _InvalidLine(
+                    f"{where}, column {column}: {cell!r:.40} is not a number", "Correct the cell, or remove the line."
+                )
+            values.append(value)
+        return values

@@ -1,0 +1,49 @@
+"""Quantity and SI scale of a unit, in the notations of measurement programs."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+
+from daq.core.signal_chain.channel import Quantity
+from rig.core.settings.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
+
+KINDS: dict[Quantity, Kind] = {
+    "acceleration": ACCELERATION,
+    "velocity": VELOCITY,
+    "displacement": LENGTH,
+    "force": FORCE,
+    "voltage": VOLTAGE,
+}
+_SPELLINGS = {
+    "volts": "V", "volt": "V", "v": "V", "millivolts": "mV", "mv": "mV",
+    "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
+    "pounds": "4.4482216152605 N", "lbf": "4.4482216152605 N", "lb": "4.4482216152605 N",
+    "g's": "g", "gs": "g", "gn": "g", "g_n": "g", "gee": "g",
+    "meters/s^2": "m/s^2", "m/s/s": "m/s^2", "meters": "m", "inches": "inch", "in": "inch",
+    "meters/s": "m/s", "inches/s": "inch/s", "in/s": "inch/s", "in/s^2": "inch/s^2",
+}  # fmt: skip
+
+
+def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
+    """Return the quantity of a unit, or of a value with a unit, and its size in SI; raise `ValueError` if not known.
+
+    >>> quantity_and_scale("g"), quantity_and_scale("m/s2"), quantity_and_scale("2.5 mm")
+    (('acceleration', 9.80665), ('acceleration', 1.0), ('displacement', 0.0025))
+    """
+    normalized = re.sub(r"\bsec(ond)?\b", "s", unit.strip(), flags=re.IGNORECASE)
+    normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
+    # The case of a prefix counts: MV is not mV, GN is not gn. Other spellings are for text that is not a unit itself.
+    spelling = "" if normalized == "Mv" else _SPELLINGS.get(normalized.lower(), "")
+    for unit_name, (quantity, kind) in product((normalized, spelling), KINDS.items()):
+        quantity_text = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
+        try:
+            scale = parse(quantity_text, kind)
+        except ValueError:
+            continue
+        if scale > 0 and unit_name and kind.supports(scale) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
+            return quantity, scale
+    raise ValueError(
+        f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
+        "m/s^2, g, mm, N or mV; for scaled numbers, the value for which the number 1 stands, such as 5 V"
+    )

@@ -1,0 +1,148 @@
+"""Detects triggers: start triggers of acquisitions and outputs, and reference triggers of acquisitions.
+
+A rising analog edge is at the first sample *above* the level after a sample at or below ``level - hysteresis``. A
+falling edge is the mirror image. A window trigger is at the first sample inside the window after a sample outside,
+or the reverse. A start trigger's sample is the first of the record, a reference trigger's sample has the index
+`pretrigger_samples` in it.
+
+Digital edges are signals at terminals. Every PFI line of the chassis carries the sync output of the bench, one pulse
+per second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
+`ao/StartTrigger` and `ai/ReferenceTrigger` are the start and the reference trigger of other tasks.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.values import Slope, WindowCondition
+
+_SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/StartTrigger|ai/ReferenceTrigger)", re.IGNORECASE)
+
+# Function that returns two flags for each sample: whether it fires an armed trigger, and whether it arms the trigger.
+Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
+
+
+def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
+    """Return the condition of a level crossing.
+
+    A sample at least `hysteresis` before the level arms the trigger; both are in the unit of the samples.
+    """
+    sign = 1.0 if slope == Slope.RISING else -1.0
+    return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
+
+
+def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
+    """Return the condition of entering or leaving a window of values, which includes its limits."""
+
+    def classify(x: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        inside = (x >= bottom) & (x <= top)
+        return (inside, ~inside) if condition == WindowCondition.ENTERING else (~inside, inside)
+
+    return classify
+
+
+class CrossingFinder:
+    """Finds the sample that fires a trigger: the first to do so after the trigger was armed.
+
+    >>> finder = CrossingFinder(edge(Slope.RISING, 1.0))
+    >>> finder.find(np.array([2.0, 1.0, 1.5, 3.0]))
+    2
+    """
+
+    def __init__(self, condition: Condition) -> None:
+        self._condition = condition
+        self._armed = False
+
+    def find(self, samples: NDArray[np.float64], skip: int = 0) -> int | None:
+        """Return the index of the first sample of a block that fires the trigger; None if no sample does.
+
+        Blocks are contiguous. The first `skip` samples can arm the trigger but not fire it.
+        """
+        fires, arms = self._condition(samples)
+        if skip:
+            self._update_armed(fires[:skip], arms[:skip])
+        start = skip
+        if not self._armed:
+            arming = np.flatnonzero(arms[start:])
+            if arming.size == 0:
+                return None
+            start += int(arming[0])
+        firing = np.flatnonzero(fires[start:])
+        self._update_armed(fires[skip:], arms[skip:])
+        return start + int(firing[0]) if firing.size else None
+
+    def _update_armed(self, fires: NDArray[np.bool_], arms: NDArray[np.bool_]) -> None:
+        """Update the state: the trigger is armed if the last arming sample is later than the last firing sample."""
+        last_firing, last_arming = (int(np.flatnonzero(flags)[-1]) if flags.any() else -1 for flags in (fires, arms))
+        if last_firing != last_arming:
+            self._armed = last_arming > last_firing
+
+
+@dataclass(frozen=True)
+class AnalogSource:
+    """Analog triggers on channels of a task; the first to fire counts."""
+
+    conditions: tuple[tuple[int, Condition], ...]  # index of the channel in the task, and its condition
+
+    def finders(self) -> list[tuple[int, CrossingFinder]]:
+        """Return a new finder for each channel, with the index of the channel."""
+        return [(channel, CrossingFinder(condition)) for channel, condition in self.conditions]
+
+
+@dataclass(frozen=True)
+class SyncPulse:
+    """Rising or falling edges of the sync output, one per second."""
+
+    edge: Slope
+
+    def next_instant(self, earliest: int, rate: float) -> int:
+        """Return the index of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
+        phase = 0.0 if self.edge == Slope.RISING else 0.5
+        # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
+        second = max(1, math.ceil(earliest / rate - phase - 1e-9))
+        return math.ceil((second + phase) * rate - 1e-6)
+
+
+@dataclass(frozen=True)
+class AtTime:
+    """A start at a given time."""
+
+    seconds: float  # of bench time, from power-on
+
+    def next_instant(self, earliest: int, rate: float) -> int:
+        """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
+        return max(math.ceil(self.seconds * rate - 1e-6), earliest)
+
+
+@dataclass(frozen=True)
+class OtherTask:
+    """The start of another task or, with `reference`, its reference trigger."""
+
+    device: str  # empty: any device
+    direction: str  # "ai" or "ao"
+    reference: bool
+
+
+Source = AnalogSource | SyncPulse | AtTime | OtherTask
+
+
+def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
+    """Return the trigger at a terminal, such as ``/cDAQ1/PFI0``; `DaqError` -89136 if there is no such terminal."""
+    match = _SIGNAL.fullmatch(source.strip())
+    if not match:
+        raise DaqError(
+            f"terminal {source!r} has no trigger signal. Give /Dev1/PFI0 (one pulse per second), "
+            "/Dev1/ai/StartTrigger, /Dev1/ao/StartTrigger or /Dev1/ai/ReferenceTrigger.",
+            Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
+        )
+    device, signal = match[1] or "", match[2].lower()
+    if signal.startswith("pfi"):
+        return SyncPulse(slope)
+    return OtherTask(device, signal[:2], signal.endswith("referencetrigger"))

@@ -1,0 +1,97 @@
+"""Describes the server to clients in other languages: reflection service, health service, and .proto files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import grpc
+from google.protobuf import message_factory
+from google.protobuf.message import DecodeError
+from grpc_health.v1 import health, health_pb2
+from grpc_reflection.v1alpha import reflection, reflection_pb2
+
+from daq.extras.ni_server.proto_text import proto_text
+from daq.extras.ni_server.protocol import SERVICE, SESSION_SERVICE
+from rig.core.base.errors import SceneError
+
+_HEALTH = health_pb2.DESCRIPTOR.services_by_name["Health"]
+_REFLECTION = reflection_pb2.DESCRIPTOR.services_by_name["ServerReflection"]
+SERVICES = (SERVICE, SESSION_SERVICE, _HEALTH, _REFLECTION)
+
+
+class Discovery:
+    """The reflection service and the health service; `handlers` handle their calls."""
+
+    def __init__(self) -> None:
+        names = [service.full_name for service in SERVICES]
+        self._health = health.HealthServicer()
+        for name in ("", *names):
+            self._health.set(name, health_pb2.HealthCheckResponse.SERVING)
+        self.handlers = (_handler(_HEALTH, self._health), _handler(_REFLECTION, reflection.ReflectionServicer(names)))
+
+    def end(self) -> None:
+        """Report the end of the server to all watching clients."""
+        self._health.enter_graceful_shutdown()
+
+
+def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
+    """Return the handler of a service; an invalid request is reported to the client and not printed by the server."""
+    # Some releases of the packages describe calls that their servicers do not implement.
+    implemented = [method for method in service.methods if method.name in vars(type(servicer))]
+    return grpc.method_handlers_generic_handler(
+        service.full_name,
+        {method.name: _method_handler(method, getattr(servicer, method.name)) for method in implemented},
+    )
+
+
+def _method_handler(method: Any, servicer_method: Callable[..., Any]) -> Any:
+    request_class = message_factory.GetMessageClass(method.input_type)
+
+    def parse(data: bytes, context: grpc.ServicerContext) -> Any:
+        try:
+            return request_class.FromString(data)
+        except DecodeError:
+            expected = request_class.DESCRIPTOR.full_name
+            return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"the request cannot be decoded. Send a {expected}.")
+
+    def respond(request: Any, context: grpc.ServicerContext) -> Any:
+        if method.client_streaming:
+            return servicer_method((parse(data, context) for data in request), context)
+        return servicer_method(parse(request, context), context)
+
+    make_handler = grpc.unary_unary_rpc_method_handler
+    if method.server_streaming:
+        make_handler = grpc.unary_stream_rpc_method_handler
+        if method.client_streaming:
+            make_handler = grpc.stream_stream_rpc_method_handler
+    return make_handler(respond, None, lambda message: bytes(message.SerializeToString()))
+
+
+def write_proto_files(folder: Path) -> list[Path]:
+    """Write the .proto files of the protocol, including their imports.
+
+    Raises `SceneError` if a file of that name has different text, or cannot be written.
+    """
+    files: dict[str, Any] = {}  # descriptors by path
+
+    def collect(file: Any) -> None:
+        for dependency in file.dependencies:
+            collect(dependency)
+        files[file.name] = file
+
+    for service in SERVICES:
+        collect(service.file)
+    paths = []
+    for name, file in files.items():
+        path, text = folder / name, proto_text(file)
+        try:
+            if path.exists() and path.read_bytes() != text.encode():
+                raise SceneError(f"{path}: a different file of this name exists. Give --proto another folder.")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(text.encode())
+        except OSError as error:
+            raise SceneError(f"{path}: {error.strerror}. Give --proto a folder that can be written.") from None
+        paths.append(path)
+    return paths

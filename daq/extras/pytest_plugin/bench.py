@@ -1,0 +1,193 @@
+"""A bench for tests: the emulated devices, what a program has read and written, and faults."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+import rig
+from daq.extras.ni_device.chassis import Chassis
+from daq.extras.ni_device.clock import Clock
+from daq.extras.ni_device.clock import clock as make_clock
+from daq.extras.ni_device.connecting import connect_scene
+from daq.extras.ni_device.errors import DaqError
+from daq.extras.ni_device.settings.task_settings import TaskSettings
+from daq.extras.ni_device.task import Task
+from daq.extras.ni_server.connection import Connection
+from daq.extras.ni_server.served_instrument import Limits
+from daq.extras.pytest_plugin.description import find_channel, wired_bench
+from daq.extras.pytest_plugin.faults import Faults
+from daq.extras.pytest_plugin.transfers import Transfers
+from daq.extras.pytest_plugin.wired_terminals import WiredTerminals
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.scene.scene import Scene
+from rig.core.scene.scene_files import bundled_scenes, read_text
+from rig.core.scene.yaml_reader import Document, read_yaml
+
+#: Modules of a bench that is not described.
+DEFAULT_MODULES = ("NI 9234", "NI 9263")
+# Wall-clock time of a sleep while the bench is in use, s: other threads of the program can finish a call meanwhile.
+_YIELD_S = 0.002
+BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
+
+
+class NidaqmxBench:
+    """A bench of emulated devices for tests, in this process; the fixture `nidaqmx_bench` opens one.
+
+    Attributes
+    ----------
+    grpc_options : nidaqmx.GrpcSessionOptions
+        Session options of tasks on this bench. The fixture lets tasks without options use it, too.
+    address : str
+        Address of the bench for other processes and languages, host and port.
+    transfers : Transfers
+        All reads and writes of tasks.
+    faults : Faults
+        Methods that inject faults.
+    """
+
+    def __init__(self, chassis: Chassis) -> None:
+        self._chassis = chassis
+        self._devices = chassis.devices.all()
+        self.transfers, self.faults = Transfers(), Faults(chassis)
+        chassis.transfer_listeners.append(self.transfers.add)
+        self.grpc_options = Connection(chassis, Limits())
+        self.address = self.grpc_options.address
+
+    @property
+    def follows_wall_clock(self) -> bool:
+        """Whether time on the bench is real time."""
+        return self._chassis.clock.is_free_running
+
+    @property
+    def elapsed(self) -> float:
+        """Time that has passed on the bench, s; it passes while a task that has been started is open."""
+        return self._chassis.elapsed
+
+    @property
+    def open_tasks(self) -> list[str]:
+        """Names of the tasks that have not been closed."""
+        return [name for name in self._chassis.tasks if name not in self.faults.other_clients]
+
+    def sleep(self, seconds: float) -> None:
+        """Pass time on the bench while it is in use, otherwise on the wall clock; replaces `time.sleep`."""
+        is_in_use = self._chassis.is_in_use
+        threading.Event().wait(min(seconds, _YIELD_S) if is_in_use else seconds)
+        if is_in_use:
+            self._chassis.pass_time(seconds)
+
+    def read(self, channel: str) -> Array:
+        """Return all samples that tasks have read from an input, such as "ai0" or "cDAQ1Mod1/ai0"."""
+        return self.transfers.samples("read", find_channel(self._devices, channel, "ai", "read")[0])
+
+    def written(self, channel: str) -> Array:
+        """Return all samples that tasks have written to an output, V."""
+        return self.transfers.samples("written", find_channel(self._devices, channel, "ao", "written")[0])
+
+    def assert_written(self, channel: str, expected: ArrayLike, tolerance: float = 1e-3) -> None:
+        """Fail unless the samples written to an output are the expected samples within a tolerance, V."""
+        written, wanted = self.written(channel), np.atleast_1d(np.asarray(expected, dtype=float))
+        if written.shape != wanted.shape:
+            raise AssertionError(f"{channel}: {written.size} samples were written; expected {wanted.size}.")
+        deviation = np.abs(written - wanted)
+        # The negated comparison also finds NaN.
+        different = np.flatnonzero(~(deviation <= tolerance))
+        if different.size:
+            first = different[0]
+            raise AssertionError(
+                f"{channel}: {different.size} of {written.size} samples differ by more than {tolerance:g} V, by up to "
+                f"{deviation.max():g} V. Sample {first} is {written[first]:g} V; expected {wanted[first]:g} V."
+            )
+
+    def save_task(self, name: str, configure: Callable[[TaskSettings], None]) -> None:
+        """Save a task under a name, as in NI MAX; `configure` sets its channels and timing."""
+        storage = self.grpc_options.storage
+        task = Task(self._chassis, "", storage.scales)
+        try:
+            configure(task.settings)
+            storage.save_task(task.settings, name, "")
+        finally:
+            task.close()
+
+    def close(self) -> None:
+        """Close the bench and all its tasks."""
+        self.grpc_options.close(grace=None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_bench(
+    bench: BenchLike = DEFAULT_MODULES,
+    *,
+    wires: Sequence[str] = (),
+    sources: Mapping[str, Any] | None = None,
+    clock: str | Clock = "fast",
+) -> NidaqmxBench:
+    """Open a bench for tests.
+
+    Parameters
+    ----------
+    bench : Scene, str, Path, mapping or sequence of str
+        A scene (see `rig.load`); or product types of modules, as a list or separated by commas; or a description with
+        the keys `modules`, `chassis`, `wires` and `sources`, as a mapping or a YAML file.
+    wires : sequence of str, optional
+        Connections of outputs to inputs, such as "ao0 -> ai0"; only for modules.
+    sources : mapping, optional
+        Voltage at inputs without a wire: {"ai1": "0.5 V"}, or {"ai1": {"amplitude": "1 V", "frequency": "50 Hz"}}, or a
+        function that returns the voltages, V, at an array of times, s; only for modules.
+    clock : {'fast', 'real'} or Clock, optional
+        With 'fast', time passes only during calls of tasks and in `time.sleep`, as fast as the machine computes.
+
+    Raises
+    ------
+    SceneError
+        If there is no such scene or module, or the description has problems.
+    """
+    connections: dict[str, Any] = {"wires": wires} if wires else {}
+    connections |= {"sources": sources} if sources else {}
+    document, where = _read_description(bench)
+    if document is None:
+        if connections:
+            raise SceneError("wires and sources cannot be combined with a scene. Give modules instead of the scene.")
+        scene = rig.load(bench)  # type: ignore[arg-type]  # reports other types
+        return NidaqmxBench(connect_scene(scene, clock))
+    wired = wired_bench({**document.content, **connections}, where, document.line if document.lines else None)
+    terminals: Any = WiredTerminals(wired)
+    opened = NidaqmxBench(Chassis(wired.modules, terminals, make_clock(clock)))
+    try:
+        for name, saved in wired.tasks.items():
+            opened.save_task(name, saved.configure)
+    except DaqError as error:
+        opened.close()
+        raise SceneError(f"{where}: tasks.{name}: {error}") from None
+    return opened
+
+
+def _read_description(bench: BenchLike) -> tuple[Document | None, str]:
+    """Return the description of a bench, and its name in messages; None instead of a description for a scene."""
+    where = "bench"
+    if isinstance(bench, str | Path) and bench not in bundled_scenes():
+        path = Path(bench)
+        if path.is_file():
+            document, where = read_yaml(read_text(path)), str(bench)
+            return (document if isinstance(document.content, dict) and "modules" in document.content else None), where
+        if path.suffix not in (".yaml", ".yml"):
+            return Document({"modules": [name.strip() for name in str(bench).split(",")]}), where
+    elif isinstance(bench, Mapping) and "modules" in bench:
+        return Document(dict(bench)), where
+    elif isinstance(bench, list | tuple):
+        return Document({"modules": list(bench)}), where
+    return None, where

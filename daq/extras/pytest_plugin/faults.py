@@ -1,0 +1,145 @@
+"""Faults of a device, injected while a program uses it: failed calls, overloads, reserved and missing devices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from daq.extras.ni_device.chassis import Chassis
+from daq.extras.ni_device.devices.measurements import MEASUREMENTS
+from daq.extras.ni_device.devices.modules import Module
+from daq.extras.ni_device.engines.acquisition import Acquisition
+from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.task import Task
+from daq.extras.pytest_plugin.description import find_channel
+from rig.core.base.errors import SceneError
+
+CALLS = ("start", "read", "write")
+
+
+@dataclass
+class _FutureError:
+    call: str
+    code: int
+    n_calls_before: int  # calls that succeed before it
+
+
+class Faults:
+    """Injects faults into a device; names of devices and channels are those of the bench."""
+
+    def __init__(self, chassis: Chassis) -> None:
+        self._chassis = chassis
+        self._future: list[_FutureError] = []
+        self._unplugged: dict[str, Module] = {}  # by their names in lower case
+        self.other_clients: dict[str, Task] = {}  # tasks that reserve devices, by name
+        terminals: Any = _OverloadedTerminals(chassis.terminals)
+        chassis.terminals = self._terminals = terminals
+        chassis.call_listeners.append(self._on_call)
+
+    def fail(self, call: str, code: int, after: int = 0) -> None:
+        """Let a call fail once with an error code of the driver, such as -200284 (timeout).
+
+        `call` is "start", "read" or "write"; `after` is the number of calls that succeed before. The task goes on, as
+        with hardware: a read with -200279 is preceded by an overflow of the buffer, and -200361 ends the acquisition.
+        """
+        if call not in CALLS:
+            raise SceneError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")
+        self._future.append(_FutureError(call, code, after))
+
+    def _on_call(self, call: str, task: Task) -> None:
+        for name in task.settings.device_names:
+            if name.lower() in self._unplugged:
+                raise _unplugged_error(name)
+        for fault in [fault for fault in self._future if fault.call == call]:
+            fault.n_calls_before -= 1
+            if fault.n_calls_before < 0:
+                self._future.remove(fault)
+                self._cause(fault.code, task)
+
+    def _cause(self, code: int, task: Task) -> None:
+        error = DaqError("a test has injected this error.", code, samples_done=0)
+        run = task.run
+        if code == Code.SAMPLES_NO_LONGER_AVAILABLE and isinstance(run, Acquisition) and run.plan.samples is None:
+            # The read itself detects the loss.
+            n_free = run.plan.buffer_size - (run.ring.written - run.position)
+            self._chassis.advance(run.ticks_until(n_free + 1, self._chassis.position))
+            return
+        if code == Code.INPUT_FIFO_OVERFLOW_2 and run is not None:
+            run.stop(error)
+        raise error
+
+    def overload(self, channel: str, seconds: float = 0.1) -> None:
+        """Overload an input from now on for a time on the bench, s: it reads full scale, and is flagged."""
+        index = find_channel(self._chassis.devices.all(), channel, "ai", "overload")[1]
+        start = self._chassis.elapsed
+        self._terminals.overloads.append((index, start, start + seconds))
+
+    def reserve(self, device: str) -> None:
+        """Reserve a device for another client: starting a task on it fails with -50103."""
+        module = self._module(device)
+        for direction, measurement in (("ai", MEASUREMENTS["Voltage"]), ("ao", None)):
+            if names := module.channel_names(direction):
+                task = Task(self._chassis, f"another client's {device}/{direction}", {})
+                task.settings.add(", ".join(names), "", measurement, {})
+                task.reserve()
+                self.other_clients[task.name] = task
+
+    def release(self, device: str) -> None:
+        """End the reservation of a device."""
+        for direction in ("ai", "ao"):
+            if task := self.other_clients.pop(f"another client's {device}/{direction}", None):
+                task.close()
+
+    def unplug(self, device: str) -> None:
+        """Unplug a device, or a chassis and its modules: calls fail with -201003, and new channels with -200220."""
+        devices = self._chassis.devices
+        names = [self._module(device).name, *devices.modules_of(device)]
+        with self._chassis.changed:
+            self._unplugged |= {name.lower(): devices.remove(name) for name in names}
+            self._chassis.stop_runs(_unplugged_error(device), [name.lower() for name in names])
+
+    def plug_in(self) -> None:
+        """Connect all devices again that were unplugged."""
+        while self._unplugged:
+            self._chassis.devices.add(self._unplugged.popitem()[1])
+
+    def _module(self, name: str) -> Module:
+        try:
+            return self._chassis.devices.module(name)
+        except DaqError as error:
+            raise SceneError(str(error)) from None
+
+
+def _unplugged_error(name: str) -> DaqError:
+    return DaqError(f"{name} has been unplugged. Connect it again.", Code.DEV_CANNOT_BE_ACCESSED, samples_done=0)
+
+
+class _OverloadedTerminals:
+    """The terminals of a bench with overloaded inputs; all other methods are those of `terminals`."""
+
+    def __init__(self, terminals: Any) -> None:
+        self._terminals = terminals
+        self.overloads: list[tuple[int, float, float]] = []  # input; start and end in bench time, s
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._terminals, name)
+
+    def advance(self, volts: Any, ticks: int, rates: Any) -> Mapping[float, Any]:
+        """See `daq.extras.ni_device.terminals.Terminals.advance`."""
+        blocks = self._terminals.advance(volts, ticks, rates)
+        return {rate: self._overloaded(block, rate) for rate, block in blocks.items()} if self.overloads else blocks
+
+    def _overloaded(self, block: Any, rate: float) -> Any:
+        samples, overload = block.samples.copy(), block.overload.copy()
+        time = (block.first + np.arange(samples.shape[1])) / rate
+        for index, start, end in self.overloads:
+            channel, selected = self._terminals.bench.channels[index], (time >= start) & (time < end)
+            overload[index, selected] = True
+            if channel.range is not None:
+                # The largest count of a converter is one less than full scale.
+                scale = channel.volts_per_count
+                samples[index, selected] = channel.range if scale is None else round(channel.range / scale) - 1
+        return replace(block, samples=samples, overload=overload)

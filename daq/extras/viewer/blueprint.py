@@ -1,0 +1,110 @@
+"""Layouts of the viewer for a replay and for a live view.
+
+Rerun calls a layout a blueprint, and what is drawn an entity; entities are named by paths such as test/phase.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun.blueprint as rrb
+
+from daq.core.drawing.palette import BACKGROUND
+
+# Time that the plots show on each side of the time cursor, natural periods of the lowest mode.
+CURSOR_PERIODS = 2.5
+TIMELINE = "time"
+# Parent of the entities of overloaded channels.
+OVERLOAD_ENTITY = "test/overload"
+#: Position of the camera, and the point it looks at, m.
+Camera = tuple[tuple[float, ...], tuple[float, ...]]
+
+
+def layout(
+    plots: Sequence[tuple[str, str]],
+    damper_count: int,
+    overloaded_count: int,
+    lowest_mode_hz: float,
+    camera: Camera,
+    span_s: tuple[float, float],
+    speed: float,
+) -> rrb.Blueprint:
+    """Arrange a replay: rig and notes at the left, plots at the right.
+
+    The plot at the top shows the whole recording, with the phases of the test under it. The plots below show some
+    periods of the lowest mode around the time cursor.
+
+    `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
+    of dampers with known gaps. `camera` gives its position and the point at which it looks. `span_s` is the start and
+    the end on the timeline. `speed` is the playback speed (1 is real time).
+    """
+    cursor_range = _cursor_range(CURSOR_PERIODS / lowest_mode_hz, CURSOR_PERIODS / lowest_mode_hz)
+    entity, title = plots[0]
+    # Without limits the viewer shows only about a minute around the cursor.
+    begin, end = (rrb.TimeRangeBoundary.absolute(seconds=time_s) for time_s in span_s)
+    axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
+    overview = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
+    phase_view = rrb.StateTimelineView(
+        origin="test",
+        contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
+        name="test (gray: settling, green: measuring, or the decay after a hit; red: overloaded)",
+        time_view=axis,
+    )
+    curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
+    right_column: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [overview, phase_view]
+    right_column.append(curve_views[0] if len(curve_views) == 1 else rrb.Tabs(*curve_views, active_tab=0))
+    if damper_count:
+        right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
+        axis = rrb.TimeAxis(view_range=cursor_range)
+        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name="contact (truth)", time_view=axis))
+    notes = rrb.Tabs(
+        rrb.Spatial2DView(origin="spectrum", name="spectrum"),
+        rrb.TextDocumentView(origin="about", name="recording"),
+        rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
+        active_tab=0,
+    )
+    # The lanes of a state timeline have a fixed height, so that their view must grow with their number.
+    lane_height = 0.6 * overloaded_count
+    row_heights = [3.0, 1.0 + lane_height, 4.5]
+    if damper_count:
+        row_heights = [3.0, 1.5 + lane_height, 3.8, 3.0, 0.8 + 0.6 * damper_count]
+    panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
+    return _two_columns(camera, notes, right_column, row_heights, panel)
+
+
+def _two_columns(
+    camera: Camera,
+    notes: rrb.View | rrb.Tabs,
+    right_column: Sequence[rrb.View | rrb.Tabs],
+    row_heights: Sequence[float],
+    panel: rrb.TimePanel,
+) -> rrb.Blueprint:
+    position, target = camera
+    rig = rrb.Spatial3DView(
+        origin="rig",
+        name="rig",
+        background=BACKGROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
+    )
+    left_column = rrb.Vertical(rig, notes, row_shares=[1.6, 1.0])
+    return rrb.Blueprint(
+        rrb.Horizontal(left_column, rrb.Vertical(*right_column, row_shares=row_heights), column_shares=[1.0, 1.35]),
+        panel,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
+    ranges = rrb.VisibleTimeRange(TIMELINE, cursor_range)
+    return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=_legend())
+
+
+def _cursor_range(before_s: float, after_s: float) -> rrb.TimeRange:
+    start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=time_s) for time_s in (-before_s, after_s))
+    return rrb.TimeRange(start=start, end=end)
+
+
+def _legend() -> rrb.PlotLegend:
+    return rrb.PlotLegend(rrb.Corner2D.RightTop)

@@ -1,0 +1,218 @@
+"""Outputs of a replay: a window, a browser, a picture, or a file."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import webbrowser
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from urllib.parse import quote
+from uuid import uuid4
+
+import rerun as rr
+
+from daq.extras.viewer.replay import Replay
+from daq.extras.viewer.rerun_viewer import (
+    LOOPBACK,
+    Viewer,
+    can_open_windows,
+    free_port,
+    headless_picture,
+    require_display,
+    viewer,
+)
+from rig.core.base.console import pause_reports
+from rig.core.base.errors import RunError, SceneError
+from rig.core.base.output_files import atomic_write, prepare_outputs
+from rig.core.base.progress import FractionProgress
+from rig.core.base.provenance import may_overwrite, output_source, relative_paths
+
+APPLICATION = "shotrig"
+NO_DISPLAY_REMEDY = (
+    "Use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd for a file."
+)
+# Memory of the viewer per sample, bytes: its value, time and index.
+_BYTES_PER_VALUE = 20
+# Entity that is sent last.
+_LAST_ENTITY = "complete"
+# A note is printed if the viewer will need more memory, GB.
+_NOTE_ABOVE_GB = 2.0
+# Maximum wait for a viewer or a file to accept a block, s.
+_MAX_SINK_WAIT_S = 60.0
+
+
+def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -> None:
+    """Write a replay with its layout to an .rrd file; `rerun FILE.rrd` opens it.
+
+    Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
+    """
+    _check_suffix(file, ".rrd", "--save")
+
+    with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, raise_failure):
+
+        def wait_until_received() -> None:
+            stream.flush(timeout_sec=_MAX_SINK_WAIT_S)
+            raise_failure()
+
+        _send(replay, stream, wait_until_received, progress)
+
+
+@contextmanager
+def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
+    """Yield a stream into a file, and a function that raises `OSError` if writing has failed.
+
+    Rerun writes into a pipe, which a thread copies to the file, because on a full disk rerun's writer waits for ever.
+    """
+    if sys.platform == "win32":
+        # On Windows a pipe has no path.
+        with recording_stream() as stream:
+            stream.save(file)
+            yield stream, lambda: None
+        return
+    pipe_out, pipe_in = os.pipe()
+    failures: list[OSError] = []
+
+    def copy_pipe_to_file() -> None:
+        with open(pipe_out, "rb", buffering=0) as source_file:  # noqa: PTH123
+            try:
+                with file.open("wb") as target_file:
+                    shutil.copyfileobj(source_file, target_file)
+            except OSError as error:
+                failures.append(error)
+                while source_file.read(1 << 20):
+                    pass
+
+    def raise_failure() -> None:
+        if failures:
+            raise failures[0]
+
+    thread = threading.Thread(target=copy_pipe_to_file, name="rrd")
+    thread.start()
+    try:
+        with recording_stream() as stream:
+            try:
+                stream.save(f"/dev/fd/{pipe_in}")
+            finally:
+                os.close(pipe_in)
+            yield stream, raise_failure
+    finally:
+        thread.join()
+    raise_failure()
+
+
+def draw_picture(
+    replay: Replay,
+    file: Path,
+    at_s: float | None = None,
+    progress: FractionProgress | None = None,
+    size: tuple[int, int] = (1600, 1000),
+) -> float:
+    """Draw a replay into a PNG file without a window; return the drawn time, s.
+
+    `at_s` counts from the start of the recording; None takes `largest_motion_s`. `size` is in pixels.
+
+    Raises `SceneError` for another suffix or a time outside the replay, `RunError` if the picture cannot be made.
+    """
+    _check_suffix(file, ".png", "--screenshot")
+    rate = replay.recording.rate
+    time_s = replay.largest_motion_s if at_s is None else at_s
+    if not replay.start / rate <= time_s <= replay.stop / rate:
+        raise SceneError(
+            f"--at {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
+        )
+    source = ("replay", *relative_paths([replay.recording.path], file.parent))
+    with output_source(*source):
+        prepare_outputs(file)
+    with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
+        rrd_path = Path(folder) / "replay.rrd"
+        save(replay, rrd_path, progress)
+        png, views = headless_picture(
+            rrd_path, time_s - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
+        )
+    with output_source(*source), atomic_write(file) as part:
+        part.write_bytes(png)
+    problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
+    if problems:
+        raise RunError(f"{file}: parts of the picture could not be drawn ({'; '.join(problems)}). Draw it again.")
+    return time_s
+
+
+def window(remedy: str) -> AbstractContextManager[Viewer]:
+    """Open a viewer in a window; raise `RunError`, which ends with the sentence `remedy`, if there is no display."""
+    require_display(remedy)
+    return viewer("--expect-data-soon")
+
+
+def show(
+    replay: Replay, viewer_context: AbstractContextManager[Viewer], progress: FractionProgress | None = None
+) -> None:
+    """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
+    with viewer_context as running:
+        # The viewer keeps all samples in memory, or drops the oldest.
+        gigabytes = replay.n_values * _BYTES_PER_VALUE / 1e9
+        if gigabytes > _NOTE_ABOVE_GB:
+            print(
+                f"note: the viewer will take about {gigabytes:.0f} GB of memory. To use less, show a part of the "
+                "recording with --from and --to.",
+                file=sys.stderr,
+            )
+        with recording_stream() as stream:
+            stream.connect_grpc(running.url)
+            try:
+                _send(replay, stream, lambda: stream.flush(timeout_sec=_MAX_SINK_WAIT_S), progress)
+            except RuntimeError as error:
+                if running.process.poll() is None:
+                    raise RunError(
+                        f"the rerun viewer stopped receiving data ({error}). Show the recording again, or a part of it "
+                        "with --from and --to."
+                    ) from error
+        with pause_reports():
+            running.process.wait()
+
+
+@contextmanager
+def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
+    """Serve the viewer to browsers on this machine; `announce` is called with the address."""
+    page_port = free_port()
+    # The server stores everything for later browsers.
+    with viewer("--serve-web", "--web-viewer-port", str(page_port), "--server-memory-limit", "75%") as running:
+        address = f"http://{LOOPBACK}:{page_port}/?url={quote(running.url, safe='')}"
+        announce(address)
+        if can_open_windows():
+            webbrowser.open(address)
+        yield running
+
+
+@contextmanager
+def recording_stream() -> Iterator[rr.RecordingStream]:
+    """Yield a new stream, which is flushed to its viewer or file at the end."""
+    stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
+    try:
+        yield stream
+    finally:
+        stream.disconnect()
+
+
+def _send(
+    replay: Replay,
+    stream: rr.RecordingStream,
+    wait_until_received: Callable[[], object],
+    progress: FractionProgress | None,
+) -> None:
+    wait_until_received()
+    # The layout is made active: a viewer remembers an earlier layout of the application, which overrides a default.
+    stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
+    replay.send(stream, wait_until_received, progress)
+    # A viewer that has received this text has received everything.
+    stream.log(_LAST_ENTITY, rr.TextDocument("all of the replay was sent"), static=True)
+    wait_until_received()
+
+
+def _check_suffix(file: Path, suffix: str, option: str) -> None:
+    if file.suffix.lower() != suffix:
+        raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")

@@ -1,0 +1,166 @@
+"""The commands of `rig` as Python functions with the same names and arguments.
+
+Each function returns a result with `plot()`, `to_dataframe()` and a notebook display; the commands print and save it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rig.core.base.progress import CountProgress
+from rig.core.scene.loading import SceneLike, scene_of
+from rig.core.settings.quantities import FREQUENCY, number
+
+if TYPE_CHECKING:
+    from rig.core.steady_response.frequency_response import SteadyResponse
+    from rig.extras.bed_response.bed_response import BedResponse
+    from rig.studies.cost.cost import Cost
+    from rig.studies.motion_map.motion_map import MotionMap
+
+
+def response(
+    scene: SceneLike,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int | None = None,
+    direction: str | None = None,
+    progress: CountProgress | None = None,
+) -> SteadyResponse:
+    """Compute the steady response over frequency, at the level (amplitude of force or drive) of the scene's test.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or an argument of `rig.load`.
+    first, last : float or str, optional
+        Lowest and highest frequency, in Hz or as strings such as ``"49 Hz"``; default: as in the test.
+    points : int, optional
+        Number of frequencies; default: as in the test, or 101.
+    direction : {'up', 'down', 'both'}, optional
+        Order in which the frequencies are visited; default: as in the test.
+    progress : callable, optional
+        Called with the number of completed points and the total.
+
+    Raises
+    ------
+    SceneError
+        If neither the arguments nor the test give frequencies, or the scene has no shaker or no level.
+    """
+    from rig.core.steady_response.frequency_response import frequency_response
+    from rig.core.steady_response.response_output import sweep_frequencies
+
+    scene = scene_of(scene)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, order = sweep_frequencies(scene, *band, points, direction)
+    return frequency_response(scene, frequencies, direction=order, progress=progress)
+
+
+def grains(
+    scene: SceneLike,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int | None = None,
+    periods: int = 20,
+    table: str | Path | None = None,
+    cluster: str | None = None,
+    progress: CountProgress | None = None,
+) -> BedResponse:
+    """Compare the steady-state motion of beds of grains with that of their single-mass models at each frequency.
+
+    Parameters
+    ----------
+    scene, first, last, points, progress
+        As in `rig.response`.
+    periods : int
+        Drive periods in each averaged block.
+    table : str or Path, optional
+        CSV file that stores the results; frequencies in this file are not recomputed.
+    cluster : str, optional
+        Address of a Dask scheduler; default: the processors of this machine.
+
+    Raises
+    ------
+    SceneError
+        As `rig.response`, or if every bed of grains is locked.
+    """
+    from rig.core.steady_response.response_output import sweep_frequencies
+    from rig.extras.bed_response.bed_response import bed_response
+
+    scene = scene_of(scene)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies, _ = sweep_frequencies(scene, *band, points, None)
+    return bed_response(scene, frequencies, periods, None if table is None else Path(table), cluster, progress)
+
+
+def map(
+    scene: SceneLike,
+    over: str | None = None,
+    least: float | str | None = None,
+    most: float | str | None = None,
+    rows: int = 36,
+    first: float | str | None = None,
+    last: float | str | None = None,
+    points: int = 48,
+    cluster: str | None = None,
+    kept: str | Path | None = None,
+    progress: CountProgress | None = None,
+) -> MotionMap:
+    """Map motion types and settling time over frequency (horizontal) and level or clearance (vertical).
+
+    Parameters
+    ----------
+    scene, first, last, progress
+        As in `rig.response`.
+    over : {'force', 'drive', 'clearance'}, optional
+        Quantity of the vertical axis; default: the level of the test.
+    least, most : float or str, optional
+        Limits of the vertical axis, in SI or as strings such as ``"0.5 N"``.
+    rows, points : int
+        Number of levels or clearances, and of frequencies.
+    cluster : str, optional
+        Address of a Dask scheduler; default: the processors of this machine.
+    kept : str or Path, optional
+        CSV file to which each finished row is added; rows in this file are not recomputed.
+
+    Raises
+    ------
+    SceneError
+        If an argument is invalid, or no damper of the scene can move.
+    """
+    from rig.studies.motion_map.grid import KIND_OF_UNIT, select_frequencies, select_row_values, vertical_axis
+    from rig.studies.motion_map.motion_map import map_motion
+
+    scene = scene_of(scene)
+    over, unit = vertical_axis(scene, over)
+    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    frequencies = select_frequencies(scene, *band, points)
+    limits = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
+    values = select_row_values(scene, over, frequencies, *limits, rows)
+    return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
+
+
+def cost(
+    scene: SceneLike, frequency: float | str | None = None, periods: int = 20, say: Callable[[str], None] | None = None
+) -> Cost:
+    """Measure error and computing time of every integration method on a scene or, with grains, of every bed model.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or an argument of `rig.load`.
+    frequency : float or str, optional Drive frequency; default: the frequency of the test, or of the largest
+    acceleration of the linear structure. periods : int
+        Number of drive periods to simulate.
+    say : callable, optional
+        Called with the name of the next method.
+
+    Raises
+    ------
+    SceneError
+        If the scene has no shaker, or neither argument nor test gives a frequency.
+    """
+    from rig.studies.cost.cost import cost as measure_cost
+
+    return measure_cost(scene_of(scene), number(frequency, FREQUENCY, "frequency"), periods, say)

@@ -1,0 +1,1 @@
+"""Files, worker processes, errors and text: they know no rig."""

@@ -1,0 +1,245 @@
+"""Console output of the commands: escaped text, progress, and status messages during long work."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
+from pathlib import Path
+from typing import IO, Any, ClassVar
+
+from rig.core.base.escaping import escape_terminal
+from rig.core.base.progress import CountProgress, FractionProgress
+
+_LOG = logging.getLogger("shotrig.compiling")
+# A command reports that it is still running after this time without output.
+MAX_SILENCE_S = 12.0
+# Delays separated by less than this count as one delay.
+_MAX_DELAY_GAP_S = 5.0
+
+
+@cache
+def warn_of_compilation(text: str) -> None:
+    """Log a warning about machine code, once in a process."""
+    _LOG.warning(text)
+
+
+class Unwritable(OSError):
+    """Standard output cannot be written because its disk is full."""
+
+
+class _EscapingStream(io.TextIOBase):
+    """A stream that escapes control characters of text; a progress bar writes to `unescaped` directly."""
+
+    last_output_s = time.monotonic()
+
+    def __init__(self, unescaped: IO[str]) -> None:
+        self.unescaped = unescaped
+
+    def write(self, text: str) -> int:
+        """Write text with control characters escaped."""
+        if not isinstance(text, str):
+            # click writes bytes to test whether a stream accepts them.
+            raise TypeError(f"this stream accepts text, not {type(text).__name__}")
+        _EscapingStream.last_output_s = time.monotonic()
+        encoding = self.encoding
+        self._forward(self.unescaped.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the unescaped stream."""
+        self._forward(self.unescaped.flush)
+
+    def close(self) -> None:
+        """Do nothing: Python owns the unescaped stream and may close it first, which is an error in Python 3.13."""
+
+    def _forward(self, operation: Callable[..., object], *arguments: str) -> None:
+        """Call an operation of the unescaped stream; a full disk raises `Unwritable`."""
+        try:
+            operation(*arguments)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise Unwritable(error.errno, error.strerror) from None
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """Encoding of the unescaped stream."""
+        return getattr(self.unescaped, "encoding", None) or "utf-8"
+
+    def isatty(self) -> bool:
+        """Return whether the stream is a terminal."""
+        return self.unescaped.isatty()
+
+    def fileno(self) -> int:
+        """Return the file descriptor of the unescaped stream."""
+        return self.unescaped.fileno()
+
+
+def replace_streams(cleanup: ExitStack) -> None:
+    """Replace the standard streams of Python; a closed stream is replaced with a null device."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            # Otherwise the next opened file, such as a recording, would get the descriptor of standard output.
+            os.open(os.devnull, os.O_RDWR)
+        stream = getattr(sys, name)
+        if number > 0:
+            cleanup.callback(setattr, sys, name, stream)
+            setattr(sys, name, _EscapingStream(stream or open(os.devnull, "w", encoding="utf-8")))  # noqa: PTH123, SIM115
+
+
+class _Activity:
+    """Current activity and delays of a command.
+
+    `description`: None while the command waits for input. `delays`: causes of the current delay. `delay_start_s`,
+    `delay_end_s`: end of the last delay on the monotonic clock.
+    """
+
+    description: str | None = ""
+    delays: ClassVar[list[str]] = []
+    delay_start_s = delay_end_s = float("-inf")
+
+
+def report_activity(cleanup: ExitStack) -> None:
+    """Report at intervals that a command is running, until the exit stack is closed."""
+    ended = threading.Event()
+    cleanup.callback(ended.set)
+    _Activity.description = ""
+    threading.Thread(target=_report_periodically, args=(ended, sys.stderr), name="activity", daemon=True).start()
+
+
+def _report_periodically(ended: threading.Event, stream: Any) -> None:
+    """Report the activity or the delay whenever there was no output for `MAX_SILENCE_S`."""
+    command_start_s = time.monotonic()
+    _EscapingStream.last_output_s = command_start_s
+    while not ended.wait(1.0):
+        delay = next(iter(_Activity.delays), None)
+        if delay is None:
+            start_s, description = command_start_s, _Activity.description
+        else:
+            start_s, description = _Activity.delay_start_s, delay
+        silence_s = time.monotonic() - _EscapingStream.last_output_s
+        if description is not None and silence_s > MAX_SILENCE_S:
+            with suppress(OSError, ValueError):
+                detail = description and f": {description}"
+                print(f"running for {time.monotonic() - start_s:.0f} s{detail}", file=stream, flush=True)
+
+
+def report_written(*files: Path) -> None:
+    """Print the names of the files that a command wrote, one a line."""
+    for file in files:
+        print(f"wrote {file}")
+
+
+def begin_delay(cause: str) -> None:
+    """Report the cause of a delay at intervals until `end_delay`, also while a user's program has the terminal."""
+    now_s = time.monotonic()
+    if not _Activity.delays and now_s - _Activity.delay_end_s > _MAX_DELAY_GAP_S:
+        _Activity.delay_start_s = now_s
+    _Activity.delays.append(cause)
+
+
+def end_delay() -> None:
+    """End the delay that `begin_delay` began."""
+    _Activity.delays.pop()
+    _Activity.delay_end_s = time.monotonic()
+
+
+@contextmanager
+def pause_reports() -> Iterator[None]:
+    """Suppress reports while the body waits for user input."""
+    description, _Activity.description = _Activity.description, None
+    try:
+        yield
+    finally:
+        _Activity.description = description
+
+
+@contextmanager
+def user_terminal() -> Iterator[None]:
+    """Release the terminal to a program of the user, whose output is not escaped."""
+    escaping_streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (getattr(stream, "unescaped", stream) for stream in escaping_streams)
+    try:
+        with pause_reports():
+            yield
+    finally:
+        sys.stdout, sys.stderr = escaping_streams
+
+
+@contextmanager
+def progress(title: str) -> Iterator[FractionProgress]:
+    """Show the progress of the `with` block, which calls ``report(fraction, message)``.
+
+    A terminal shows a bar with the remaining time; if standard error is not a terminal, a line is printed at intervals.
+    """
+    if not sys.stderr.isatty():
+
+        def report(fraction: float, message: str = "") -> None:
+            parts = (title, title and f"{100 * fraction:.0f} %", message)
+            _Activity.description = ", ".join(filter(None, parts))
+
+        _Activity.description = title
+        yield report
+        _Activity.description = ""
+        return
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+        TextColumn("{task.fields[message]}"),
+    )
+    terminal = getattr(sys.stderr, "unescaped", sys.stderr)
+    with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
+        task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
+
+        def update_bar(fraction: float, message: str = "") -> None:
+            bar.update(task, completed=fraction, message=escape(escape_terminal(message)))
+
+        yield update_bar
+
+
+@contextmanager
+def resumable(stored: bool = True) -> Iterator[None]:
+    """Add to an interrupt message that the same command continues the work, if results are stored."""
+    try:
+        yield
+    except KeyboardInterrupt as interruption:
+        if stored:
+            interruption.add_note("completed results are stored. To continue from them, give the same command again.")
+        raise
+
+
+@contextmanager
+def count_progress(title: str) -> Iterator[CountProgress]:
+    """Show the number of completed steps of the `with` block, which calls ``report(n_completed, total)``."""
+    with progress(title) as report:
+
+        def count(n_completed: int, total: int) -> None:
+            # Figures and files are written after the last step.
+            report(
+                n_completed / total if total else 1.0,
+                f"{n_completed} of {total}{', writing' if n_completed >= total else ''}",
+            )
+
+        yield count
+
+
+@contextmanager
+def show_activity() -> Iterator[Callable[[str], None]]:
+    """Show the current activity of the `with` block, which calls ``report(message)``."""
+    with progress("") as report:
+        yield lambda message: report(0.0, message)

@@ -1,0 +1,283 @@
+"""Common style of all figures, and their reproducible output: the same data gives files with the same bytes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+from rig.core.base.escaping import escape_figure
+from rig.core.base.output_files import atomic_write, csv_text
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
+# Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")
+# Default width of a figure.
+WIDTH_INCH = 7.2
+# Resolution of PNG files, dots per inch.
+_DPI = 150
+# Compression level of PNG files: level 6, the default, takes half as long again and reduces them by 5 %.
+_PNG_COMPRESSION = 3
+# Number of title characters that fit into the default width.
+_TITLE_CHARACTERS = 70
+# Powers of ten give too few labels if the limits of a logarithmic axis have a smaller ratio than this.
+_MIN_DECADE_RATIO = 50.0
+# Smallest and largest value of a logarithmic axis that matplotlib can draw.
+_DRAWABLE_RANGE = 1e-250, 1e250
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+# Number of characters per line of a note below a figure of the default width.
+_NOTE_CHARACTERS = 112
+# Maximum number of characters of a legend entry in two columns.
+_LEGEND_CHARACTERS = 46
+
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 2.6,
+    # Curves remain visible behind a legend.
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "legend.fontsize": 8.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "svg.hashsalt": "shotrig",
+    "svg.fonttype": "none",
+    "path.simplify": True,
+}
+
+
+def _load_matplotlib() -> Any:
+    """Import matplotlib; figures in files do not need the backend that MPLBACKEND states, which may be unknown."""
+    if "matplotlib" not in sys.modules:
+        backend = os.environ.pop("MPLBACKEND", None)
+        import matplotlib
+
+        if backend is not None:
+            os.environ["MPLBACKEND"] = backend
+            with suppress(ValueError):
+                matplotlib.rcParams["backend"] = backend
+    return sys.modules["matplotlib"]
+
+
+def _own_style() -> AbstractContextManager[None]:
+    """Return a context with the common style, in which the user's matplotlibrc has no effect."""
+    matplotlib = _load_matplotlib()
+    defaults = {name: value for name, value in matplotlib.rcParamsDefault.items() if name != "backend"}
+    context: AbstractContextManager[None] = matplotlib.rc_context(defaults | _STYLE)
+    return context
+
+
+def use_style() -> None:
+    """Use the common style for all figures that a script draws with matplotlib."""
+    matplotlib = _load_matplotlib()
+    from matplotlib.rcsetup import cycler
+
+    matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=COLORS)})
+
+
+@contextmanager
+def new_figure(height: float, width: float = WIDTH_INCH) -> Iterator[Figure]:
+    """Provide an empty figure in the common style; draw inside the `with` block."""
+    with _own_style():
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        yield figure
+
+
+def save_figure(figure: Figure, stem: Path) -> list[Path]:
+    """Write `stem`.png and `stem`.svg without dates or versions, and return their paths."""
+    png, svg = stem.with_name(stem.name + ".png"), stem.with_name(stem.name + ".svg")
+    with _own_style():
+        layout_engine = figure.get_layout_engine()
+        if layout_engine is not None:
+            figure.set_dpi(_DPI)
+            layout_engine.execute(figure)
+            # With a layout engine, matplotlib draws each file twice.
+            figure.set_layout_engine(None)
+        with atomic_write(png) as temporary:
+            compression = {"compress_level": _PNG_COMPRESSION}
+            figure.savefig(temporary, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
+        # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
+        # engine also places them, but before its last change of the axes.
+        for axes in figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                to_axes = axis.label.get_transform() - axes.transAxes
+                axis.set_label_coords(*to_axes.transform(axis.label.get_position()))
+        with atomic_write(svg) as temporary:
+            figure.savefig(temporary, metadata={"Date": None, "Creator": None})
+    return [png, svg]
+
+
+def add_title(axes: Axes, text: str) -> None:
+    """Add a title above the uppermost axes, wrapped to the width of the figure; call it after the vertical axis is set.
+
+    Only the exponent above a vertical axis can move a title. Without it, the position is fixed: matplotlib would
+    measure the tick labels of the axes three more times.
+    """
+    from matplotlib.ticker import ScalarFormatter
+
+    has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
+    lines = wrap(escape_figure(text), _TITLE_CHARACTERS)
+    axes.set_title("\n".join(lines), y=None if has_exponent else 1.0)
+
+
+def color_of(index: int) -> str:
+    """Return the color of the curve with this index."""
+    return COLORS[index % len(COLORS)]
+
+
+def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
+    """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
+    axes.set_xlim(low, high)
+    if high / low >= 2.0:
+        set_log_scale(axes.xaxis, 10)
+    if labeled:
+        axes.set_xlabel("frequency / Hz")
+    else:
+        axes.tick_params(labelbottom=False)
+
+
+def log_axis(axes: Axes, values: Any, max_decades: float = 7.0) -> None:
+    """Set up a logarithmic vertical axis of 1 to `max_decades` decades that contains the positive values."""
+    values = np.concatenate([np.ravel(v) for v in values])
+    values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
+    if not values.size:
+        # There are no positive values to show.
+        axes.set_yticks([])
+        return
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(_decade_label)
+    axes.yaxis.set_minor_formatter("")
+    high = values.max() * 1.6
+    low = max(values.min() / 1.6, high / 10.0**max_decades)
+    low = min(low, high / 10.0)
+    if high < _MIN_DECADE_RATIO * low:
+        set_log_scale(axes.yaxis)
+    axes.set_ylim(low, high)
+
+
+def _decade_label(value: float, position: float) -> str:
+    """Label a power of ten in plain text: matplotlib's formulas take a tenth of a second per figure.
+
+    >>> _decade_label(0.01, 0), _decade_label(1e-6, 0)
+    ('0.01', '10⁻⁶')
+    """
+    exponent = round(np.log10(value))
+    return f"{value:g}" if -4 <= exponent <= 4 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+
+
+def round_ticks(low: float, high: float, max_ticks: int = 8) -> list[float]:
+    """Select at most `max_ticks` round numbers on a logarithmic axis; even steps if there are too few.
+
+    >>> round_ticks(0.08, 3.0), round_ticks(0.08, 3.0, 4)
+    ([0.1, 0.2, 0.5, 1.0, 2.0], [0.1, 0.3, 1.0, 3.0])
+    >>> round_ticks(0.71, 0.95)
+    [0.75, 0.8, 0.85, 0.9]
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    for mantissas in ((1, 1.5, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1, 3), (1,)):
+        candidates = [float(f"{mantissa}e{exponent}") for exponent in range(-12, 13) for mantissa in mantissas]
+        ticks = [tick for tick in candidates if low <= tick <= high]
+        if len(ticks) <= max_ticks:
+            break
+    if len(ticks) < 3:
+        even_steps = MaxNLocator(5).tick_values(low, high)
+        ticks = [round(float(tick), 12) for tick in even_steps if low <= tick <= high]
+    return ticks
+
+
+def set_log_scale(axis: Axis, max_ticks: int = 8, factor: float = 1.0) -> None:
+    """Set up a logarithmic axis with few, plain tick labels; each label is the axis value times `factor`."""
+    from matplotlib.ticker import Locator, NullFormatter
+
+    class RoundTicks(Locator):
+        def tick_values(self, low: float, high: float) -> list[float]:
+            return [tick / factor for tick in round_ticks(factor * low, factor * high, max_ticks)]
+
+        def __call__(self) -> list[float]:
+            return self.tick_values(*sorted(axis.get_view_interval()))
+
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
+    axis.set_major_locator(RoundTicks())
+    axis.set_major_formatter(lambda value, _: f"{factor * value:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def cell_edges(centers: Array, logarithmic: bool) -> Array:
+    """Compute the edges of the cells of a map from their centers; a single cell is 10 % wide.
+
+    >>> cell_edges(np.array([1.0, 2.0, 4.0]), False).tolist()
+    [0.5, 1.5, 3.0, 5.0]
+    """
+    x = np.log(centers) if logarithmic else centers
+    if len(x) == 1:
+        edges = np.array([x[0] - 0.05 * abs(x[0]) - 1e-9, x[0] + 0.05 * abs(x[0]) + 1e-9])
+    else:
+        inner = 0.5 * (x[1:] + x[:-1])
+        edges = np.concatenate([[2 * x[0] - inner[0]], inner, [2 * x[-1] - inner[-1]]])
+    return np.exp(edges) if logarithmic else edges
+
+
+def add_caption(figure: Figure, *sentences: str) -> None:
+    """Add sentences below all axes, for elements that are not in a legend."""
+    if sentences:
+        figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555")
+
+
+def add_legend_below(figure: Figure, *sentences: str) -> None:
+    """Add a common legend below all axes, with sentences above it as in `add_caption`."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if not entries:
+        add_caption(figure, *sentences)
+        return
+    title = _wrapped(figure, sentences) or None
+    has_long_entries = max(map(len, entries)) > _LEGEND_CHARACTERS * figure.get_figwidth() / WIDTH_INCH
+    legend = figure.legend(
+        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if has_long_entries else 2,
+        title=title, title_fontsize=7.5, alignment="left",
+    )  # fmt: skip
+    legend.get_title().set_color("#555555")
+
+
+def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
+    return "\n".join(wrap(" ".join(sentences), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH)))
+
+
+def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:
+    """Write a figure by `save_figure`, and its table, whose first row is the header; return the three paths.
+
+    Raises `SceneError`, `RunError` if a file cannot be written.
+    """
+    table = stem.with_name(stem.name + ".csv")
+    with atomic_write(table) as temporary:
+        temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
+    return [*save_figure(figure, stem), table]

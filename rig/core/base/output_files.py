@@ -1,0 +1,244 @@
+"""Output files: written atomically, without overwriting special files or *protected* files.
+
+Every existing file is protected, except an unchanged output from the same source. A mark in the file, with digests of
+source and content, identifies such an output (see `rig.core.base.provenance`).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import platform
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from filecmp import cmp
+from hashlib import sha256
+from pathlib import Path
+from secrets import token_hex
+from tempfile import TemporaryFile
+
+from rig.core.base.errors import RunError, SceneError, ShotrigError
+from rig.core.base.escaping import escape_cell
+from rig.core.base.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
+
+#: Maximum length of a scene's name in a file name.
+_MAX_SCENE_LENGTH = 32
+#: Suffixes of output files, which are not accepted for folders.
+_FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
+
+
+def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> None:
+    """Create an output folder if it does not exist, and check that files can be created in it.
+
+    `error_type`: type of the error. Raises `ShotrigError` if the folder is not writable, or does not exist and has the
+    suffix of an output file.
+    """
+    try:
+        if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
+            raise error_type(
+                f"{folder}: this is the name of a file, but a folder is expected. Give the name of a folder, such as "
+                f"{folder.with_suffix('')}."
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        # A file is created, because permissions are not sufficient: the folder /proc permits files, but has none.
+        with TemporaryFile(dir=folder):
+            pass
+    except (FileExistsError, NotADirectoryError):
+        raise error_type(f"{folder}: cannot be created, because a file has this name. Choose another folder.") from None
+    except FileNotFoundError:
+        raise error_type(f"{folder}: accepts no new files. Choose another folder.") from None
+    except OSError as error:
+        raise error_type(f"{folder}: cannot be written ({error.strerror}). Choose another folder.") from None
+
+
+def prepare_outputs(*paths: Path) -> None:
+    """Create the folders of output files, and reject paths that must not be written, before the work starts.
+
+    Raises `SceneError` if `resolve_output` rejects a path, or a file exists that is not an unchanged output from the
+    same source.
+    """
+    for path in paths:
+        file = resolve_output(path, overwrite=True)
+        if file.exists() and not may_overwrite() and not is_unchanged_output(path):
+            raise overwrite_error(path)
+
+
+def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
+    """Resolve the path of an output file, create its folder, and reject a file that must not be written.
+
+    `path`: file to create or replace; symbolic links are followed; `overwrite`: whether an existing file may be
+    replaced; `error_type`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
+    special file exists at this path, or `create_folder` rejects its folder.
+    """
+    try:
+        file = path.resolve()
+        existing = _status(file)
+    except (OSError, ValueError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise error_type(f"cannot create {path}: {reason}. Choose another name or folder.") from None
+    if existing is not None:
+        if not stat.S_ISREG(existing.st_mode):
+            raise error_type(f"{path} is a folder or a device. Choose another name.")
+        if not overwrite:
+            raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
+        if not os.access(file, os.W_OK):
+            raise error_type(f"{path} is write-protected. Choose another name.")
+    create_folder(file.parent, error_type)
+    return file
+
+
+def _status(file: Path) -> os.stat_result | None:
+    """Return the status of a file; None if it does not exist."""
+    try:
+        return file.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+@contextmanager
+def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
+    """Write a temporary file, and rename it to its final name when it is complete.
+
+    `path` always contains the complete old or the complete new file. If a finished file cannot be renamed, it is saved
+    under another name, given in the error message.
+
+    `path`: file to create or replace; its folder is created; `overwrite`: whether an existing file may be replaced; if
+    None, protected files are not. Yields the temporary file, with the suffix of `path`. Raises `RunError` if the disk
+    is full or fails, `SceneError` if `resolve_output` rejects `path` or a protected file was created in the meantime.
+    """
+    needs_mark = overwrite is None and can_contain_mark(path)
+    must_compare = overwrite is None and not can_contain_mark(path)
+    if overwrite is None:
+        overwrite = may_overwrite() or is_unchanged_output(path)
+        if needs_mark and not overwrite and path.is_file():
+            raise overwrite_error(path)
+    # An existing file that cannot contain a mark is compared with the new file once the new file is complete.
+    file = resolve_output(path, overwrite or must_compare)
+    temporary = _new_temporary(file)
+    try:
+        yield temporary
+        if needs_mark:
+            add_mark(temporary)
+        elif must_compare and not overwrite and file.is_file():
+            if not cmp(temporary, file, shallow=False):
+                raise overwrite_error(path)
+            temporary.unlink()
+            return
+        _sync(temporary)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            reason = error.strerror or error
+            raise RunError(f"cannot write {path}: {reason}. Free disk space, or choose another folder.") from error
+        raise
+    try:
+        _rename(temporary, file, overwrite)
+    except FileExistsError:
+        raise SceneError(
+            f"{path}: another program created this file in the meantime. The result was saved as "
+            f"{_save_next_to(temporary, file)} instead."
+        ) from None
+    except OSError as error:
+        raise RunError(
+            f"cannot write {path}: {error.strerror or error}. The result was saved as {_save_next_to(temporary, file)} "
+            "instead."
+        ) from error
+
+
+def _new_temporary(file: Path) -> Path:
+    """Return the name of a temporary file for an output, and remove those that killed processes have left."""
+    # The name contains a digest of the output, and host and process that write it.
+    prefix = f".{_digest(file.name)}-{_digest(platform.node())}-"
+    for other in file.parent.glob(f"{prefix}*"):
+        process = other.name.removeprefix(prefix).partition("-")[0]
+        if process.isdecimal() and not _is_running(int(process)):
+            with suppress(OSError):
+                other.unlink()
+    return file.with_name(f"{prefix}{os.getpid()}-{token_hex(4)}{file.suffix}")
+
+
+def _digest(text: str) -> str:
+    return sha256(os.fsencode(text)).hexdigest()[:6]
+
+
+def _is_running(process: int) -> bool:
+    import psutil
+
+    return bool(psutil.pid_exists(process))
+
+
+def rename_complete(temporary: Path, file: Path, overwrite: bool) -> None:
+    """Rename a complete file to its final name, replacing an existing file only if allowed.
+
+    Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
+    """
+    _sync(temporary)
+    _rename(temporary, file, overwrite)
+
+
+def _sync(temporary: Path) -> None:
+    """Flush the new file to disk before the old file is replaced; Windows requires write access for this."""
+    with temporary.open("r+b") as file:
+        os.fsync(file.fileno())
+
+
+def _rename(temporary: Path, file: Path, overwrite: bool) -> None:
+    if overwrite:
+        with suppress(FileNotFoundError):
+            temporary.chmod(stat.S_IMODE(file.stat().st_mode))
+        temporary.replace(file)
+        return
+    try:
+        os.link(temporary, file)
+    except FileExistsError:
+        raise
+    except OSError:
+        # Some file systems do not support hard links.
+        if os.path.lexists(file):
+            raise FileExistsError(str(file)) from None
+        temporary.rename(file)
+        return
+    temporary.unlink()
+
+
+def _save_next_to(temporary: Path, file: Path) -> Path:
+    """Rename a finished file to the first free name next to the intended name, if possible."""
+    for number in range(2, 100):
+        free_name = file.with_name(f"{file.stem}-{number}{file.suffix}")
+        try:
+            _rename(temporary, free_name, overwrite=False)
+        except FileExistsError:
+            continue
+        except OSError:
+            return temporary
+        return free_name
+    return temporary
+
+
+def csv_text(rows: Iterable[Sequence[object]]) -> str:
+    """Return rows as CSV, with a line feed after each; text cells are escaped."""
+    text = io.StringIO(newline="")
+    escaped = ([escape_cell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
+    csv.writer(text, lineterminator="\n").writerows(escaped)
+    return text.getvalue()
+
+
+def file_stem(study: str, scene: str) -> str:
+    """Return the file stem for a study and the name of its scene.
+
+    A long name is shortened to its first words, and a digest that distinguishes it from names with the same words.
+
+    >>> file_stem("cost", "Fig 9, a damper in body 2")
+    'cost-fig-9-a-damper-in-body-2'
+    >>> file_stem("cost", "Fig 9, a damper in body 2 of clearance 0.98 mm")
+    'cost-fig-9-a-damper-in-body-2-of-4a69'
+    """
+    name = "-".join("".join(letter if letter.isalnum() else " " for letter in scene.lower()).split())
+    if len(name) > _MAX_SCENE_LENGTH:
+        digest = sha256(os.fsencode(name)).hexdigest()[:4]
+        start = name[: _MAX_SCENE_LENGTH - len(digest)]
+        name = f"{start.rpartition('-')[0] or start[:-1]}-{digest}"
+    return f"{study}-{name}" if name else study

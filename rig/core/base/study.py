@@ -1,0 +1,200 @@
+"""Studies that consist of many independent computations (pieces), such as one design at one level.
+
+Workers compute the pieces. A CSV table stores their values, so that an interrupted study continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import csv
+import functools
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from rig.core.base.errors import RunError
+from rig.core.base.output_files import atomic_write, create_folder, csv_text
+from rig.core.base.progress import CountProgress
+from rig.core.base.workers import Workers
+
+Piece = TypeVar("Piece")
+Value = TypeVar("Value")
+
+
+@functools.cache
+def code_digest(*packages: str) -> str:
+    """Return a digest of the version, sources and data sheets of some packages, which identifies a result's code."""
+    digest = hashlib.sha256(version("shotrig").encode())
+    for package in packages:
+        spec = find_spec(package)
+        assert spec is not None and spec.origin is not None
+        for file in sorted(Path(spec.origin).parent.rglob("*")):
+            if file.suffix in (".py", ".yaml"):
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def digest(inputs: object) -> str:
+    """Return a short digest of a result's inputs (bytes of an array, otherwise `repr`) and of the code of `rig`."""
+    content = inputs.tobytes() if isinstance(inputs, np.ndarray) else repr(inputs).encode()
+    return hashlib.sha256(code_digest("rig").encode() + content).hexdigest()[:16]
+
+
+@dataclass(frozen=True)
+class Study(Generic[Piece, Value]):
+    """A study of pieces whose values are stored in a table.
+
+    `compute`: computes the value of a piece; a module-level function, so that other processes can import it;
+    `decode`: returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
+    """
+
+    name: str  # content of the table, for messages, such as "designs"
+    columns: tuple[str, ...]  # column names of the table
+    compute: Callable[[Piece], Value]
+    key: Callable[[Piece], Any]  # returns the identity of a piece, which includes all its inputs
+    encode: Callable[[Any, Value], Sequence[object]]  # returns the table row for a key and a value
+    decode: Callable[[list[str]], tuple[Any, Value]]
+
+    def run(
+        self, pieces: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
+        progress: CountProgress | None = None, prepare: Callable[[], object] = lambda: None,
+    ) -> list[Value]:  # fmt: skip
+        """Compute pieces that are missing in the table; return the values of all pieces.
+
+        Parameters
+        ----------
+        table : Path, optional
+            CSV file; pieces in this file are not recomputed.
+        cluster : str, optional
+            See `rig.core.base.workers.Workers`.
+        prepare : callable, optional
+            Called before the first piece is computed.
+
+        Raises
+        ------
+        RunError
+            If the table cannot be read or written, or a worker process ends unexpectedly.
+        """
+        stored, report = StoredValues(self, table), progress or (lambda n_completed, total: None)
+        n_completed = sum(piece in stored for piece in pieces)
+        if n_completed:
+            report(n_completed, len(pieces))
+        if n_completed < len(pieces):
+            prepare()
+        for number, _ in enumerate(stored.complete(pieces, cluster), n_completed + 1):
+            report(number, len(pieces))
+        return [stored[piece] for piece in pieces]
+
+
+class StoredValues(Generic[Piece, Value]):
+    """Values of a study's pieces, in memory and in an optional table that is written to disk row by row.
+
+    `path`: CSV file; created with its folder if it does not exist. An incomplete last line is removed. Raises
+    `RunError` if the file is not a table of this study, or cannot be written.
+    """
+
+    def __init__(self, study: Study[Piece, Value], path: Path | None) -> None:
+        self.study, self._path = study, path
+        self.values: dict[Any, Value] = {}
+        if path is None:
+            return
+        create_folder(path.parent, RunError)
+        try:
+            content = path.read_bytes() if path.exists() else b""
+            rows = _parse_rows(path, content, study.columns, study.name) if content else []
+            with path.open("ab") as file:
+                # Another process may add rows at this moment.
+                if _complete_length(content) < len(content):
+                    file.truncate(_complete_length(content))
+        except OSError as error:
+            raise RunError(
+                f"{path}: cannot write this table ({error.strerror}). Choose another name or folder with -o."
+            ) from None
+        self._append()
+        for row in rows:
+            try:
+                key, value = study.decode(row)
+            except (ValueError, KeyError, TypeError):
+                continue
+            self.values[key] = value
+
+    def __contains__(self, piece: Piece) -> bool:
+        return self.study.key(piece) in self.values
+
+    def __getitem__(self, piece: Piece) -> Value:
+        return self.values[self.study.key(piece)]
+
+    def add(self, piece: Piece, value: Value) -> None:
+        """Store the value of a piece."""
+        key = self.study.key(piece)
+        self.values[key] = value
+        self._append(self.study.encode(key, value))
+
+    def complete(self, pieces: Sequence[Piece], cluster: str | None = None) -> Iterator[Value]:
+        """Compute missing pieces; yield each value after it is stored."""
+        missing = [piece for piece in pieces if piece not in self]
+        if missing:
+            with Workers(cluster) as workers:
+                for number, value in workers.compute(self.study.compute, missing):
+                    self.add(missing[number], value)
+                    yield value
+
+    def sort(self, order: Callable[[Any], Any] | None = None) -> None:
+        """Sort the table by its keys, so that the file does not depend on the order of computation."""
+        if self._path is None:
+            return
+        rows = [self.study.encode(key, self.values[key]) for key in sorted(self.values, key=order)]
+        with atomic_write(self._path, overwrite=True) as temporary:
+            temporary.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
+
+    def _append(self, *rows: Sequence[object]) -> None:
+        """Add rows to the table, which another process may have removed."""
+        # A single write: after an interruption the line is complete or missing, unless the disk is full.
+        if self._path is not None:
+            with self._path.open("a", newline="", encoding="utf-8") as file:
+                file.write(csv_text([*([] if file.tell() else [self.study.columns]), *rows]))
+
+
+def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:
+    """Read the rows of a table without changing it.
+
+    Raises `RunError` if the file is not such a table, or cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RunError(
+            f"{path}: cannot read this table ({error.strerror}). Check the path and its permissions."
+        ) from None
+    return _parse_rows(path, content, header, name)
+
+
+def _complete_length(content: bytes) -> int:
+    """Return the length of the complete lines; a truncated number would be a wrong number."""
+    return content.rfind(b"\n") + 1
+
+
+def _parse_rows(path: Path, content: bytes, header: Sequence[str], name: str) -> list[list[str]]:
+    lines = content[: _complete_length(content)].decode("utf-8", errors="replace").splitlines()
+    rows = [_cells(line) for line in lines]
+    if rows[:1] != [list(header)]:
+        raise RunError(f"{path}: this file is not a table of {name}. Move the file, or choose another name with -o.")
+    return [row for row in rows[1:] if len(row) == len(header)]
+
+
+def _cells(line: str) -> list[str]:
+    """Parse a single line, so that an open quote does not affect other rows.
+
+    >>> _cells('a,"1, 2"'), _cells('b,"torn'), _cells("x" * 200_000)
+    (['a', '1, 2'], ['b', 'torn'], [])
+    """
+    try:
+        return next(csv.reader([line]), [])
+    except csv.Error:
+        # The line exceeds the field size limit of the csv module.
+        return []

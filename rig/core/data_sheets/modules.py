@@ -1,0 +1,216 @@
+"""Capabilities of data acquisition modules according to their data sheets, independent of the wiring.
+
+A scene names modules as `converter: {preset: NI 9234}` for its inputs and as `output: {preset: NI 9260}` of a shaker.
+Their effect on the signal is part of the settings. This module describes which requests of a client program (channels,
+rates, ranges) the hardware accepts:
+
+>>> sheet = module("NI 9234")
+>>> sheet.product_type, sheet.inputs.channels, sheet.inputs.supply, sheet.inputs.on_demand
+('NI 9234', 4, (0.002,), False)
+>>> sheet.inputs.rates.at_least(8000.0)
+8533.333333333334
+>>> module("NI 9260").outputs.ranges
+(4.24264068712,)
+
+`module(scene.converter.preset)` is the module at the inputs, `module(shaker.output.preset)` the module at a shaker's
+output; without a preset, inputs and outputs are ideal. A client's choice of coupling or supply for one channel
+becomes a setting of that channel: `channel.replace(coupling="DC", excitation=0.0)`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from math import prod
+from typing import Any, Literal
+
+from rig.core.base.errors import SceneError
+from rig.core.data_sheets.data_sheets import data_sheet
+from rig.core.settings.quantities import CURRENT, FREQUENCY, VOLTAGE, parse
+
+Terminal = Literal["pseudo_differential", "differential", "rse"]
+Conversion = Literal["delta_sigma", "sar", "r_2r"]
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Sample rates that a module's clock can generate.
+
+    Attributes
+    ----------
+    slowest, fastest : float
+        Hz.
+    available : tuple of float
+        All rates in ascending order, if they are the clock divided by whole numbers; empty: any rate from `slowest`
+        to `fastest`.
+    """
+
+    slowest: float
+    fastest: float
+    available: tuple[float, ...] = ()
+
+    def at_least(self, rate: float) -> float:
+        """Return the rate that the clock generates for a request: the lowest rate not below it.
+
+        Raises
+        ------
+        SceneError
+            If the request is not positive or exceeds the fastest rate.
+        """
+        # Tolerate a request that was rounded to a few digits.
+        min_rate = rate * (1.0 - 1e-4)
+        if not 0.0 < min_rate <= self.fastest:
+            raise SceneError(f"got {rate:g} Hz; expected {self.slowest:g} to {self.fastest:g} Hz")
+        if self.available:
+            return self.available[bisect_left(self.available, min_rate)]
+        return min(max(rate, self.slowest), self.fastest)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The inputs of a module.
+
+    Attributes
+    ----------
+    channels : int
+        Number of channels, sampled simultaneously.
+    rates : Rates
+        Rates of the sample clock.
+    ranges : tuple of float
+        Full-scale ranges, ± V, in ascending order.
+    couplings : tuple of {"AC", "DC"}
+        Available couplings; the first is the default for a sensor with supply.
+    terminals : tuple of {"pseudo_differential", "differential", "rse"}
+        Terminal configurations; the first is the default.
+    supply : tuple of float
+        Supply currents for IEPE sensors other than zero, A.
+    supply_coupling : {"AC", "any"}
+        Coupling required by the supply.
+    conversion : {"delta_sigma", "sar"}
+        Kind of converter.
+    teds : bool
+        Whether the module reads the electronic data sheets (TEDS) of sensors.
+    """
+
+    channels: int
+    rates: Rates
+    ranges: tuple[float, ...]
+    couplings: tuple[Literal["AC", "DC"], ...]
+    terminals: tuple[Terminal, ...]
+    supply: tuple[float, ...]
+    supply_coupling: Literal["AC", "any"]
+    conversion: Conversion
+    teds: bool
+
+    @property
+    def on_demand(self) -> bool:
+        """Return whether single samples can be read without a sample clock, which a decimation filter prevents."""
+        return self.conversion != "delta_sigma"
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """The outputs of a module.
+
+    Attributes
+    ----------
+    channels : int
+        Number of channels, updated simultaneously.
+    rates, ranges, terminals
+        As in `Inputs`.
+    conversion : {"delta_sigma", "r_2r"}
+        Kind of converter.
+    on_demand : bool
+        Whether single values can be written without a sample clock.
+    """
+
+    channels: int
+    rates: Rates
+    ranges: tuple[float, ...]
+    terminals: tuple[Terminal, ...]
+    conversion: Conversion
+    on_demand: bool
+
+
+@dataclass(frozen=True)
+class Module:
+    """A module of a chassis, or a stand-alone device.
+
+    Attributes
+    ----------
+    name : str
+        Name in presets.
+    product_type : str
+        Name in the driver.
+    family : {"c_series", "usb"}
+        Whether it is a module in the slot of a chassis, or a stand-alone device.
+    inputs : Inputs or None
+    outputs : Outputs or None
+    input_bits, output_bits : int or None
+        Resolution of its converters.
+    """
+
+    name: str
+    product_type: str
+    family: Literal["c_series", "usb"]
+    inputs: Inputs | None
+    outputs: Outputs | None
+    input_bits: int | None
+    output_bits: int | None
+
+
+@cache
+def module(name: str) -> Module:
+    """Return a module by its preset name; case, spaces and hyphens are ignored.
+
+    Raises `SceneError` if no module has that name.
+    """
+    sheet = data_sheet(name, "module")
+    facts, settings = sheet.facts, sheet.settings
+    return Module(
+        name=sheet.name,
+        **facts["module"],
+        inputs=_inputs(facts["inputs"]) if "inputs" in facts else None,
+        outputs=_outputs(facts["outputs"]) if "outputs" in facts else None,
+        input_bits=settings.get("converter", {}).get("bits"),
+        output_bits=settings.get("output", {}).get("bits"),
+    )
+
+
+def _inputs(facts: dict[str, Any]) -> Inputs:
+    return Inputs(
+        **{key: facts[key] for key in ("channels", "supply_coupling", "conversion", "teds")},
+        rates=_rates(facts["rates"]),
+        ranges=tuple(parse(value, VOLTAGE) for value in facts["ranges"]),
+        couplings=tuple(facts["couplings"]),
+        terminals=tuple(facts["terminals"]),
+        supply=tuple(parse(value, CURRENT) for value in facts["supply"]),
+    )
+
+
+def _outputs(facts: dict[str, Any]) -> Outputs:
+    return Outputs(
+        **{key: facts[key] for key in ("channels", "conversion", "on_demand")},
+        rates=_rates(facts["rates"]),
+        ranges=tuple(parse(value, VOLTAGE) for value in facts["ranges"]),
+        terminals=tuple(facts["terminals"]),
+    )
+
+
+def _rates(facts: dict[str, Any]) -> Rates:
+    if "clock" not in facts:
+        return Rates(parse(facts["slowest"], FREQUENCY), parse(facts["fastest"], FREQUENCY))
+    clock = parse(facts["clock"], FREQUENCY)
+    divisors = {prod(factors) for factors in product(*map(_factors, facts["divided_by"]))}
+    available = tuple(sorted(clock / divisor for divisor in divisors))
+    return Rates(available[0], available[-1], available)
+
+
+def _factors(divisors: int | list[int] | dict[str, int]) -> Sequence[int]:
+    """Return the possible divisors of a clock: a number, a list or a range."""
+    if isinstance(divisors, dict):
+        return range(divisors["from"], divisors["to"] + 1)
+    return divisors if isinstance(divisors, list) else [divisors]

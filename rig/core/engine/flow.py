@@ -1,0 +1,84 @@
+"""Input of the kernel: tables of the exact flow for each configuration, and the constants of the elements.
+
+The configuration specifies which forces act in the elements (`HybridSystem.strides`). The flow maps a state to a later
+state. A signal is a function of the state whose limits end a mode (`rig.core.engine.law_tables`).
+`rig.core.engine.flow_tables` computes both inputs.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.core.engine.law_tables import LawTables
+
+#: Number of terms of the matrix exponential of a step; more than those of a signal's power series.
+TERMS = 25
+
+
+class Flow(NamedTuple):
+    """Tables of a system; the first index of each table of numbers is the table index of a configuration.
+
+    The state obeys z' = A z + b. The step length is h, and tau = t / h is the time in a step. Matrices are stored
+    [column, row] with padded rows. A table X and its constant part represent the affine map X z + X_constant.
+
+    has_series: whether `series` is filled. has_step_matrix: whether all other tables are.
+    drive_is_smooth: the drive has no corners, so the derivatives of the accelerations are continuous from step to step.
+    uses_envelope: whether steps are so short that the envelope of `rig.core.engine.screening` saves time.
+    step_matrix: gives the state after a full step, its accelerations and, as far as the padding has room, their
+    derivatives with respect to tau. derivative: gives accelerations and their derivatives at the state z itself.
+    series: (A h)^k / k! for every k.
+    margin: gives from |z| the largest approach of each signal to a limit in a step beyond its values at both ends (an
+    eighth of the bound of its second derivative, and rounding).
+    bound: gives from |z| for each signal a bound of its fourth derivative with respect to tau over a step, then for
+    each signal the sum of the magnitudes of its terms. Of a flying mass these are those of its body's position.
+    rates: nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b.
+    after[k, m]: table index after a change from the configuration with table index k to the mode with the number m, or
+    -1 if it is not yet computed.
+    """
+
+    has_series: bool
+    has_step_matrix: bool
+    drive_is_smooth: bool
+    uses_envelope: bool
+    step_matrix: np.ndarray
+    step_matrix_constant: np.ndarray
+    series: np.ndarray
+    series_constant: np.ndarray
+    margin: np.ndarray
+    margin_constant: np.ndarray
+    bound: np.ndarray
+    bound_constant: np.ndarray
+    derivative: np.ndarray
+    derivative_constant: np.ndarray
+    row_pointer: np.ndarray
+    column: np.ndarray
+    rates: np.ndarray
+    rates_constant: np.ndarray
+    after: np.ndarray
+
+
+class Model(NamedTuple):
+    """Constants of a system for the laws of its elements, in SI units.
+
+    step: step length, s. mass: of each element. position_index, velocity_index: of the position and velocity of each
+    element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. first_velocity:
+    index of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations
+    that are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
+    coordinates. coupled: whether simultaneous contacts affect each other. laws: tables of the laws.
+    """
+
+    gravity: float
+    step: float
+    mass: np.ndarray
+    gap_coordinate: np.ndarray
+    position_index: np.ndarray
+    velocity_index: np.ndarray
+    first_velocity: int
+    first_acceleration: int
+    inverse_mass: np.ndarray
+    force: np.ndarray
+    force_constant: np.ndarray
+    coupled: bool
+    laws: LawTables

@@ -1,0 +1,413 @@
+"""What happens at the end of a mode: impact, rebound, separation, change of force, and their effect on other elements.
+
+At an impact velocities jump. The masses that touch, and all *held* masses (at rest on a wall), exchange impulses. At
+any other exit only the force on the element changes. With a diagonal mass matrix and one detached mass on each body,
+every contact is independent. With a full mass matrix, or several masses on a body, an impact may separate other masses
+from their walls. Then all contacts of the instant are solved together (`rig.core.numerics.complementarity`).
+
+The gap is the distance from a mass to its wall, the opening speed its rate of change. A closing speed or approach speed
+is the negative of the opening speed.
+
+A Zeno sequence is infinitely many, ever lower rebounds in a finite time. The simulation ends it when the height of a
+rebound is below the rounding error.
+
+Function arguments: `j` is the number of an element from 0, `x` that of an exit, and `work` is scratch space. `end` is
+the end of a signal's interval (`LOW`, `HIGH`), and `push` the direction in which the wall there pushes. `state.z`
+contains displacements and velocities of the bodies, `state.height` and `state.velocity` those of detached masses in
+flight. The `multiplicity` of a zero is explained in `State`.
+
+References
+----------
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8 (contact
+laws on acceleration and on impulse level).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+from rig.core.engine.flow import Flow, Model
+from rig.core.engine.law_tables import ENTRY, HIGH, LOW, LOWER, NONE, REST, SCALE, UPPER
+from rig.core.engine.state import Log, State, change_mode, log_event, mode_number
+from rig.core.laws.events import NO_EVENT
+from rig.core.numerics.complementarity import (
+    ROUNDING,
+    ContactWorkspace,
+    contact_matrix,
+    solve_active,
+    solve_complementarity,
+)
+from rig.core.numerics.jit import inlined_kernel, kernel
+from rig.core.numerics.simd import affine_product, unsigned
+
+#: Multiplicity of the gap's zero when a mass separates under tension: gap and its rate are zero.
+_TENSILE_MULTIPLICITY = 2
+#: Multiplicity at a separation at zero contact force: gap, its rate and its acceleration are zero.
+SEPARATION_MULTIPLICITY = 3
+#: A contact force may be a rounding error of zero up to this fraction of the forces of spring and dashpot.
+_MAX_ZERO_FORCE_RATIO = 1e-6
+
+
+@inlined_kernel
+def _push_of(end: int) -> float:
+    """Return the direction in which the wall at an end of a gap's interval pushes: 1 (up) at the lower end."""
+    return 1.0 if end == LOW else -1.0
+
+
+@inlined_kernel
+def _limit(model: Model, m: int, end: int) -> float:
+    """Return the limit of the first signal of mode m, which is the gap of a flying mass, m."""
+    return model.laws.numbers[m, 0, LOWER if end == LOW else UPPER]
+
+
+@inlined_kernel
+def _leave_wall(flow: Flow, model: Model, state: State, j: int, velocity: float, multiplicity: int) -> int:
+    """Change element j from rest on its wall to flight with a velocity, m/s, positive upwards; return the exit."""
+    laws, m = model.laws, mode_number(model, state, j)
+    end = LOW if laws.push[m] > 0.0 else HIGH
+    x = unsigned(laws.exit[m, 0, end])
+    state.height[j] = state.z[unsigned(model.position_index[j])] + laws.wall_gap[m]
+    state.velocity[j] = velocity
+    state.multiplicity[laws.first_lane[j]] = multiplicity if end == LOW else -multiplicity
+    change_mode(flow, model, state, j, laws.target[x, 0])
+    return x
+
+
+@inlined_kernel
+def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
+    """Separate element j from its wall with the velocity of the wall, and log the event."""
+    x = _leave_wall(flow, model, state, j, state.z[unsigned(model.velocity_index[j])], multiplicity)
+    log_event(log, j, model.laws.event[x], 0.0)
+
+
+@inlined_kernel
+def _sum_forces(model: Model, state: State, force: Array) -> None:
+    """Sum the forces of springs, dashpots, drive and elements on every coordinate, N."""
+    affine_product(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
+    for j in range(model.mass.shape[0]):
+        gap = model.gap_coordinate[j]
+        if gap >= 0:
+            row = model.laws.force[mode_number(model, state, j)]
+            force[gap] += row[0] * (state.z[gap] - row[2]) + row[1] * state.z[model.first_velocity + gap]
+
+
+@inlined_kernel
+def _rebound_is_negligible(
+    model: Model, state: State, j: int, push: float, wall_gap: float, rebound_speed: float, force: Array
+) -> bool:
+    """Return whether the height of a rebound is below the rounding of the gap; this ends a Zeno sequence.
+
+    `wall_gap`: gap at which the wall is touched, m; `rebound_speed`: relative to the wall, m/s; `force`: on every
+    coordinate, N.
+
+    With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper bound of its
+    acceleration is used. A mass that is wrongly set to rest has a tensile contact force and separates immediately.
+    """
+    row = unsigned(model.position_index[j])
+    if model.coupled:
+        approach_acceleration = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            approach_acceleration += abs(model.inverse_mass[row, c] * force[c])
+    else:
+        body_acceleration = force[row] * model.inverse_mass[row, row]
+        approach_acceleration = push * (body_acceleration + model.gravity)
+    # The gap is a difference of heights; its rounding error is proportional to the sum of their magnitudes, m.
+    height_magnitude = 2.0 * abs(state.z[row]) + abs(wall_gap)
+    # A rebound at speed v reaches the height v^2 / (2 a).
+    min_squared_speed = 2.0 * approach_acceleration * ROUNDING * height_magnitude
+    return approach_acceleration > 0.0 and rebound_speed * rebound_speed < min_squared_speed
+
+
+@inlined_kernel
+def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, rebound_speed: float) -> None:
+    """Set element j in flight from the wall that it hit, or at rest on it for rebound speed 0."""
+    laws, m = model.laws, mode_number(model, state, j)
+    lane, push = laws.first_lane[j], _push_of(end)
+    if rebound_speed > 0.0:
+        state.height[j] = state.z[unsigned(model.position_index[j])] + _limit(model, m, end)
+        state.velocity[j] = state.z[unsigned(model.velocity_index[j])] + push * rebound_speed
+        state.multiplicity[lane] = 1 if end == LOW else -1
+        return
+    x, candidate = unsigned(laws.exit[m, 0, end]), 0
+    while candidate + 1 < laws.target.shape[1] and laws.target[x, candidate + 1] != NONE:
+        candidate += 1
+    state.multiplicity[lane] = 0
+    change_mode(flow, model, state, j, laws.target[x, candidate])
+
+
+@kernel
+def _touched_end(model: Model, state: State, j: int) -> int:
+    """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE."""
+    m = mode_number(model, state, j)
+    multiplicity = state.multiplicity[model.laws.first_lane[j]]
+    position = state.z[unsigned(model.position_index[j])]
+    gap = state.height[j] - position
+    floor_approach_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
+    rounding = ROUNDING * (abs(position) + abs(state.height[j]))
+    if floor_approach_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
+        return LOW
+    if floor_approach_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
+        return HIGH
+    return NONE
+
+
+@inlined_kernel
+def _independent_impact(
+    flow: Flow, model: Model, state: State, log: Log, j: int, end: int, work: ContactWorkspace
+) -> None:
+    """Apply the impact of element j if the mass matrix does not couple it to other elements."""
+    velocity_index, m = unsigned(model.velocity_index[j]), mode_number(model, state, j)
+    x, push = unsigned(model.laws.exit[m, 0, end]), _push_of(end)
+    closing_speed = push * (state.z[velocity_index] - state.velocity[j])
+    rebound_speed = model.laws.restitution[x] * closing_speed
+    if rebound_speed > 0.0 and _rebound_is_negligible(
+        model, state, j, push, _limit(model, m, end), rebound_speed, work.force
+    ):
+        rebound_speed = 0.0
+    row = unsigned(model.position_index[j])
+    inverse_mass = model.inverse_mass[row, row]
+    impulse = (closing_speed + rebound_speed) / (inverse_mass + 1.0 / model.mass[j])
+    state.z[velocity_index] -= push * impulse * inverse_mass
+    log_event(log, j, model.laws.event[x], closing_speed)
+    _end_impact(flow, model, state, j, end, rebound_speed)
+
+
+@kernel
+def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, count: int) -> None:
+    """Keep the contacts closed that an impact opens too slowly for the gap to exceed rounding.
+
+    `count`: number of contacts that take part in the impact; they are the first entries of the arrays in `work`.
+
+    Two masses coupled through the mass matrix can separate each other from their walls at ever shorter intervals. This
+    Zeno sequence is ended in the same way as a sequence of rebounds.
+    """
+    changed = False
+    for a in range(count):
+        if work.active[a]:
+            continue
+        opening_speed = work.opening_speed[a]
+        for b in range(count):
+            opening_speed += work.matrix[a, b] * work.reaction[b]
+        if _rebound_is_negligible(
+            model, state, work.damper[a], work.sign[a], work.wall_gap[a], opening_speed, work.force
+        ):
+            work.active[a] = True
+            changed = True
+    if changed:
+        solve_active(work, count)
+
+
+@inlined_kernel
+def _collect_contact(model: Model, state: State, i: int, end: int, count: int, work: ContactWorkspace) -> None:
+    """Write the contact of element i into row `count` of `work`; it is in flight at an end of its gap, or at rest."""
+    laws, m = model.laws, mode_number(model, state, i)
+    flying = laws.flies[m] > 0.0
+    push = _push_of(end) if flying else laws.push[m]
+    wall_gap = _limit(model, m, end) if flying else laws.wall_gap[m]
+    restitution = laws.restitution[laws.exit[m, 0, end]] if flying else 0.0
+    work.flying[count] = flying
+    work.damper[count] = i
+    work.sign[count] = push
+    work.wall_gap[count] = wall_gap
+    work.velocity_before[count] = state.z[model.velocity_index[i]]
+    work.opening_speed[count] = push * (state.velocity[i] - work.velocity_before[count]) if flying else 0.0
+    rebound_speed = -restitution * work.opening_speed[count]
+    if rebound_speed > 0.0 and _rebound_is_negligible(model, state, i, push, wall_gap, rebound_speed, work.force):
+        rebound_speed = 0.0
+    work.rhs[count] = work.opening_speed[count] - rebound_speed
+
+
+@kernel
+def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, work: ContactWorkspace) -> None:
+    """Apply the impact of element j, with its effect through a full mass matrix on masses that touch a wall."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        if model.gap_coordinate[i] >= 0:
+            continue
+        touched = LOW
+        if model.laws.flies[mode_number(model, state, i)] > 0.0:
+            touched = end if i == j else _touched_end(model, state, i)
+            if touched == NONE:
+                continue
+        _collect_contact(model, state, i, touched, count, work)
+        count += 1
+    contact_matrix(model, work, count)
+    solve_complementarity(work, count)
+    _close_slow_openings(model, state, work, count)
+    for a in range(count):
+        column = model.position_index[work.damper[a]]
+        for row in range(model.inverse_mass.shape[0]):
+            change = model.inverse_mass[row, column] * work.sign[a] * work.reaction[a]
+            state.z[model.first_velocity + row] -= change
+    for a in range(count):
+        i = work.damper[a]
+        body_velocity = state.z[model.velocity_index[i]]
+        if work.flying[a]:
+            touched = LOW if work.sign[a] > 0.0 else HIGH
+            velocity = state.velocity[i] + work.sign[a] * work.reaction[a] / model.mass[i]
+            rebound_speed = work.sign[a] * (velocity - body_velocity)
+            is_plastic = work.rhs[a] == work.opening_speed[a]  # the required rebound speed is zero
+            if work.active[a] and is_plastic:
+                rebound_speed = 0.0
+            # The gap of element j is zero and decreasing. A new opening speed up to the opening speed before the impact
+            # is a rounding error.
+            if i == j and 0.0 < rebound_speed <= work.opening_speed[a]:
+                rebound_speed = 0.0
+            # Without reaction, another impact has moved the wall away before the mass touched it.
+            if work.reaction[a] > 0.0 or rebound_speed <= 0.0:
+                x = model.laws.exit[mode_number(model, state, i), 0, touched]
+                log_event(log, i, model.laws.event[x], -work.opening_speed[a])
+            _end_impact(flow, model, state, i, touched, rebound_speed)
+        elif not work.active[a]:
+            opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
+            if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
+                x = _leave_wall(flow, model, state, i, work.velocity_before[a], 1)
+                log_event(log, i, model.laws.event[x], 0.0)
+    # The impact changes the velocities of walls: the rate of a gap that was zero need not be zero any more.
+    for i in range(model.mass.shape[0]):
+        if model.laws.flies[mode_number(model, state, i)] > 0.0:
+            lane = model.laws.first_lane[i]
+            state.multiplicity[lane] = min(1, max(-1, state.multiplicity[lane]))
+
+
+@inlined_kernel
+def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Separate each mass whose contact force is tensile, if contacts do not affect each other."""
+    force = work.force
+    for i in range(model.mass.shape[0]):
+        m = mode_number(model, state, i)
+        if not model.laws.is_held[m]:
+            continue
+        row = unsigned(model.position_index[i])
+        # Upward contact force on the mass divided by the mass, if it moves with its body.
+        relative_acceleration = force[row] * model.inverse_mass[row, row] + model.gravity
+        if model.laws.push[m] * relative_acceleration >= 0.0:
+            continue
+        magnitude = model.gravity
+        for c in range(model.force.shape[1]):
+            magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
+        if abs(relative_acceleration) > ROUNDING * magnitude:
+            separate(flow, model, state, log, i, _TENSILE_MULTIPLICITY)
+
+
+@kernel
+def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Solve for the forces of all closed contacts, and separate the masses without a compressive force."""
+    count = 0
+    for i in range(model.mass.shape[0]):
+        m = mode_number(model, state, i)
+        if not model.laws.is_held[m]:
+            continue
+        row = unsigned(model.position_index[i])
+        free_acceleration = 0.0
+        magnitude = model.gravity
+        for c in range(model.inverse_mass.shape[0]):
+            free_acceleration += model.inverse_mass[row, c] * work.force[c]
+            for column in range(model.force.shape[1]):
+                magnitude += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
+        work.damper[count] = i
+        work.sign[count] = model.laws.push[m]
+        work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
+        work.magnitude[count] = magnitude
+        count += 1
+    contact_matrix(model, work, count)
+    solve_complementarity(work, count)
+    for a in range(count):
+        if work.reaction[a] == 0.0:
+            opening_acceleration = work.rhs[a]
+            for b in range(count):
+                opening_acceleration += work.matrix[a, b] * work.reaction[b]
+            if opening_acceleration > ROUNDING * work.magnitude[a]:
+                separate(flow, model, state, log, work.damper[a], _TENSILE_MULTIPLICITY)
+
+
+@inlined_kernel
+def separate_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+    """Separate every mass at rest whose contact force would be tensile by more than rounding."""
+    _sum_forces(model, state, work.force)
+    if model.coupled:
+        _separate_coupled(flow, model, state, log, work)
+    else:
+        _separate_independent(flow, model, state, log, work)
+
+
+@inlined_kernel
+def impact(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, work: ContactWorkspace) -> None:
+    """Apply the impact of element j on the wall at an end of its gap; `separate_tensile` must follow."""
+    x = unsigned(model.laws.exit[mode_number(model, state, j), 0, end])
+    if model.coupled or model.laws.restitution[x] > 0.0:
+        _sum_forces(model, state, work.force)
+    if model.coupled:
+        _coupled_impact(flow, model, state, log, j, end, work)
+    else:
+        _independent_impact(flow, model, state, log, j, end, work)
+
+
+@inlined_kernel
+def _speed(model: Model, state: State, j: int) -> float:
+    """Return the rate of change of the gap of an element whose gap is a coordinate, m/s."""
+    return state.z[model.first_velocity + model.gap_coordinate[j]]
+
+
+@inlined_kernel
+def _is_gap(model: Model, m: int, lane: int) -> bool:
+    """Return whether a signal is the gap, or a multiple of it."""
+    return model.laws.terms < 2 or model.laws.numbers[m, lane, SCALE + 1] == 0.0
+
+
+@kernel
+def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: int) -> int:
+    """Return the side of a limit on which a signal of mode m is: 1 inside, 0 at the limit within rounding, -1 outside.
+
+    Without a dashpot, the signal is zero at every touch and release. An exception is a force that the impact of another
+    element opens or closes through a full mass matrix.
+    """
+    laws, number, index = model.laws, model.laws.numbers[m, lane], model.laws.indices[m, lane]
+    limit = number[LOWER] if end == LOW else number[UPPER]
+    if abs(limit) == np.inf:
+        return 1
+    distance = number[SCALE] * (state.z[index[ENTRY]] - number[REST]) - limit
+    rounding = laws.rounding[m, lane] * abs(_speed(model, state, j))
+    if not _is_gap(model, m, lane):
+        dashpot_force = number[SCALE + 1] * state.z[index[ENTRY + 2]]
+        rounding += _MAX_ZERO_FORCE_RATIO * (abs(distance) + abs(dashpot_force))
+        distance += dashpot_force
+    if abs(distance) <= rounding:
+        return 0
+    return 1 if _push_of(end) * distance > 0.0 else -1
+
+
+@kernel
+def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
+    """Return whether the signals of mode m are inside their intervals, or gaps at a limit that move inwards."""
+    laws, speed = model.laws, _speed(model, state, j)
+    for lane in range(laws.first_lane[j + 1] - laws.first_lane[j]):
+        for end in range(2):
+            side = _side_of_limit(model, state, j, m, lane, end)
+            inward_rate = _push_of(end) * laws.numbers[m, lane, SCALE] * speed
+            if side < 0 or (side == 0 and _is_gap(model, m, lane) and inward_rate <= 0.0):
+                return False
+    return True
+
+
+@kernel
+def change_force(flow: Flow, model: Model, state: State, log: Log, j: int, x: int) -> None:
+    """Apply an exit without a jump of velocities to an element whose gap is a coordinate."""
+    laws, first = model.laws, model.laws.first_mode[j]
+    candidate = 0
+    while (
+        candidate + 1 < laws.target.shape[1]
+        and laws.target[x, candidate + 1] != NONE
+        and not _is_consistent(model, state, j, first + laws.target[x, candidate])
+    ):
+        candidate += 1
+    m = first + laws.target[x, candidate]
+    for lane in range(laws.first_lane[j + 1] - laws.first_lane[j]):
+        at_low = _side_of_limit(model, state, j, m, lane, LOW) == 0
+        at_high = _side_of_limit(model, state, j, m, lane, HIGH) == 0
+        state.multiplicity[laws.first_lane[j] + lane] = 1 if at_low else -1 if at_high else 0
+    change_mode(flow, model, state, j, laws.target[x, candidate])
+    if laws.event[x] != NO_EVENT:
+        closing_speed = -laws.push[m] * _speed(model, state, j) if laws.wall[m] > 0 else 0.0
+        log_event(log, j, laws.event[x], closing_speed)

@@ -1,0 +1,86 @@
+"""Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
+
+An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
+or accelerations jump. A segment is a time interval in which one smooth function drives, such as a sample interval
+(`rig.core.engine.propagator`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.laws.events import EVENT_NAMES, FLIGHT, FLOOR
+from rig.core.system.hybrid_system import HybridSystem
+
+#: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
+EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States, events and breaks over a number of segments.
+
+    A table index identifies the tables of a contact configuration in `rig.core.engine.flow_tables.FlowTables`. An
+    offset is the time after the start of the segment, s.
+    """
+
+    state: Array
+    """State at each sample, after any break at this instant; shape (samples, states)."""
+    table_index: NDArray[np.int64]
+    """Table index of the configuration at each sample; shape (samples,)."""
+    height: Array
+    """Position of each damper in flight, upwards, m; undefined while it rests on a wall; shape (samples, dampers)."""
+    contact: NDArray[np.int8]
+    """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
+    event_segment: NDArray[np.int64]
+    event_offset: Array
+    event_damper: NDArray[np.int64]
+    event_kind: NDArray[np.int64]
+    event_speed: Array
+    """event_...: number of the segment, offset, damper from 0, kind (an index of `EVENT_NAMES`), closing speed, m/s;
+    shape (events,)."""
+    break_segment: NDArray[np.int64]
+    break_offset: Array
+    """break_segment, break_offset: shape (breaks,)."""
+    state_before: Array
+    state_after: Array
+    """state_before, state_after: shape (breaks, states)."""
+    damper_velocity_before: Array
+    damper_velocity_after: Array
+    """damper_velocity_before, damper_velocity_after: velocities of the dampers, m/s; shape (breaks, dampers)."""
+    table_index_before: NDArray[np.int64]
+    table_index_after: NDArray[np.int64]
+    """table_index_before, table_index_after: shape (breaks,)."""
+
+
+def event_table(
+    times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
+) -> NDArray[Any]:
+    """Return events for users, with dtype `EVENT`: dampers by their number in the scene, kinds by name.
+
+    `times`: s; `damper`: from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all of shape (events,).
+    """
+    table = np.zeros(len(times), dtype=EVENT)
+    if not len(times):
+        return table
+    table["time"] = times
+    table["damper"] = system.damper_number[damper]
+    table["kind"] = EVENT_NAMES[kind]
+    table["speed"] = speed
+    return table
+
+
+def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
+    """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
+    positions = trajectory.state[:, system.damper_coordinate].T
+    gap = trajectory.height.T - positions
+    contact = trajectory.contact.T
+    ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
+    gap = np.maximum(np.where(contact == FLIGHT, gap, np.where(contact == FLOOR, 0.0, ceiling)), 0.0)
+    gap[system.finite_contact] = trajectory.state[:, system.gap_coordinate[system.finite_contact]].T
+    return gap, np.ascontiguousarray(contact)

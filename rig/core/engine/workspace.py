@@ -1,0 +1,69 @@
+"""Scratch arrays of the kernel, which itself allocates no memory."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.core.engine.flow import Flow
+from rig.core.engine.law_tables import LawTables, Signals, empty_signals
+from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS
+from rig.core.numerics.complementarity import ContactWorkspace, allocate_contact_workspace
+from rig.core.numerics.simd import aligned_zeros, padded_length
+
+
+class Workspace(NamedTuple):
+    """Scratch arrays of one running kernel.
+
+    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin:
+    distances of the signals from their limits above which they do not reach them in a step, see
+    `rig.core.engine.screening`. signals: those of the present modes. bound, derivative: results of the tables of the
+    same names in `Flow`. state_series: power series of the state in tau, the time relative to a step; shape (terms,
+    states). series_matrix: a view of it as a table of one matrix without constant part (`zero_constant`), to be
+    multiplied by `powers` of tau. guard_series: power series of a signal's distance from a limit. subdivision, spans,
+    bernstein: see `rig.core.numerics.bernstein.first_crossing`.
+    """
+
+    end_state: np.ndarray
+    magnitude: np.ndarray
+    envelope: np.ndarray
+    margin: np.ndarray
+    signals: Signals
+    state_series: np.ndarray
+    bound: np.ndarray
+    derivative: np.ndarray
+    contact: ContactWorkspace
+    series_matrix: np.ndarray
+    powers: np.ndarray
+    zero_constant: np.ndarray
+    guard_series: np.ndarray
+    subdivision: np.ndarray
+    spans: np.ndarray
+    bernstein: np.ndarray
+
+
+def workspace_for(flow: Flow, laws: LawTables, size: int) -> Workspace:
+    """Return new scratch arrays for a flow and laws; `size`: padded length of a state with its accelerations."""
+    columns = flow.rates_constant.shape[1]
+    state_series = aligned_zeros(N_COEFFICIENTS + 1, padded_length(columns))
+    envelope = aligned_zeros(padded_length(columns))
+    envelope[columns:] = np.inf
+    return Workspace(
+        end_state=aligned_zeros(size),
+        magnitude=aligned_zeros(padded_length(columns)),
+        envelope=envelope,
+        margin=aligned_zeros(flow.margin_constant.shape[1]),
+        signals=empty_signals(laws),
+        state_series=state_series,
+        series_matrix=state_series[None],
+        powers=np.zeros(N_COEFFICIENTS + 1),
+        zero_constant=aligned_zeros(1, padded_length(columns)),
+        bound=aligned_zeros(flow.bound_constant.shape[1]),
+        derivative=aligned_zeros(flow.derivative_constant.shape[1]),
+        contact=allocate_contact_workspace(len(laws.stride), flow.derivative_constant.shape[1]),
+        guard_series=aligned_zeros(N_COEFFICIENTS),
+        subdivision=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
+        spans=np.zeros((MAX_HALVINGS + 3, 2)),
+        bernstein=BERNSTEIN,
+    )

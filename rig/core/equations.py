@@ -1,0 +1,151 @@
+"""The linear equations of motion of a structure and its shakers during their assembly, M q'' + C q' + K q = f.
+
+The coordinates are the bodies of the structure, and the tables (heads) of shakers. M, C and K are physical and
+symmetric. Springs and dashpots to ground act on x - r z, with the motion z of the ground and the *influence vector* r,
+the displacement of each body per static displacement of the ground. By default the ground is at rest; a shaker can
+replace it with a coordinate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+
+
+class Ground(NamedTuple):
+    """Connection of the bodies with the ground."""
+
+    influence: Array  # r, shape (bodies,)
+    damping: Array  # C r, N s/m, shape (bodies,)
+    stiffness: Array  # K r, N/m, shape (bodies,)
+
+
+class Current(NamedTuple):
+    """The current of a coil with a voltage amplifier, L i' + R i + force factor * velocity = gain * drive, a state."""
+
+    row: int  # coordinate on which the coil acts
+    column: int  # input that is the drive
+    resistance: float  # ohm
+    inductance: float  # H
+    force_factor: float  # N/A
+    gain: float  # V/V
+
+
+class Equations:
+    """The equations of motion of a structure and its shakers, in SI units.
+
+    Parameters
+    ----------
+    mass, damping, stiffness : ndarray, shape (bodies, bodies)
+        Matrices of the structure: kg, N s/m and N/m.
+    weight : ndarray, shape (bodies,)
+        Constant force on each body, N.
+    ground : callable
+        Computes the connection of the bodies with the ground, which only a base excitation needs.
+
+    Attributes
+    ----------
+    points : list of str
+        Names of the coordinates.
+    inputs, units : list of str
+        Names and units of the inputs.
+    input_forces : list of dict
+        Force of each input on coordinates by their row, N per unit of the input.
+    drive_limit : list of float
+        Largest drive of each input, in its unit.
+    currents : list of Current
+        Further states.
+    """
+
+    def __init__(
+        self, mass: Array, damping: Array, stiffness: Array, weight: Array, ground: Callable[[], Ground]
+    ) -> None:
+        self.points = [f"body {j + 1}" for j in range(len(mass))]
+        self.mass, self.damping, self.stiffness, self.weight = mass.copy(), damping.copy(), stiffness.copy(), weight
+        self.inputs: list[str] = []
+        self.units: list[str] = []
+        self.input_forces: list[dict[int, float]] = []
+        self.drive_limit: list[float] = []
+        self.currents: list[Current] = []
+        self._ground = ground
+        self._servo_rate: dict[int, float] = {}  # corner of the servo of each prescribed row, rad/s
+
+    @property
+    def prescribed(self) -> list[int]:
+        """Rows with prescribed motion."""
+        return list(self._servo_rate)
+
+    def add_point(self, name: str, mass: float) -> int:
+        """Add a point without support, of a mass [kg]; return its row."""
+        self.points.append(name)
+        return self.add_coordinate(mass)
+
+    def add_coordinate(self, mass: float) -> int:
+        """Add a coordinate with a mass [kg] and no other elements; return its row."""
+        row = len(self.mass)
+        enlarged = np.zeros((3, row + 1, row + 1))
+        enlarged[:, :row, :row] = self.mass, self.damping, self.stiffness
+        self.mass, self.damping, self.stiffness = enlarged
+        self.mass[row, row] = mass
+        self.weight = np.append(self.weight, 0.0)
+        return row
+
+    def add_spring(self, first: int, second: int, stiffness: float) -> None:
+        """Add a spring of a stiffness [N/m] between two coordinates."""
+        self.stiffness[[first, second], [first, second]] += stiffness
+        self.stiffness[[first, second], [second, first]] -= stiffness
+
+    def support(self, row: int, stiffness: float, damping: float) -> None:
+        """Add a spring [N/m] and a dashpot [N s/m] between a coordinate and the floor, which is always at rest."""
+        self.stiffness[row, row] += stiffness
+        self.damping[row, row] += damping
+
+    def add_input(self, name: str, unit: str, forces: dict[int, float], limit: float = np.inf) -> int:
+        """Add an input; return its column.
+
+        `forces`: its force on coordinates by their row, N per unit of the input; `limit`: largest drive, in its unit.
+        """
+        self.inputs.append(name)
+        self.units.append(unit)
+        self.input_forces.append(forces)
+        self.drive_limit.append(limit)
+        return len(self.inputs) - 1
+
+    def prescribe(self, row: int, column: int, corner: float) -> None:
+        """Prescribe the motion of a coordinate: an input through an ideally stiff position servo.
+
+        The servo is a critically damped second-order low-pass filter; `corner`: its corner frequency, Hz.
+        """
+        self._servo_rate[row] = 2.0 * np.pi * corner
+        self.input_forces[column] = {row: self._servo_rate[row] ** 2}
+
+    def move_ground(self, row: int) -> None:
+        """Put the structure on a coordinate, whose motion is then that of the ground."""
+        influence, damping, stiffness = self._ground()
+        bodies = len(influence)
+        for matrix, column in ((self.damping, damping), (self.stiffness, stiffness)):
+            matrix[:bodies, row] -= column
+            matrix[row, :bodies] -= column
+            matrix[row, row] += influence @ column
+
+    def add_current(self, current: Current) -> None:
+        """Add the current of a coil as a further state."""
+        self.currents.append(current)
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Return mass [kg], damping [N s/m] and stiffness [N/m], with rows of the servo for prescribed coordinates."""
+        mass, damping, stiffness = self.mass.copy(), self.damping.copy(), self.stiffness.copy()
+        for row, rate in self._servo_rate.items():
+            mass[row], damping[row], stiffness[row] = 0.0, 0.0, 0.0
+            mass[row, row], damping[row, row], stiffness[row, row] = 1.0, 2.0 * rate, rate**2
+        return mass, damping, stiffness
+
+    def reaction(self) -> Array:
+        """Return the rows whose product with the state is the force of the servo, N; shape (prescribed, states)."""
+        rows = self.prescribed
+        further = np.zeros((len(rows), len(self.currents)))
+        return np.hstack([self.stiffness[rows], self.damping[rows], further])

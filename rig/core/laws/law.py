@@ -1,0 +1,129 @@
+"""The parts of a contact law: rows, signals, exits, modes.
+
+An element has one relative displacement, the *gap* g, and the *speed* s = g'. Its force F acts along the gap. The law
+divides the motion into *modes*. In a mode, F is an affine function of gap and speed, or the element is *held*: the
+relative motion is at rest, by a force h that follows from the motion of the whole system. A mode lasts while each of
+its *signals* is inside an interval. A signal is affine in gap, speed and h. At an end of an interval the mode is left
+by an *exit*, which names the next mode, and the restitution if velocities jump.
+
+Between two events the motion therefore obeys a linear system, which the engine solves exactly. A law with products of
+states, such as friction in two directions or Hertz's contact, does not have this form.
+
+References
+----------
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8.
+"""
+
+from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
+
+from rig.core.laws.events import FLIGHT, NO_EVENT
+
+
+class Row(NamedTuple):
+    """The function gap (g - rest) + speed s + hold h of gap g [m], speed s [m/s] and holding force h.
+
+    As a force, `gap` and `speed` are minus the stiffness and the damping of a spring with dashpot, relaxed at `rest`.
+    """
+
+    gap: float = 0.0
+    speed: float = 0.0
+    hold: float = 0.0
+    rest: float = 0.0
+
+
+GAP, HOLD = Row(gap=1.0), Row(hold=1.0)
+
+
+class Exit(NamedTuple):
+    """The end of a mode at one end of a signal's interval.
+
+    `to`: the next mode; of several candidates the first that is consistent with the motion. `event`: kind of event in
+    the log (`rig.core.laws.events`). `restitution`: ratio of separation to approach speed; None: velocities do not
+    jump.
+    """
+
+    to: tuple[str, ...]
+    event: int = NO_EVENT
+    restitution: float | None = None
+
+
+class Signal(NamedTuple):
+    """A row and the open interval in which it remains while the mode lasts; an infinite end has no exit."""
+
+    row: Row
+    low: float = -inf
+    high: float = inf
+    at_low: Exit | None = None
+    at_high: Exit | None = None
+
+    @property
+    def ends(self) -> tuple[tuple[float, Exit | None], tuple[float, Exit | None]]:
+        """Limit and exit at the lower and at the upper end."""
+        return (self.low, self.at_low), (self.high, self.at_high)
+
+
+class Mode(NamedTuple):
+    """A mode: its signals, its force on the gap (None: held), and the wall that the element touches.
+
+    `wall`: contact in results (`FLIGHT`, `FLOOR`, `CEILING`). `wall_gap`: gap of a held element, m.
+    """
+
+    signals: tuple[Signal, ...]
+    force: Row | None = Row()
+    wall: int = FLIGHT
+    wall_gap: float = 0.0
+
+    @property
+    def push(self) -> float:
+        """Direction in which the force of the touched wall acts on the element, 1 or -1."""
+        return 1.0 if any(signal.low > -inf for signal in self.signals) else -1.0
+
+
+class Law(NamedTuple):
+    """A contact law: its modes by name, and the mode at the start."""
+
+    modes: dict[str, Mode]
+    start: str
+
+    @property
+    def force_indices(self) -> dict[str, int]:
+        """Number of each mode's force; modes with the same force, and all modes in which the element is held, share it.
+
+        The forces of two walls have two numbers even if they are equal, so that no number depends on a parameter.
+        """
+        numbers: dict[tuple[Row | None, int], int] = {}
+        return {
+            name: numbers.setdefault((mode.force, mode.wall if mode.force is not None else FLIGHT), len(numbers))
+            for name, mode in self.modes.items()
+        }
+
+    @property
+    def forces(self) -> tuple[Row | None, ...]:
+        """The forces by their number."""
+        numbers = self.force_indices
+        return tuple({numbers[name]: mode.force for name, mode in self.modes.items()}.values())
+
+
+def faults(law: Law) -> list[str]:
+    """Return what is wrong with a declaration, in words; a correct law has no faults."""
+    found = [] if law.start in law.modes else [f"the start {law.start!r} is not a mode"]
+    for name, mode in law.modes.items():
+        for signal in mode.signals:
+            if not signal.low < signal.high:
+                found.append(f"{name}: the interval from {signal.low} to {signal.high} is empty")
+            if mode.force is not None and signal.row.hold:
+                found.append(f"{name}: a signal is the holding force, but the mode is not held")
+            if mode.force is None and not signal.row.hold:
+                found.append(f"{name}: a signal is constant while the mode is held")
+            for limit, exit_ in signal.ends:
+                if (abs(limit) == inf) != (exit_ is None):
+                    found.append(f"{name}: a limit of {limit} does not agree with the exit {exit_}")
+                found += [
+                    f"{name}: the exit to {target!r} has no mode"
+                    for target in (exit_.to if exit_ is not None else ())
+                    if target not in law.modes
+                ]
+    return found

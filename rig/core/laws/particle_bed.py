@@ -1,0 +1,28 @@
+"""The bed of a particle damper with instant contact: one mass between floor and ceiling of a cavity.
+
+The bed flies, or rests on a wall until the contact force falls to zero. At an impact the velocities jump; the bed
+rebounds, or stays on the wall if the restitution or the rebound is zero.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SEPARATION
+from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal
+
+
+def particle_bed(clearance: float, restitution: float) -> Law:
+    """Declare the law of a bed; `clearance`: height of its free flight, m, infinite without a ceiling."""
+    rebound = ("flight",) if restitution > 0.0 else ()
+    floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution)
+    ceiling = Exit((*rebound, "ceiling"), CEILING_IMPACT, restitution) if clearance < inf else None
+    separation = Exit(("flight",), SEPARATION)
+    return Law(
+        {
+            "flight": Mode((Signal(GAP, 0.0, clearance, floor, ceiling),)),
+            "floor": Mode((Signal(HOLD, low=0.0, at_low=separation),), None, FLOOR, 0.0),
+            "ceiling": Mode((Signal(HOLD, high=0.0, at_high=separation),), None, CEILING, clearance),
+        },
+        "floor",
+    )

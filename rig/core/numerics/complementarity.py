@@ -1,0 +1,150 @@
+"""Contact forces or impulses of one instant: a linear complementarity problem.
+
+Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
+
+    A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
+
+(b_i the body of damper i, md_i its mass). At an impact p are the impulses, and A p + q are the speeds at which the
+contacts open, minus their rebound speeds. Right after it p are the contact forces, and A p + q are the accelerations at
+which they open. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
+reaches it in finitely many steps.
+
+References
+----------
+Murty, K. G., "Linear Complementarity, Linear and Nonlinear Programming", Heldermann 1988, chapter 4.
+Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rig.core.numerics.jit import kernel
+
+#: A sum below this fraction of the magnitudes of its terms is a rounding error of zero.
+ROUNDING = 16 * 2.3e-16
+#: Maximum number of pivots; in practice about as many are needed as there are contacts.
+MAX_PIVOTS = 100_000
+
+
+class ContactWorkspace(NamedTuple):
+    """Scratch arrays of the contact laws, with one entry for each contact of the instant.
+
+    `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
+    `wall_gap`: gap at the wall, m. `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`:
+    opening speed of the gap before the impact, m/s. `magnitude`: sum of the magnitudes of the terms of the
+    acceleration, m/s^2.
+
+    `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `active`: whether the
+    contact is closed (p may be positive). `block`: scratch space.
+    """
+
+    force: np.ndarray
+    damper: np.ndarray
+    sign: np.ndarray
+    flying: np.ndarray
+    wall_gap: np.ndarray
+    velocity_before: np.ndarray
+    magnitude: np.ndarray
+    opening_speed: np.ndarray
+    rhs: np.ndarray
+    reaction: np.ndarray
+    active: np.ndarray
+    matrix: np.ndarray
+    block: np.ndarray
+
+
+def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
+    """Allocate the scratch arrays; `forces`: padded number of coordinates on which forces act."""
+    return ContactWorkspace(
+        force=np.zeros(forces),
+        damper=np.zeros(dampers + 1, dtype=np.int64),
+        sign=np.zeros(dampers + 1),
+        flying=np.zeros(dampers + 1, dtype=np.bool_),
+        wall_gap=np.zeros(dampers + 1),
+        velocity_before=np.zeros(dampers + 1),
+        magnitude=np.zeros(dampers + 1),
+        opening_speed=np.zeros(dampers + 1),
+        rhs=np.zeros(dampers + 1),
+        reaction=np.zeros(dampers + 1),
+        active=np.zeros(dampers + 1, dtype=np.bool_),
+        matrix=np.zeros((dampers + 1, dampers + 1)),
+        block=np.zeros((dampers + 1, dampers + 2)),
+    )
+
+
+@kernel
+def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
+    """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`.
+
+    `model`: inverse mass matrix of the structure, and for each damper its mass and the coordinate of its body.
+    """
+    for a in range(count):
+        i = work.damper[a]
+        for b in range(count):
+            k = work.damper[b]
+            coupling = model.inverse_mass[model.position_index[i], model.position_index[k]]
+            work.matrix[a, b] = work.sign[a] * work.sign[b] * coupling
+        work.matrix[a, a] += 1.0 / model.mass[i]
+
+
+@kernel
+def solve_active(work: ContactWorkspace, count: int) -> None:
+    """Solve A p + q = 0 for the active (closed) contacts by Gaussian elimination; the other reactions p are 0."""
+    block = work.block
+    n_active = 0
+    for a in range(count):
+        work.reaction[a] = 0.0
+        if work.active[a]:
+            column = 0
+            for b in range(count):
+                if work.active[b]:
+                    block[n_active, column] = work.matrix[a, b]
+                    column += 1
+            block[n_active, count] = -work.rhs[a]
+            n_active += 1
+    for i in range(n_active):
+        for row in range(i + 1, n_active):
+            factor = block[row, i] / block[i, i]
+            for column in range(i, n_active):
+                block[row, column] -= factor * block[i, column]
+            block[row, count] -= factor * block[i, count]
+    for i in range(n_active - 1, -1, -1):
+        for column in range(i + 1, n_active):
+            block[i, count] -= block[i, column] * block[column, count]
+        block[i, count] /= block[i, i]
+    n_active = 0
+    for a in range(count):
+        if work.active[a]:
+            work.reaction[a] = block[n_active, count]
+            n_active += 1
+
+
+@kernel
+def solve_complementarity(work: ContactWorkspace, count: int) -> None:
+    """Solve the problem with `work.matrix` A and `work.rhs` q for `work.reaction` p, by principal pivoting."""
+    for a in range(count):
+        work.active[a] = False
+        work.reaction[a] = 0.0
+    for _ in range(MAX_PIVOTS):
+        violated = -1
+        for a in range(count):
+            if work.active[a]:
+                is_violated = work.reaction[a] < 0.0
+            else:
+                opening_speed = work.rhs[a]
+                magnitude = abs(opening_speed)
+                for b in range(count):
+                    term = work.matrix[a, b] * work.reaction[b]
+                    opening_speed += term
+                    magnitude += abs(term)
+                is_violated = opening_speed < -ROUNDING * magnitude
+            if is_violated:
+                violated = a
+                break
+        if violated < 0:
+            return
+        work.active[violated] = not work.active[violated]
+        solve_active(work, count)

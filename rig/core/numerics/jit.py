@@ -1,0 +1,200 @@
+"""Decorators that compile kernels with numba, and store the machine code on disk.
+
+A kernel is a compiled function with the decorator `kernel`, `inlined_kernel` or `unfused_kernel`. Kernels release the
+GIL, may fuse multiplications with additions (but never reorder them), and create no arrays.
+
+The name of the folder of machine code contains a digest of all source files that a kernel may contain. numba itself
+checks only the file of the function that is called, not the files of its callees; after a change of a callee it would
+run outdated code.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+import hashlib
+import inspect
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any, TypeVar, cast
+
+import llvmlite.binding
+import numba
+import platformdirs
+from numba.core.event import Event, Listener, register
+
+from rig.core.base import console
+from rig.core.base.console import warn_of_compilation
+
+F = TypeVar("F", bound=Callable[..., object])
+
+_CONFIG: Any = numba.config
+_COMPILING = "compiling machine code"
+_ROOT = Path(__file__).parents[3]
+_IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
+# Number of allocations between runs of the cyclic garbage collector while numba compiles (Python default 700). The
+# compiler creates little garbage; looking for it would take a fifteenth of the time.
+_GC_THRESHOLD = 100_000
+#: Machine code that was not used for this time is removed; other checkouts may use code of another version.
+_MAX_UNUSED_S = 30 * 86400.0
+
+try:
+    from rig.core.numerics import callees
+except (ImportError, AttributeError):
+    # In another version of numba, `numba.njit` itself gives bit-identical results, and compiles twice as long.
+    callees = None  # type: ignore[assignment]
+
+
+@functools.cache
+def _digest(folder: Path) -> str:
+    """Return a digest of the compiler and of all source files that a kernel of a folder may contain.
+
+    These are the files of the folder, and of the folders with kernels from which it imports.
+    """
+    digest = hashlib.sha256(repr((numba.__version__, callees is None)).encode())
+    digest.update(repr((llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features())).encode())
+    pending, visited = [folder], {folder}
+    while pending:
+        texts = [file.read_bytes() for file in sorted(pending.pop().glob("*.py"))]
+        for text in texts:
+            digest.update(text)
+        for name in sorted({name for text in texts for name in _IMPORTS.findall(text)}):
+            module = _ROOT / name.decode().replace(".", "/")
+            imported = module if module.is_dir() else module.parent
+            if imported not in visited and _has_kernels(imported):
+                pending.append(imported)
+            visited.add(imported)
+    return digest.hexdigest()[:16]
+
+
+@functools.cache
+def _has_kernels(folder: Path) -> bool:
+    """Return whether a module of a folder defines compiled functions."""
+    return any(b"from rig.core.numerics.jit import" in file.read_bytes() for file in folder.glob("*.py"))
+
+
+def machine_code_root() -> Path:
+    """Return the folder of all machine code."""
+    cache = os.environ.get("NUMBA_CACHE_DIR") or platformdirs.user_cache_dir("shotrig", appauthor=False)
+    return Path(cache) / "machine-code"
+
+
+@functools.cache
+def code_folder(source: Path) -> Path | None:
+    """Create the folder for the machine code of the kernels in a source folder; None if it cannot be written."""
+    folder = machine_code_root() / f"{source.name}-{_digest(source)}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+        os.utime(folder)
+        for other in folder.parent.iterdir():
+            if time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)
+    except OSError:
+        warn_of_compilation(
+            f"the folder {folder} for machine code cannot be written, so every start compiles it again (up to a "
+            "minute). Set the environment variable NUMBA_CACHE_DIR to a folder that can be written."
+        )
+        return None
+    return folder
+
+
+class CodeFolder:
+    """Location of a function's machine code for numba (`NUMBA_CACHE_LOCATOR_CLASSES`), common to all checkouts."""
+
+    def __init__(self, function: Callable[..., object]) -> None:
+        self._folder, self._line = code_folder(_source_folder(function)), function.__code__.co_firstlineno
+
+    @classmethod
+    def from_function(cls, function: Callable[..., object], file: str) -> CodeFolder:
+        """Locate the code of a function."""
+        return cls(function)
+
+    def ensure_cache_path(self) -> None:
+        """Do nothing: the folder exists."""
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return a constant: changed source code has its own folder (`_digest`)."""
+        return ""
+
+    def get_disambiguator(self) -> str:
+        """Return the line of the function, to distinguish functions of the same name."""
+        return str(self._line)
+
+
+def _source_folder(function: Callable[..., object]) -> Path:
+    """Return the folder of the file that defines a function."""
+    return Path(inspect.getfile(function)).parent
+
+
+class _Compiling(Listener):
+    """Report compilation in the log, and at intervals while a command waits for it."""
+
+    def __init__(self) -> None:
+        self._gc_thresholds: list[tuple[int, ...]] = []
+
+    def on_start(self, event: Event) -> None:
+        """Report the start; from here on, garbage is collected seldom."""
+        young, *older = gc.get_threshold()
+        self._gc_thresholds.append((young, *older))
+        gc.set_threshold(young and max(young, _GC_THRESHOLD), *older)
+        if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
+            warn_of_compilation(
+                f"{_COMPILING} for this processor, once: about 20 s, or up to a minute if several parts of the program "
+                "are needed"
+            )
+        console.begin_delay(_COMPILING)
+
+    def on_end(self, event: Event) -> None:
+        """Report the end."""
+        gc.set_threshold(*self._gc_thresholds.pop())
+        console.end_delay()
+
+
+register("numba:compile", _Compiling())
+
+
+def _njit(function: F, is_kernel: bool, **options: Any) -> F:
+    """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
+    folder = code_folder(_source_folder(function))
+    # Without the numba runtime, kernels do not count references to their arrays, which would take most of their time.
+    options |= {"_nrt": False} if is_kernel else {}
+    compiler = numba.njit if callees is None or _CONFIG.DISABLE_JIT else callees.njit
+    previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.core.numerics.jit.CodeFolder"
+    try:
+        return cast(F, compiler(function, cache=folder is not None, **options))
+    finally:
+        _CONFIG.CACHE_LOCATOR_CLASSES = previous
+
+
+def cached_njit(function: F) -> F:
+    """Compile a function that is not a kernel; it may create arrays."""
+    return _njit(function, is_kernel=False)
+
+
+def kernel(function: F) -> F:
+    """Compile a kernel."""
+    return _njit(function, is_kernel=True, nogil=True, fastmath={"contract"})
+
+
+def inlined_kernel(function: F) -> F:
+    """Compile a kernel into each of its callers: a call that passes hundreds of arrays would take longer."""
+    return _njit(function, is_kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
+
+
+def unfused_kernel(function: F) -> F:
+    """Compile a kernel in which multiplications and additions are not fused.
+
+    Use it for loops over samples. The processor computes most samples in groups and the others individually. Both must
+    be bit-identical, so that results do not depend on the block size.
+    """
+    return _njit(function, is_kernel=True, nogil=True, fastmath=False)

@@ -1,0 +1,244 @@
+"""Admissibility of orbits: their distance to the borders beyond which they are impossible as motions.
+
+A solution of the orbit equations is a motion only if no other event occurs between its events. Dampers in flight must
+not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it. The distance to each border is its
+*margin*. The margin is negative beyond the border and smooth across it, so that borders can be located as roots.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.numerics.jit import cached_njit
+from rig.core.orbits import event_kinds as kinds
+from rig.core.orbits.orbit_equations import Equations, Sequence
+from rig.core.orbits.shooting import ShootingResult
+from rig.core.orbits.track import Track, track_orbit, turning_value
+
+# A flight lasts at least this phase of the drive, rad. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
+MIN_FLIGHT_RAD = 0.02
+
+# Kinds of borders: the first three belong to an event, the others to a damper. Their descriptions are in
+# `Plan.borders`.
+ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
+FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
+N_BORDER_KINDS = 9  # number of these kinds
+
+
+@cached_njit
+def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
+    """Return the lowest minimum between instants of offset + sign * guard, or infinity if there is none.
+
+    The guard is that of damper j in segment s of the track, from instant `first` on. The last index of `Track.guards`
+    is the order of the derivative.
+    """
+    guard = track.guards[s, :, j]
+    step = track.times[s, 1] - track.times[s, 0]
+    lowest = np.inf
+    for i in range(first, guard.shape[0] - 1):
+        if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
+            slopes = sign * guard[i : i + 2, 1].copy()
+            curvatures = sign * guard[i : i + 2, 2].copy()
+            left_value, right_value = offset + sign * guard[i, 0], offset + sign * guard[i + 1, 0]
+            lowest = min(lowest, turning_value(left_value, right_value, slopes, curvatures, step))
+    return lowest
+
+
+@cached_njit
+def _reduce_margin(margins: Array, border: int, index: int, margin: float) -> None:
+    """Replace the margin of a border if the new one is smaller; `index`: event or damper."""
+    margins[border, index] = min(margins[border, index], margin)
+
+
+@cached_njit
+def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing_speed: float) -> float:
+    """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
+    wall = 1 if ceiling else 0
+    return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing_speed
+
+
+@cached_njit
+def _crossing_rate(
+    equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, acceleration_unit: float
+) -> float:
+    """Return the rate of a finite-duration contact's guard at its event, at most 1.
+
+    It is a speed in g/w, or the rate of a force per mass in g w. `acceleration_unit`: g, or without gravity another
+    acceleration, m/s^2.
+    """
+    kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
+    guard = track.guards[event - 1, -1, j]
+    if kind == kinds.RELEASE:
+        return min(1.0, -guard[1] / (acceleration_unit * omega))
+    if kind in (kinds.PRESS_FLOOR, kinds.PRESS_CEILING):
+        sign = -1.0 if kind == kinds.PRESS_FLOOR else 1.0
+        force_rate = _contact_force(equations, j, kind == kinds.PRESS_CEILING, sign * guard[1], sign * guard[2])
+        return min(1.0, force_rate / (equations.mass[j] * acceleration_unit * omega))
+    return min(1.0, closing_speed * omega / acceleration_unit)
+
+
+@cached_njit
+def _finite_contact_margins(
+    equations: Equations, sequence: Sequence, track: Track, j: int, length_unit: float, distances: Array
+) -> None:
+    """Write the margins of a damper with finite-duration contact into `distances`, as `margins` returns them.
+
+    `length_unit`: g/w^2, m.
+
+    A released damper may still overlap a wall. The damper must not be pressed again before the overlap ends, which is
+    not an event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are
+    examined twice in order, and only the second round determines the margins.
+    """
+    events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
+    clearance = equations.clearance[j]
+    overlapped_wall = 0  # none
+    segments = track.times.shape[0]
+    # s: segment in `track`; k: the same in `sequence`.
+    for visit in range(2 * segments):
+        is_second_round, s = visit >= segments, visit % segments
+        k, end_event = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
+        wall, guard = sequence.wall[k, j], track.guards[s, :, j]
+        starts_with_own_event = events > 0 and sequence.damper[s] == j
+        ends_with_own_event = events > 0 and sequence.damper[end_event] == j
+        if wall >= kinds.ON_FLOOR:
+            lowest_force = _lowest_minimum(track, s, j, 0.0, 1.0)
+            if not starts_with_own_event:
+                lowest_force = min(lowest_force, guard[0, 0])
+            if not ends_with_own_event:
+                lowest_force = min(lowest_force, guard[-1, 0])
+            if is_second_round:
+                _reduce_margin(distances, LEAVES_WALL, j, lowest_force / acceleration_unit)
+            continue
+        if starts_with_own_event:
+            overlapped_wall = sequence.wall[s, j]
+        # `first_free`: first instant of the segment at which the damper does not overlap a wall.
+        first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
+        while overlapped_wall != 0 and first_free < guard.shape[0]:
+            sign, wall_gap = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
+            overlap, closing_speed = sign * (guard[first_free, 0] - wall_gap), sign * guard[first_free, 1]
+            if overlap <= 0.0 and first_free > 0:
+                overlapped_wall = 0
+                break
+            force = _contact_force(equations, j, overlapped_wall != kinds.ON_FLOOR, overlap, closing_speed)
+            if is_rising and force < previous_force:
+                highest_force = max(highest_force, previous_force / equations.mass[j])
+            is_rising, previous_force = force > previous_force, force
+            first_free += 1
+        if not is_second_round:
+            continue
+        _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
+        floor_gap, ceiling_gap = np.inf, np.inf
+        if first_free < guard.shape[0]:
+            floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, first_free)
+            if np.isfinite(clearance):
+                ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, first_free)
+            if not starts_with_own_event and first_free == 0:
+                floor_gap = min(floor_gap, guard[0, 0])
+                ceiling_gap = min(ceiling_gap, clearance - guard[0, 0])
+        _reduce_margin(distances, HITS_FLOOR, j, floor_gap / length_unit)
+        _reduce_margin(distances, HITS_CEILING, j, ceiling_gap / length_unit)
+
+
+@cached_njit
+def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing_speed: Array) -> Array:
+    """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
+
+    `instants`, `closing_speed`: of the events, s and m/s, shape (events,).
+
+    Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
+    1, negative beyond the border. The second index is an event for the kinds ORDER, NOT_RELEASED and MISSES_WALL,
+    otherwise a damper.
+    """
+    omega, gravity = equations.omega, equations.gravity
+    length_unit = gravity / omega**2 if gravity > 0.0 else np.abs(track.extremes).max()
+    acceleration_unit = length_unit * omega**2
+    body_of, nq = equations.body_coordinate, equations.inverse_mass.shape[1]
+    events, nd = sequence.kind.shape[0], body_of.shape[0]
+    distances = np.ones((N_BORDER_KINDS, max(events, nd, 1)))
+    for s in range(track.times.shape[0]):
+        k = s + 1 if events > 0 else 0  # index of the segment in `sequence`
+        end_event = (s + 1) % max(events, 1)
+        if events > 0 and sequence.kind[end_event] != kinds.INDUCED_SEPARATION:
+            distances[ORDER, s] = min(1.0, (track.times[s, -1] - track.times[s, 0]) * omega)
+        for j in range(nd):
+            starts_with_own_event = events > 0 and sequence.damper[s] == j
+            ends_with_own_event = events > 0 and sequence.damper[end_event] == j
+            wall, guard = sequence.wall[k, j], track.guards[s, :, j]
+            if wall >= kinds.WITHOUT_FORCE:
+                continue
+            if wall == kinds.FLYING:
+                lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
+                if not starts_with_own_event:
+                    lowest = min(lowest, guard[0, 0])
+                _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
+                clearance = equations.clearance[j]
+                if np.isfinite(clearance):
+                    lowest = _lowest_minimum(track, s, j, clearance, -1.0)
+                    if not starts_with_own_event:
+                        lowest = min(lowest, clearance - guard[0, 0])
+                    _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
+                continue
+            sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
+            lowest = _lowest_minimum(track, s, j, 0.0, sign)
+            lowest = min(lowest, sign * guard[0, 0])
+            if not ends_with_own_event:
+                lowest = min(lowest, sign * guard[-1, 0])
+            _reduce_margin(distances, LEAVES_WALL, j, lowest / acceleration_unit)
+    for event in range(events):
+        kind, j = sequence.kind[event], sequence.damper[event]
+        if equations.gap_coordinate[j] >= 0:
+            distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
+                equations, sequence, track, event, closing_speed[event], acceleration_unit
+            )
+            continue
+        separates = kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION)
+        left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
+        at_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
+        is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
+        away_sign = -1.0 if at_ceiling else 1.0
+        if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
+            # The gap's curvature right after the event must lead away from the wall.
+            _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acceleration_unit)
+        if kind == kinds.SEPARATION:
+            jerk = track.guards[event - 1, -1, j, 1]
+            distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acceleration_unit * omega))
+        elif kind != kinds.INDUCED_SEPARATION:
+            distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acceleration_unit)
+            # With a full mass matrix, an impact presses riding dampers on their walls or separates them.
+            for i in range(nd):
+                body = body_of[i]
+                coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
+                if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
+                    velocity_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
+                    sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
+                    _reduce_margin(
+                        distances, SEPARATED_BY_IMPACT, i, sign * velocity_change * omega / acceleration_unit
+                    )
+        if separates:
+            # At zero flight time the equations are singular, so a curve ends before.
+            next_event = (event + 1) % events
+            while sequence.damper[next_event] != j:
+                next_event = (next_event + 1) % events
+            next_period = equations.period if next_event <= event else 0.0
+            flight_time = instants[next_event] - instants[event] + next_period
+            if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
+                _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
+    for j in range(nd):
+        if equations.gap_coordinate[j] >= 0:
+            _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
+    return distances
+
+
+@cached_njit
+def evaluate_motion(
+    equations: Equations, sequence: Sequence, shooting: ShootingResult, instants: Array
+) -> tuple[Array, NDArray[np.complex128], Array]:
+    """Return `extremes` and `harmonic` of a converged orbit as in `Track`, and its flattened `margins`."""
+    track = track_orbit(equations, sequence, instants, shooting.states)
+    return (
+        track.extremes,
+        track.harmonic,
+        margins(equations, sequence, track, instants, shooting.closing_speed).ravel(),
+    )

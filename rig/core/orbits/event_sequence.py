@@ -1,0 +1,216 @@
+"""The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
+
+An event is a change of the contact state of one damper. Beyond a *border* in the parameter, the sequence is impossible.
+The engine describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*,
+which also distinguishes finite-duration contact (`rig.core.orbits.event_kinds`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import UncoveredMotionError
+from rig.core.engine.trajectory import Trajectory
+from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
+from rig.core.orbits import event_kinds as kinds
+from rig.core.orbits.orbit_equations import Sequence
+from rig.core.system.hybrid_system import HybridSystem
+
+BOUNCE = {kinds.FLOOR: kinds.FLOOR_BOUNCE, kinds.CEILING: kinds.CEILING_BOUNCE}
+#: Wall state of a damper after an event.
+WALL_AFTER_EVENT = {
+    kinds.SEPARATION: kinds.FLYING,
+    kinds.INDUCED_SEPARATION: kinds.FLYING,
+    kinds.FLOOR_BOUNCE: kinds.FLYING,
+    kinds.CEILING_BOUNCE: kinds.FLYING,
+    kinds.FLOOR: kinds.RIDES_FLOOR,
+    kinds.CEILING: kinds.RIDES_CEILING,
+    kinds.TOUCH_FLOOR: kinds.ON_FLOOR,
+    kinds.PRESS_FLOOR: kinds.ON_FLOOR,
+    kinds.TOUCH_CEILING: kinds.ON_CEILING,
+    kinds.PRESS_CEILING: kinds.ON_CEILING,
+    kinds.RELEASE: kinds.WITHOUT_FORCE,
+}
+#: Mode of the law for each wall state.
+MODES = ("flight", "floor", "ceiling", "free", "on floor", "on ceiling")
+#: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
+MIN_RELATIVE_OVERLAP = 1e-9
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An orbit's sequence of events, with the different contact configurations between them."""
+
+    sequence: Sequence
+    configurations: tuple[int, ...]  # As in `HybridSystem.strides`
+    repetition: int  # Duration in periods of the drive
+
+    @property
+    def flying(self) -> NDArray[np.int64]:
+        """Dampers in flight at the start."""
+        return np.flatnonzero(self.sequence.wall[0] == kinds.FLYING)
+
+    def instants(self, unknowns: Array) -> Array:
+        """Return the instants of the events, s, which are the last of an orbit's unknowns."""
+        return unknowns[len(unknowns) - len(self.sequence.kind) :]
+
+    @property
+    def label(self) -> str:
+        """Abbreviated events, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
+
+        With finite-duration contact: touch of floor ``u`` or ceiling ``n``, release ``o``, renewed press ``w``,
+        ``m``.
+        """
+        symbols = {
+            kinds.SEPARATION: "^",
+            kinds.FLOOR: "_",
+            kinds.CEILING: "=",
+            kinds.FLOOR_BOUNCE: "v",
+            kinds.CEILING_BOUNCE: "-",
+            kinds.INDUCED_SEPARATION: "~",
+            kinds.TOUCH_FLOOR: "u",
+            kinds.TOUCH_CEILING: "n",
+            kinds.PRESS_FLOOR: "w",
+            kinds.PRESS_CEILING: "m",
+            kinds.RELEASE: "o",
+        }
+        events = zip(self.sequence.damper, self.sequence.kind, strict=True)
+        return " ".join(f"{damper + 1}{symbols[int(kind)]}" for damper, kind in events)
+
+    @cached_property
+    def borders(self) -> tuple[str, ...]:
+        """Names of the borders in the order of the flattened `rig.core.orbits.admissibility.margins`."""
+        events, dampers = self.label.split(), self.sequence.damper + 1
+        count = max(len(events), self.sequence.wall.shape[1], 1)
+        pairs = zip(events, events[1:] + events[:1], strict=True)
+        names: list[list[str]] = [
+            [f"event {first} and event {second} change order" for first, second in pairs],
+            [f"damper {number} is not released" for number in dampers],
+            [f"damper {number} misses the wall that it should hit" for number in dampers],
+        ]
+        for template in (
+            "the flight of damper {} vanishes",
+            "damper {} hits the floor early",
+            "damper {} hits the ceiling early",
+            "damper {} leaves its wall early",
+            "damper {} stays at the wall that it should leave at once",
+            "damper {} separates from its wall by the impact of another damper",
+        ):
+            names.append([template.format(number) for number in range(1, count + 1)])
+        return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
+
+    def has_same_cycle(self, other: Plan) -> bool:
+        """Return whether the events are the same in the same cyclic order."""
+        events, others = self.label.split(), other.label.split()
+        return len(events) == len(others) and (events == others or " ".join(events) in " ".join(others + others))
+
+
+def derive_plan(
+    trajectory: Trajectory, start: NDArray[np.int8], repetition: int, system: HybridSystem
+) -> tuple[Plan, Array]:
+    """Derive the sequence of events from a simulated cycle.
+
+    `start`, shape (dampers,): contacts at the start of the cycle; `repetition`: number of drive periods in the cycle.
+    Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
+    damper with rebound comes to rest on a wall after infinitely many impacts, or if a damper changes its contact at the
+    instant of another damper's impact, with which a full mass matrix or a common body couples it.
+    """
+    events: list[int] = []
+    dampers: list[int] = []
+    order: list[int] = []  # index of each event of the plan in the trajectory
+    instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
+    finite_contact, restitution = system.finite_contact.tolist(), system.restitution.tolist()
+    for k, (damper, kind) in enumerate(
+        zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
+    ):
+        simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
+        impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
+        if any(dampers[i] != damper for i in simultaneous) and system.coupled:
+            raise UncoveredMotionError(
+                f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
+                "instant, through a common body or the mass matrix"
+            )
+        if finite_contact[damper]:
+            events.append(_finite_contact_kind(trajectory, k, system))
+        elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
+            impact = kinds.FLOOR if kind == FLOOR_IMPACT else kinds.CEILING
+            events.append(impact if restitution[damper] == 0 else BOUNCE[impact])
+        elif impacts:
+            # Impact and separation at the same instant are one event, a bounce, without contact in between.
+            events[impacts[-1]] = BOUNCE[events[impacts[-1]]]
+            continue
+        elif restitution[damper] > 0:
+            raise UncoveredMotionError(
+                f"in every period, damper {damper + 1} comes to rest on a wall after infinitely many rebounds"
+            )
+        else:
+            events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
+        dampers.append(damper)
+        order.append(k)
+    plan = make_plan(events, dampers, walls_from_contacts(start, system), repetition, system)
+    return plan, np.array(order, dtype=np.int64)
+
+
+def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
+    """Return the kind of an event with finite-duration contact; a press event starts with overlap, a touch without."""
+    kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
+    if kind == RELEASE:
+        return kinds.RELEASE
+    is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
+        trajectory.break_offset == trajectory.event_offset[event]
+    )
+    gaps = trajectory.state_before[:, system.gap_coordinate[damper]]
+    gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
+    if kind == FLOOR_TOUCH:
+        return kinds.PRESS_FLOOR if gap < -min_overlap else kinds.TOUCH_FLOOR
+    assert kind == CEILING_TOUCH
+    return kinds.PRESS_CEILING if gap > system.clearance[damper] + min_overlap else kinds.TOUCH_CEILING
+
+
+def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
+    """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
+    return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.WITHOUT_FORCE, kinds.FLYING)
+
+
+def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
+    """Return the engine's modes for wall states of a sequence and the states z, shape (dampers,)."""
+    modes = []
+    for wall, element in zip(walls.tolist(), system.elements, strict=True):
+        name, gap = MODES[wall], z[element.gap]
+        # A damper without contact force may still overlap a wall from which it was released.
+        if wall == kinds.WITHOUT_FORCE:
+            [signal] = element.law.modes[name].signals
+            name = "recovers from floor" if gap < signal.low else "recovers from ceiling" if gap > signal.high else name
+        modes.append(list(element.law.modes).index(name))
+    return modes
+
+
+def configuration_of(walls: list[int], system: HybridSystem) -> int:
+    """Return the configuration for wall states of a sequence."""
+    return system.configuration([MODES[wall] for wall in walls])
+
+
+def make_plan(
+    events: list[int], dampers: list[int], start: NDArray[Any], repetition: int, system: HybridSystem
+) -> Plan:
+    """Build a plan from the kinds of its events, their dampers, and the wall states at the start."""
+    walls: list[list[int]] = [start.tolist()]
+    for kind, damper in zip(events, dampers, strict=True):
+        wall = walls[-1].copy()
+        wall[damper] = WALL_AFTER_EVENT[kind]
+        walls.append(wall)
+    segment_configurations = [configuration_of(wall, system) for wall in walls]
+    configurations = tuple(dict.fromkeys(segment_configurations))
+    sequence = Sequence(
+        np.array(events, dtype=np.int64),
+        np.array(dampers, dtype=np.int64),
+        np.array([configurations.index(configuration) for configuration in segment_configurations], dtype=np.int64),
+        np.array(walls, dtype=np.int64),
+    )
+    return Plan(sequence, configurations, repetition)

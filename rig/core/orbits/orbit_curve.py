@@ -1,0 +1,131 @@
+"""Curves of orbits over a parameter: the results of continuation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.numerics import continuation
+from rig.core.orbits.event_sequence import Plan
+from rig.core.orbits.orbit import Orbit
+from rig.core.orbits.problem import AXES, PARAMETERS, Parameter, column_name
+from rig.core.results import Result, complete_style, format_percent, join_columns
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, repr=False)
+class OrbitBranch(Result):
+    """Orbits with one sequence of events along a continuous curve.
+
+    `value`, shape (points,): values of the parameter (Hz, N, m, or factor on the mass ratios), not monotonic at folds.
+
+    `folds`, `doublings`, `toruses`: values of the parameter at folds (the curve turns back), at period doublings (a
+    multiplier passes -1), and at torus bifurcations (a complex pair of multipliers leaves the unit circle).
+    """
+
+    parameter: Parameter
+    value: Array
+    orbits: tuple[Orbit, ...]
+    ends: tuple[str, str]  # reasons for the ends of the curve, before its first and after its last point
+    folds: Array
+    doublings: Array
+    toruses: Array
+    plan: Plan = field(repr=False)  # the sequence of events
+    curve: continuation.Curve = field(repr=False)  # unknowns and tangents of the orbits
+
+    @property
+    def motion_type(self) -> str:
+        """Types of the dampers."""
+        return self.orbits[0].motion_type
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Return whether each orbit is stable."""
+        return np.array([orbit.stable for orbit in self.orbits])
+
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """First harmonics of displacements, divided by the first harmonic of the force [m/N]; (bodies, points)."""
+        return np.array([orbit.compliance for orbit in self.orbits]).T
+
+    @property
+    def peak(self) -> Array:
+        """Half the peak-to-peak displacement of each body [m], shape (bodies, points)."""
+        return np.array([orbit.peak for orbit in self.orbits]).T
+
+    @property
+    def _labels(self) -> tuple[str, ...]:
+        """Display names of the bodies."""
+        return self.orbits[0].problem.scene.structure.labels
+
+    def summary(self) -> str:
+        """Return the type of motion, the range of the parameter and the stable fraction in words."""
+        unit = PARAMETERS[self.parameter].si
+        return (
+            f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
+            f"{self.value.max():.4g} {unit}, {format_percent(self.stable.mean())} stable, {self.folds.size} folds"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return parameter, compliance of each body, type of motion, and stability."""
+        return {
+            column_name(self.parameter): self.value,
+            **{f"{name}_m/N": row for name, row in zip(self._labels, self.compliance, strict=True)},
+            "motion_type": np.full(self.value.size, self.motion_type),
+            "stable": self.stable,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the compliance of the body with the largest motion; unstable orbits are dashed."""
+        label, factor = AXES[self.parameter]
+        magnitude = 1e6 * abs(self.compliance)
+        body = int(magnitude.max(axis=1).argmax())
+        (line,) = ax.loglog(
+            factor * self.value,
+            np.where(self.stable, magnitude[body], np.nan),
+            **complete_style(style, label=self.motion_type),
+        )
+        ax.plot(factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
+        ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
+
+
+@dataclass(frozen=True, repr=False)
+class OrbitCurve(Result):
+    """All branches computed over a range of a parameter.
+
+    Attributes
+    ----------
+    failures : tuple of str
+        Where a branch could not be followed, or its border not crossed: value of the parameter, events, and reason.
+    """
+
+    branches: tuple[OrbitBranch, ...]
+    failures: tuple[str, ...]
+
+    def summary(self) -> str:
+        """Return the number of branches and their types of motion in words."""
+        types = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
+        return f"{len(self.branches)} branches: {types}; {len(self.failures)} not followed to their ends"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Join the columns of all branches, with the number of each."""
+        return join_columns(
+            [
+                branch.columns() | {"branch": np.full(branch.value.size, number)}
+                for number, branch in enumerate(self.branches, 1)
+            ]
+        )
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw every branch, with one color for each type of motion; unstable orbits are dashed."""
+        types = list(dict.fromkeys(branch.motion_type for branch in self.branches))
+        for branch in self.branches:
+            is_first = branch.motion_type not in {line.get_label() for line in ax.lines}
+            color = f"C{types.index(branch.motion_type)}"
+            branch.draw(ax, **complete_style(style, color=color, label=branch.motion_type if is_first else "_again"))

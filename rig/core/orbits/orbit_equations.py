@@ -1,0 +1,60 @@
+"""The equations of an orbit (a periodic motion): equations of motion in each configuration, and sequence of events.
+
+The state is (coordinates, velocities, further states such as the coil current). The state is extended by cos wt, sin wt
+and 1, so that the equations of motion are x' = A x with the *generator* A. Quantities are in SI units.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+
+IndexArray = NDArray[np.int64]
+
+
+class Equations(NamedTuple):
+    """The equations of motion in every configuration of an orbit, for one set of parameters."""
+
+    generator: Array  # shape (configurations, states + 3, states + 3)
+    norm_bound: Array  # Upper limit of the norm of each generator [1/s]; shape (configurations,)
+    inverse_mass: Array  # shape (configurations, coordinates, coordinates)
+    body_coordinate: IndexArray  # Coordinate of each damper's body; int64, shape (dampers,)
+    mass: Array
+    clearance: Array
+    restitution: Array  # mass, clearance, restitution: shape (dampers,)
+    gap_coordinate: IndexArray
+    """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
+    stiffness: Array
+    damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
+    gravity: float
+    omega: float  # Angular frequency of the drive [rad/s]
+    period: float  # Duration of the orbit, a multiple of the drive's period [s]
+
+
+class EquationDerivatives(NamedTuple):
+    """Derivatives of the fields of `Equations` with respect to the continuation parameter."""
+
+    generator: Array
+    inverse_mass: Array
+    mass: Array
+    clearance: Array
+    stiffness: Array
+    damping: Array
+    omega: float
+    period: float
+
+
+class Sequence(NamedTuple):
+    """The events of an orbit in order."""
+
+    kind: IndexArray
+    damper: IndexArray  # kind, damper: int64, shape (events,)
+    configuration: IndexArray
+    """Index of the configuration in each segment: before the first event, between events, after the last; int64,
+    shape (events + 1,)."""
+    wall: IndexArray
+    """Wall state in each segment, as in `rig.core.orbits.event_kinds`; int64, shape (events + 1, dampers)."""

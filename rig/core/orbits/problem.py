@@ -1,0 +1,370 @@
+"""The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
+
+A *setting* is an operating point. One of its values is the *parameter*, over which orbits are continued. A contact
+*configuration* states which dampers are in contact with which wall (`HybridSystem.strides`). A *riding*
+damper is at rest on a wall, so its mass is added to its body. A *plan* is the sequence of contact events in one cycle.
+The *mass factor* multiplies the masses of all dampers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import matrix_balance
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.orbits.event_sequence import Plan
+from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
+from rig.core.scene.scene import Scene
+from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
+from rig.core.system.assembly import assemble, force_row
+from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
+
+Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
+#: Continuation parameters, with their kinds of quantity.
+PARAMETERS: dict[str, Kind] = {"frequency": FREQUENCY, "force": FORCE, "clearance": LENGTH, "mass_ratio": RATIO}
+#: Axis label of each parameter, and factor from SI to the unit of the axis.
+AXES = {
+    "frequency": ("frequency / Hz", 1.0),
+    "force": ("force / N", 1.0),
+    "clearance": ("clearance / mm", 1e3),
+    "mass_ratio": ("factor on the damper masses", 1.0),
+}
+# Maximum number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
+MAX_CACHED = 200
+# Relative step of finite differences.
+RELATIVE_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class OperatingPoint:
+    """Values of all continuation parameters."""
+
+    frequency: float  # Hz
+    force: float  # Level of the drive, in the unit of the scene's test (N for a force)
+    clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
+    mass_ratio: float = 1.0  # Mass factor: ratio of the damper masses to the masses in the scene
+
+
+def column_name(parameter: Parameter) -> str:
+    """Return the column name of a parameter, such as clearance_m."""
+    return f"{parameter}_{PARAMETERS[parameter].si}".rstrip("_")
+
+
+def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
+    """Convert values of a parameter, in SI or as text, to an array in SI.
+
+    Raises `SceneError` if the parameter does not exist or a value is invalid.
+    """
+    if parameter not in PARAMETERS:
+        raise SceneError(f"parameter: got {parameter!r}; expected one of {', '.join(PARAMETERS)}")
+    return positive_values(values, PARAMETERS[parameter], f"values of the {parameter}")
+
+
+def base_frequency(parameter: Parameter, frequency: float | str | None, first: float) -> float:
+    """Return the frequency at which a parameter is varied, or its first value if it is the frequency.
+
+    Raises `SceneError` if the frequency is missing or invalid.
+    """
+    if frequency is not None:
+        return positive_value(frequency, FREQUENCY, "frequency")
+    if parameter != "frequency":
+        raise SceneError(f"frequency: missing. Give the frequency at which the {parameter} is varied.")
+    return first
+
+
+class _ConfigurationMatrices(NamedTuple):
+    """Matrices of configurations; the first index of each array is the configuration.
+
+    `generator`: as in `Equations`, without drive, ceilings of finite-duration contacts and angular frequency.
+    `drive_input`: input matrix, the derivative of the state's time derivative with respect to the inputs.
+    `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
+    is pressed on its ceiling.
+    `norm_bound`: upper bound of the norm of the state matrix, 1/s.
+    """
+
+    generator: Array
+    drive_input: Array
+    inverse_mass: Array
+    clearance_input: Array
+    norm_bound: Array
+
+
+class _MatrixDerivatives(NamedTuple):
+    """Derivatives of fields of `_ConfigurationMatrices` with respect to the mass factor."""
+
+    generator: Array
+    drive_input: Array
+    inverse_mass: Array
+    clearance_input: Array
+
+
+class OrbitProblem:
+    """The equations of a scene at any operating point; the matrices of contact configurations are cached.
+
+    The scene requires a shaker and a test that gives a level; otherwise `SceneError` is raised.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = with_ideal_force(scene)
+        self.system = assemble(self.scene)
+        self.level = level_of(self.scene)
+        self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
+        self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
+        self._finite_contact = self.system.finite_contact
+        self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
+        self._force_row = force_row(self.scene, self.system)
+        shaker = self.scene.driven_shaker
+        self._is_driven_by_force = shaker is not None and shaker.drive_is_force
+        self._damper_zeros, self._wall_zeros = np.zeros(self.system.dampers), np.zeros((self.system.dampers, 2))
+        self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
+        self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}
+        self._systems: dict[float, HybridSystem] = {}
+
+    def varied_system(self, setting: OperatingPoint) -> HybridSystem:
+        """Return the system with the clearance and mass factor of a setting."""
+        system = self._system_at(setting.mass_ratio)
+        if np.isnan(setting.clearance):
+            return system
+        return replace(system, clearance=np.full(system.dampers, setting.clearance))
+
+    def _system_at(self, mass_factor: float) -> HybridSystem:
+        """Return the system with a mass factor."""
+        if mass_factor == 1.0:
+            return self.system
+        if mass_factor not in self._systems:
+            if len(self._systems) > MAX_CACHED:
+                self._systems.clear()
+            self._systems[mass_factor] = self._assemble(mass_factor)
+        return self._systems[mass_factor]
+
+    def _assemble(self, mass_factor: float) -> HybridSystem:
+        """Assemble the system with a mass factor."""
+        if not self.system.finite_contact.any():
+            return replace(self.system, damper_mass=mass_factor * self.system.damper_mass)
+        # A damper with finite-duration contact is part of the mass matrix, and its mass and contact duration determine
+        # the wall stiffness and damping.
+        dampers = [
+            damper.replace(mass=mass_factor * damper.mass)
+            if damper.mass is not None
+            else damper.replace(mass_ratio=mass_factor * (damper.mass_ratio or 0.0))
+            for damper in self.scene.dampers
+        ]
+        return assemble(self.scene.replace(dampers=dampers))
+
+    def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
+        """Return the complex amplitude of each input for a level that is a sine with zero phase at t = 0."""
+        amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
+        gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
+        amplitudes[self._driven_input] = -1j * setting.force * gain
+        return amplitudes
+
+    def force_amplitude(self, setting: OperatingPoint, harmonic: NDArray[np.complex128]) -> complex:
+        """Return the complex amplitude of the force, N; `harmonic`: first harmonic of the states."""
+        if self._is_driven_by_force:
+            return -1j * setting.force  # of a sine
+        return complex(self._force_row @ harmonic)
+
+    def equations(
+        self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"
+    ) -> tuple[Equations, EquationDerivatives]:
+        """Return the equations of motion in a plan's configurations, and their derivatives with respect to a parameter.
+
+        Without a parameter, the derivatives are zero.
+        """
+        system, mass_factor = self.varied_system(setting), setting.mass_ratio
+        # nq coordinates and n states. The augmented state z = (state, cos wt, sin wt, 1) obeys z' = generator z.
+        nq, n, omega = system.coordinates, system.states, 2 * np.pi * setting.frequency
+        amplitudes = self.amplitudes(setting)
+        drive = np.array([amplitudes.real, -amplitudes.imag]).T
+        drive_derivative = self._drive_derivative(setting, parameter, drive)
+        matrices = self._configurations(plan.configurations, mass_factor)
+        generator, generator_derivative = matrices.generator.copy(), np.zeros_like(matrices.generator)
+        generator[:, :n, n : n + 2] = matrices.drive_input @ drive
+        # Dampers with finite-duration contact that have a ceiling.
+        has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
+        if has_contact_ceiling.any():
+            generator[:, nq : 2 * nq, n + 2] += (
+                matrices.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
+            )
+        generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
+        inverse_mass_derivative = np.zeros_like(matrices.inverse_mass)
+        if parameter == "frequency":
+            generator_derivative[:, n, n + 1], generator_derivative[:, n + 1, n] = -2 * np.pi, 2 * np.pi
+        if drive_derivative is not None:
+            generator_derivative[:, :n, n : n + 2] = matrices.drive_input @ drive_derivative
+        if parameter == "mass_ratio":
+            by_factor = self._matrix_derivatives(plan.configurations, mass_factor)
+            generator_derivative[:] = by_factor.generator
+            generator_derivative[:, :n, n : n + 2] = by_factor.drive_input @ drive
+            generator_derivative[:, nq : 2 * nq, n + 2] += (
+                by_factor.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
+            )
+            inverse_mass_derivative = by_factor.inverse_mass
+        if parameter == "clearance":
+            generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
+        stiffness_derivative, damping_derivative = (
+            self._wall_derivatives(mass_factor) if parameter == "mass_ratio" else (self._wall_zeros, self._wall_zeros)
+        )
+        period = plan.repetition / setting.frequency
+        return Equations(
+            generator=generator,
+            norm_bound=np.maximum(matrices.norm_bound, omega),
+            inverse_mass=matrices.inverse_mass,
+            body_coordinate=self._body_coordinate,
+            mass=system.damper_mass,
+            clearance=system.clearance,
+            restitution=system.restitution,
+            gap_coordinate=self._gap_coordinate,
+            stiffness=system.wall_stiffness,
+            damping=system.wall_damping,
+            gravity=float(system.gravity),
+            omega=omega,
+            period=period,
+        ), EquationDerivatives(
+            generator=generator_derivative,
+            inverse_mass=inverse_mass_derivative,
+            mass=self.system.damper_mass if parameter == "mass_ratio" else self._damper_zeros,
+            clearance=np.ones(system.dampers) if parameter == "clearance" else self._damper_zeros,
+            stiffness=stiffness_derivative,
+            damping=damping_derivative,
+            omega=2 * np.pi if parameter == "frequency" else 0.0,
+            period=-period / setting.frequency if parameter == "frequency" else 0.0,
+        )
+
+    def _drive_derivative(self, setting: OperatingPoint, parameter: Parameter | None, drive: Array) -> Array | None:
+        """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
+        if parameter == "force":
+            return np.asarray(drive / setting.force)
+        if parameter != "frequency" or self._is_driven_by_force:
+            return None
+        # The servo input is a smooth function of frequency: finite differences are accurate to about 1e-10.
+        step = RELATIVE_STEP * setting.frequency
+        above, below = (
+            self.amplitudes(replace(setting, frequency=setting.frequency + sign * step)) for sign in (1, -1)
+        )
+        slope = (above - below) / (2 * step)
+        return np.column_stack([slope.real, -slope.imag])
+
+    def _configurations(self, configurations: tuple[int, ...], mass_factor: float) -> _ConfigurationMatrices:
+        """Return the stacked matrices of several configurations."""
+        key = (configurations, mass_factor)
+        if key not in self._matrices and len(configurations) == 1:
+            self._matrices[key] = self._configuration(configurations[0], mass_factor)
+        elif key not in self._matrices:
+            # Every step of a continuation over the mass factor has a new value, so the cache must be limited.
+            if len(self._matrices) > MAX_CACHED:
+                self._matrices.clear()
+            single = [self._configurations((configuration,), mass_factor) for configuration in configurations]
+            fields = zip(*single, strict=True)
+            self._matrices[key] = _ConfigurationMatrices(*(np.concatenate(field) for field in fields))
+        return self._matrices[key]
+
+    def _configuration(self, configuration: int, mass_factor: float) -> _ConfigurationMatrices:
+        """Compute the matrices of one configuration; the first index of each array has length 1."""
+        system = self._system_at(mass_factor)
+        nq, n = system.coordinates, system.states
+        mass, constant = _riding_mass_and_forces(system, configuration)
+        inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        wall_force, clearance_force = _finite_contact_forces(system, configuration)
+        generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
+        state_matrix = generator[:n, :n]
+        state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
+        state_matrix[nq : 2 * nq] = inverse_mass @ (system.force_state + wall_force)
+        state_matrix[2 * nq :] = system.rate_state
+        generator[nq : 2 * nq, n + 2] = inverse_mass @ constant
+        drive_input[nq : 2 * nq] = inverse_mass @ system.force_drive
+        drive_input[2 * nq :] = system.rate_drive
+        norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
+        arrays = generator, drive_input, inverse_mass, inverse_mass @ clearance_force, norm_bound
+        return _ConfigurationMatrices(*(array[None] for array in arrays))
+
+    def _matrix_derivatives(self, configurations: tuple[int, ...], mass_factor: float) -> _MatrixDerivatives:
+        """Differentiate the stacked matrices of several configurations with respect to the mass factor."""
+        key = (configurations, mass_factor)
+        if key not in self._derivatives:
+            if len(self._derivatives) > MAX_CACHED:
+                self._derivatives.clear()
+            single = [self._configuration_derivatives(configuration, mass_factor) for configuration in configurations]
+            self._derivatives[key] = _MatrixDerivatives(*(np.stack(field) for field in zip(*single, strict=True)))
+        return self._derivatives[key]
+
+    def _configuration_derivatives(self, configuration: int, mass_factor: float) -> _MatrixDerivatives:
+        """Differentiate the matrices of one configuration; the arrays lack the index of the configuration."""
+        system = self._system_at(mass_factor)
+        nq, n = system.coordinates, system.states
+        # Mass matrix and forces are linear in the mass factor: any two values determine the slope.
+        heavier, lighter = (self._system_at(factor * mass_factor) for factor in (1.5, 0.5))
+        mass_derivative, constant_derivative = (
+            (above - below) / mass_factor
+            for above, below in zip(
+                _riding_mass_and_forces(heavier, configuration),
+                _riding_mass_and_forces(lighter, configuration),
+                strict=True,
+            )
+        )
+        constant = _riding_mass_and_forces(system, configuration)[1]
+        inverse_mass = self._configurations((configuration,), mass_factor).inverse_mass[0]
+        inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
+        wall_force, clearance_force = _finite_contact_forces(system, configuration)
+        stiffness_derivative, damping_derivative = self._wall_derivatives(mass_factor)
+        derivative_system = replace(system, wall_stiffness=stiffness_derivative, wall_damping=damping_derivative)
+        wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
+        force = system.force_state + wall_force
+        generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
+        generator[nq : 2 * nq, :n] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
+        generator[nq : 2 * nq, n + 2] = inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        drive_input[nq : 2 * nq] = inverse_mass_derivative @ system.force_drive
+        clearance_input = inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative
+        return _MatrixDerivatives(generator, drive_input, inverse_mass_derivative, clearance_input)
+
+    def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array]:
+        """Return the derivatives of wall stiffness and damping with respect to the mass factor, shape (dampers, 2).
+
+        They are not zero if the scene gives the contact duration instead of the stiffness.
+        """
+        if not self.system.finite_contact.any():
+            return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
+        # The functions are smooth: finite differences are accurate to about 1e-10.
+        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_factor) for sign in (1, -1))
+        step = 2.0 * RELATIVE_STEP * mass_factor
+        return (
+            np.asarray((above.wall_stiffness - below.wall_stiffness) / step),
+            np.asarray((above.wall_damping - below.wall_damping) / step),
+        )
+
+    def setting(self, frequency: float) -> OperatingPoint:
+        """Return the operating point of the unchanged scene at a frequency, Hz."""
+        return OperatingPoint(frequency, self.level)
+
+
+def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:
+    """Return a function that maps a value of one parameter to the setting with this value."""
+    return lambda value: replace(setting, **{parameter: value})
+
+
+def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
+    riding = np.array(system.held(configuration), dtype=np.intp)
+    rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+    added_mass = np.zeros_like(system.mass)
+    np.add.at(added_mass, (rows, rows), masses)
+    return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
+
+
+def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
+    """Return the derivatives of the forces of finite-duration contacts with respect to state and clearances.
+
+    They have the shapes (coordinates, states) and (coordinates, dampers).
+    """
+    force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
+    clearance_force = np.zeros((system.coordinates, system.dampers))
+    finite = np.flatnonzero(system.finite_contact)
+    clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]
+    return force, clearance_force

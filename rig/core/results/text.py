@@ -1,0 +1,122 @@
+"""Numbers, bounds (expanded uncertainties) and ranges of frequencies as text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+
+import numpy as np
+
+from rig.core.numerics.runs import runs_of
+
+# Maximum number of listed ranges; more are summarized by a count.
+_MAX_RANGES = 8
+
+
+def format_number(value: float) -> str:
+    """Write a number with three digits, without a power of ten unless it is tiny or huge.
+
+    >>> [format_number(value) for value in (2.6, 3000.0, 12345.6, 1.5e-7)]
+    ['2.6', '3000', '12300', '1.5e-07']
+    """
+    return f"{float(f'{value:.3g}'):.10g}"
+
+
+def format_percent(ratio: float) -> str:
+    """Write a ratio in percent with two digits, without a power of ten.
+
+    >>> [format_percent(ratio) for ratio in (0.0314, 0.997, 12.0, 0.00021)]
+    ['3.1 %', '100 %', '1200 %', '0.021 %']
+    """
+    return f"{float(f'{100.0 * ratio:.2g}'):.10g} %"
+
+
+def format_decimals(value: float, decimals: int) -> str:
+    """Write a number with fixed decimals, or with three significant digits if these are more.
+
+    >>> [format_decimals(value, 2) for value in (34.7773, 0.0, 2.0, 0.28, 4.10936e-05)]
+    ['34.78', '0.00', '2.00', '0.280', '4.11e-05']
+    """
+    is_small = 0.0 < abs(value) < 10.0 ** (2 - decimals)
+    return f"{value:#.3g}" if is_small else f"{value:.{decimals}f}"
+
+
+def round_to_bound(value: float, bound: float) -> str:
+    """Write a number, rounded to the second significant digit of its bound, or of the number if that is smaller.
+
+    >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(376.0, 7e4)
+    ('0.01235', '1080', '380')
+    >>> round_to_bound(3.14159, 0.0)
+    '3.142'
+    >>> round_to_bound(3.14159e-12, 2e-14)
+    '3.142e-12'
+    """
+    if not isfinite(bound) or bound <= 0.0:
+        return f"{value:.4g}"
+    decimals = 1 - floor(log10(bound))
+    if decimals > 9 and 0.0 < abs(value) < 1e-6:
+        return f"{value:.{max(decimals + floor(log10(abs(value))) + 1, 1)}g}"
+    decimals = min(decimals, 9)
+    if decimals < 0 and value:
+        decimals = max(decimals, min(1 - floor(log10(abs(value))), 0))
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def format_interval(value: float, bound: float) -> str:
+    """Write a number with its bound, for a table whose header gives the unit.
+
+    >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
+    ('2.42 ± 0.20', '935.2 (unbounded)', '1')
+    """
+    if bound == 0.0:
+        return round_to_bound(value, bound)
+    return f"{round_to_bound(value, bound)} " + (
+        f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(unbounded)"
+    )
+
+
+def format_quantity(value: float, bound: float, unit: str) -> str:
+    """Write a number with its bound and unit: (2.42 ± 0.20) %, so that the bound is not read as relative.
+
+    >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
+    ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')
+    """
+    if not isfinite(bound):
+        return f"{round_to_bound(value, bound)} {unit} (unbounded)"
+    return f"({round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}) {unit}"
+
+
+def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:
+    """List the chosen frequencies in Hz; adjacent frequencies form ranges. More than 8 ranges become a count.
+
+    >>> format_frequencies([10.0, 11.0, 12.5, 14.0, 20.0], [True, False, True, True, True])
+    '10 and 12.5 to 20 Hz'
+    >>> format_frequencies([3.0, 1.0, 3.0], [False, True, True])
+    '1 to 3 Hz'
+    >>> format_frequencies(range(40), [k % 2 == 0 for k in range(40)])
+    '20 of 40 frequencies from 0 to 38 Hz'
+    """
+    distinct, index = np.unique(np.asarray(frequencies, dtype=np.float64), return_inverse=True)
+    flags = np.zeros(distinct.size, dtype=bool)
+    flags[index[np.asarray(chosen, dtype=bool)]] = True
+    limits = [(f"{distinct[first]:.4g}", f"{distinct[stop - 1]:.4g}") for first, stop in runs_of(flags)]
+    if len(limits) > _MAX_RANGES:
+        return f"{flags.sum()} of {flags.size} frequencies from {limits[0][0]} to {limits[-1][1]} Hz"
+    *before, last = [low if low == high else f"{low} to {high}" for low, high in limits]
+    return f"{', '.join(before)} and {last} Hz" if before else f"{last} Hz"
+
+
+def table_lines(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
+    """Return the lines of a table with a header; `alignment` has ``<`` or ``>`` for each column.
+
+    Columns that are empty below the header are left out.
+
+    >>> table_lines([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
+    ['channel  peak / Hz', 'body1        12.54']
+    """
+    columns = [
+        [f"{cell:{align}{max(map(len, column))}}" for cell in column]
+        for column, align in zip(zip(*rows, strict=True), alignment, strict=True)
+        if any(column[1:])
+    ]
+    return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]

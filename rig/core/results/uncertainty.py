@@ -1,0 +1,504 @@
+"""Uncertainty as in the GUM, for all results, and the uncertainty budget of a frequency response.
+
+A contribution of type A has a standard uncertainty u with degrees of freedom. A contribution of type B is a limit of
+error ±a with a rectangular distribution, ``u = a / sqrt(3)``. The combined standard uncertainty u_c is the root sum of
+squares; errors with the same source are added before they are squared. The expanded uncertainty of a real quantity is
+``U = k u_c`` with k = 2, or Student's 95 % quantile for fewer than 50 effective degrees of freedom. It is at most the
+sum of the largest limits and of the expanded uncertainty of the rest, because no error exceeds its limit.
+
+The true value of a complex quantity lies within a circle. Its radius has the coverage factor 2.45 for type A, and
+contains the limits of all tolerances of data sheets at the same time.
+
+A line is one frequency of the response; an element is one output over one input.
+
+References
+----------
+JCGM 100:2008, Guide to the expression of uncertainty in measurement (GUM), sections 4.2, 4.3, 5.1, 5.2, 6.3, G.4.
+JCGM 102:2011, GUM Supplement 2, section 6.5.2: circular coverage region of two components, k = 2.45.
+J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.text import round_to_bound
+
+Lines = NDArray[np.bool_] | NDArray[np.intp]
+# Change of a response at the limit of error of each source, by the identity of the source; complex, shape (lines,).
+Sources = Mapping[str, ComplexArray]
+
+SCATTER = "scatter"
+_ROOT_3 = float(np.sqrt(3.0))
+#: Coverage factor of an expanded uncertainty with many degrees of freedom, for a coverage of about 95 % (GUM 6.3.3).
+COVERAGE_FACTOR = 2.0
+# Below this number of effective degrees of freedom, the coverage factor is Student's 95 % quantile.
+_MIN_NORMAL_DEGREES = 50.0
+# Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
+_NORMAL_DEGREES = 1e6
+#: Names of contributions that are tolerances of data sheets, or contain them. In the radius of a complex value they are
+#: added linearly, because clock and sensors of a test may deviate by the full tolerance at the same time.
+CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
+#: Name of the sum of all systematic errors, if a file gives no separate contributions.
+SYSTEMATIC = "systematic errors"
+TOLERANCES = (CLOCK, SENSITIVITY, SYSTEMATIC)
+
+
+class Covariance(Protocol):
+    """Covariance of the random errors e of a response, over its elements and lines."""
+
+    @property
+    def lines(self) -> ComplexArray:
+        """``E[e e^H]`` at each line, shape (lines, elements, elements)."""
+
+    @property
+    def shared(self) -> float:
+        """Number of adjacent lines that have the same error, because they are computed from the same samples."""
+
+    @property
+    def reference(self) -> Array | None:
+        """Noise power of the reference, relative to its power, shape (lines,); None if it is not estimated."""
+
+    def at(self, lines: Lines) -> Covariance:
+        """Select some lines."""
+
+    def select(self, elements: Sequence[int]) -> Covariance:
+        """Select some elements."""
+
+    def of_sums(self, weights: ComplexArray) -> Array:
+        """Return the covariance of ``Re(sum(conj(weights) e))``, (sums, sums); weights (lines, elements, sums)."""
+
+
+class RandomErrors(Protocol):
+    """Random errors of a response's elements, computed from the errors of the readings, which elements may share."""
+
+    def at(self, lines: Lines) -> RandomErrors:
+        """Select some lines."""
+
+    def select(self, elements: Sequence[int]) -> RandomErrors:
+        """Select some elements."""
+
+    def scaled(self, factor: ComplexArray) -> RandomErrors:
+        """Multiply by a factor at each line."""
+
+    def joined(self, others: Sequence[RandomErrors]) -> RandomErrors | None:
+        """Join with the errors of other elements; None if they depend on different readings."""
+
+    def covariance(self, error: Array, shared: float) -> Covariance:
+        """Return the covariance over elements, given each element's standard uncertainty, shape (lines, elements)."""
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One cause of uncertainty.
+
+    `deviation`, of the shape of the values. Type A: standard uncertainty of either quadrature component, NaN where a
+    single average has no scatter. Type B: limit of error a, infinite where it is unbounded.
+    """
+
+    name: str
+    evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
+    deviation: Array
+    degrees: Array | None = None  # degrees of freedom of type A
+    # Of type B, for each element in C order: change of its value at the limit of each source (sensor or clock), by the
+    # identity of the source, which other responses may share; complex, shape (lines,). Empty: the source is unknown.
+    sources: tuple[Sources, ...] = ()
+
+    def standard(self) -> Array:
+        """Return the standard uncertainty; type B has a rectangular distribution (GUM 4.3.7)."""
+        return self.deviation if self.evaluation == "A" else standard_of_limit(np.linalg.norm(self.limits(), axis=0))
+
+    def limits(self) -> Array:
+        """Return the limits of error of the independent sources of type B, (sources, *shape of the values).
+
+        Their sum is `deviation`, which is larger than the sum of `sources` where the effect is not linear.
+        """
+        if not any(self.sources):
+            return self.deviation[None]
+        count = max(map(len, self.sources))
+        sizes = np.zeros((count, len(self.deviation), len(self.sources)))
+        for element, sources in enumerate(self.sources):
+            for number, change in enumerate(sources.values()):
+                sizes[number, :, element] = abs(change)
+        total = sizes.sum(axis=0)
+        is_known = (total > 0.0) & np.isfinite(total)
+        shares = np.where(is_known, sizes, 0.0) / np.where(is_known, total, 1.0)
+        shares[0] += ~is_known
+        return np.asarray(shares.reshape(count, *self.deviation.shape) * self.deviation)
+
+    def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Contribution:
+        """Apply a function to the lines of all arrays."""
+        return replace(
+            self,
+            deviation=change(self.deviation),
+            degrees=None if self.degrees is None else change(self.degrees),
+            sources=tuple({key: change(array) for key, array in element.items()} for element in self.sources),
+        )
+
+
+@dataclass(frozen=True)
+class UncertaintyBudget:
+    """Contributions to the uncertainty of a response.
+
+    `errors`: random errors of the elements, for their covariance; None: they are independent. `shared`: number of
+    adjacent lines that have the same error, because they are computed from the same samples. `clock`: bound of the
+    relative error of the sample clock, and so of all frequencies; its effect on the values is one of the contributions.
+    """
+
+    contributions: tuple[Contribution, ...] = ()  # empty if the response is exact
+    errors: RandomErrors | None = None
+    shared: float = 1.0
+    clock: float = 0.0
+    scale: float = 0.0  # bound of the relative error of the reference's sensor, common to all values
+
+    @classmethod
+    def of(
+        cls,
+        error: Array,
+        degrees: Array,
+        limits: Mapping[str, Array] | None = None,
+        sources: Mapping[str, Sources] | None = None,
+        **fields: Any,
+    ) -> UncertaintyBudget:
+        """Make the budget of a curve from the scatter, and limits of error with their sources by name."""
+        by_name = sources or {}
+        contributions = [
+            Contribution(name, "B", limit, sources=(by_name[name],) if name in by_name else ())
+            for name, limit in (limits or {}).items()
+        ]
+        return cls((Contribution(SCATTER, "A", error, degrees), *contributions), **fields)
+
+    @property
+    def limits(self) -> dict[str, Array]:
+        """Limits of error (type B) by name."""
+        return {cause.name: cause.deviation for cause in self.contributions if cause.evaluation == "B"}
+
+    @property
+    def scatter(self) -> Contribution | None:
+        """Contribution of type A."""
+        return next((cause for cause in self.contributions if cause.evaluation == "A"), None)
+
+    def combined(self) -> Array | float:
+        """Return the combined standard uncertainty u_c of either component (GUM 5.1.2)."""
+        standard = [cause.standard() for cause in self.contributions]
+        return np.asarray(np.linalg.norm(standard, axis=0)) if standard else 0.0
+
+    def expanded(self) -> Array | float:
+        """Return the expanded uncertainty U of a real quantity, such as the magnitude or a component of the values."""
+        limits = [limit for cause in self.contributions if cause.evaluation == "B" for limit in cause.limits()]
+        scatter = self.scatter
+        if scatter is None:
+            return expand(0.0, limits)
+        return expand(scatter.deviation, limits, 0.0 if scatter.degrees is None else scatter.degrees)
+
+    def random_bound(self, confidence: float = 0.95) -> Array | float:
+        """Return the radius of the circle that contains the errors of type A.
+
+        The two components have equal, independent errors, so that the squared deviation of a complex mean is
+        F-distributed with 2 and `degrees` degrees of freedom.
+        """
+        scatter = self.scatter
+        if scatter is None:
+            return 0.0
+        degrees = np.zeros(scatter.deviation.shape) if scatter.degrees is None else scatter.degrees
+        return scatter.deviation * circle_factor(confidence, degrees)
+
+    def systematic_bound(self) -> Array | float:
+        """Return the expanded uncertainty of the contributions of type B, plus the tolerances of data sheets."""
+        return self._radius(0.0)
+
+    def bound(self, confidence: float = 0.95) -> Array | float:
+        """Return the radius of the circle that contains the true value.
+
+        It is infinite where a contribution is unbounded.
+        """
+        return self._radius(self.random_bound(confidence))
+
+    def _radius(self, random_bound: Array | float) -> Array | float:
+        limits = self.limits
+        others = [limit for name, limit in limits.items() if name not in TOLERANCES]
+        tolerances = sum(limits[name] for name in TOLERANCES if name in limits)
+        return np.asarray(expand(np.asarray(random_bound) / COVERAGE_FACTOR, others) + tolerances)
+
+    def largest_contributions(self) -> list[str]:
+        """Return the name of the contribution with the largest share of the variance at each line of a curve."""
+        standard = np.nan_to_num([cause.standard() for cause in self.contributions], posinf=np.inf)
+        return [self.contributions[index].name for index in np.argmax(standard, axis=0)]
+
+    def covariance(self, shape: tuple[int, ...]) -> Covariance:
+        """Return the covariance of the random errors over the elements of a response of a given shape."""
+        error = np.zeros(shape) if self.scatter is None else self.scatter.deviation
+        error = np.reshape(error, (shape[0], -1))
+        if self.errors is not None:
+            return self.errors.covariance(error, self.shared)
+        lines = np.einsum("ka,ab->kab", 2.0 * error**2, np.eye(error.shape[1])).astype(complex)
+        return LineCovariance(lines, self.shared)
+
+    def at(self, lines: Any) -> UncertaintyBudget:
+        """Select some lines."""
+        return self.with_arrays(lambda array: array[lines], None if self.errors is None else self.errors.at(lines))
+
+    def scaled(self, factor: ComplexArray) -> UncertaintyBudget:
+        """Return the budget of the values times a factor at each line."""
+        errors = None if self.errors is None else self.errors.scaled(factor)
+
+        def multiply(cause: Contribution) -> Contribution:
+            size = np.reshape(abs(factor), (-1, *[1] * (cause.deviation.ndim - 1)))
+            sources = tuple({key: change * factor for key, change in element.items()} for element in cause.sources)
+            return replace(cause, deviation=cause.deviation * size, sources=sources)
+
+        return replace(self, contributions=tuple(map(multiply, self.contributions)), errors=errors)
+
+    def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
+        """Add bounds of systematic errors by name, or replace those of the same name."""
+        unchanged = tuple(cause for cause in self.contributions if cause.name not in limits)
+        return replace(
+            self, contributions=(*unchanged, *(Contribution(name, "B", bound) for name, bound in limits.items()))
+        )
+
+    def without(self, *names: str) -> UncertaintyBudget:
+        """Remove contributions."""
+        return replace(self, contributions=tuple(cause for cause in self.contributions if cause.name not in names))
+
+    def with_gaps(self, lines: NDArray[np.intp]) -> UncertaintyBudget:
+        """Insert a line of NaN before each of the given lines."""
+        return self.with_arrays(lambda array: np.insert(array, lines, np.nan, axis=0), None)
+
+    def with_arrays(
+        self, change: Callable[[NDArray[Any]], NDArray[Any]], errors: RandomErrors | None
+    ) -> UncertaintyBudget:
+        """Return the budget with a function applied to the lines of all arrays, and with other `errors`."""
+        contributions = tuple(cause.changed(change) for cause in self.contributions)
+        return replace(self, contributions=contributions, errors=errors)
+
+    def select(self, selection: Any, elements: Sequence[int]) -> UncertaintyBudget:
+        """Select elements; `selection`: index of the arrays, `elements`: the same elements, counted in C order."""
+        contributions = tuple(
+            replace(
+                cause,
+                deviation=cause.deviation[selection],
+                degrees=None if cause.degrees is None else cause.degrees[selection],
+                sources=tuple(cause.sources[k] for k in elements) if cause.sources else (),
+            )
+            for cause in self.contributions
+        )
+        return replace(
+            self, contributions=contributions, errors=None if self.errors is None else self.errors.select(elements)
+        )
+
+    def of_ratio(self, other: UncertaintyBudget, value: ComplexArray, other_value: ComplexArray) -> UncertaintyBudget:
+        """Return the budget of the ratio of two curves at the same lines.
+
+        Relative changes by a common source, and random errors of common readings, are subtracted before they are
+        squared (GUM 5.2.2). Tolerances of unknown sources are added; all other errors are independent.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            relative = self.scaled(1.0 / value), other.scaled(1.0 / other_value)
+            causes = [cause for budget in relative for cause in budget.contributions]
+            joined = [
+                _ratio_of([cause for cause in causes if cause.name == name])
+                for name in dict.fromkeys(cause.name for cause in causes)
+            ]
+            difference = _common_random_error(*relative)
+            if difference is not None:
+                joined = [replace(c, deviation=difference) if c.evaluation == "A" else c for c in joined]
+            return UncertaintyBudget(tuple(joined), shared=max(self.shared, other.shared)).scaled(value / other_value)
+
+
+def _common_random_error(first: UncertaintyBudget, second: UncertaintyBudget) -> Array | None:
+    """Return the standard uncertainty of the difference of two curves with errors of the same readings, or None."""
+    joined = None if first.errors is None or second.errors is None else first.errors.joined([second.errors])
+    if joined is None or first.scatter is None or second.scatter is None:
+        return None
+    error = np.stack([first.scatter.deviation, second.scatter.deviation], axis=1)
+    lines = joined.covariance(error, first.shared).lines
+    variance = 0.5 * (lines[:, 0, 0] + lines[:, 1, 1] - 2.0 * lines[:, 0, 1]).real
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _ratio_of(causes: Sequence[Contribution]) -> Contribution:
+    """Return the relative contribution of one or two relative contributions of the same name to a ratio."""
+    first, *others = causes
+    if not others:
+        return first
+    deviations = [cause.deviation for cause in causes]
+    if all(cause.sources for cause in causes):
+        (numerator,), (denominator,) = (cause.sources for cause in causes)
+        zero = np.zeros(first.deviation.shape, dtype=complex)
+        changes = {key: numerator.get(key, zero) - denominator.get(key, zero) for key in {**numerator, **denominator}}
+        total = np.linalg.norm(list(changes.values()), ord=1, axis=0)
+        return replace(first, deviation=total, sources=(changes,))
+    total = np.sum(deviations, axis=0) if first.name in TOLERANCES else np.linalg.norm(deviations, axis=0)
+    degrees = [cause.degrees for cause in causes if cause.degrees is not None]
+    return replace(first, deviation=total, degrees=np.min(degrees, axis=0) if degrees else None, sources=())
+
+
+def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
+    """Join the budgets of curves over the same lines to the budget of values of a shape (lines, outputs, inputs)."""
+    names = dict.fromkeys((cause.name, cause.evaluation) for budget in budgets for cause in budget.contributions)
+    lines = shape[0]
+
+    def join(columns: Sequence[Array | None]) -> Array:
+        values = [np.zeros(lines) if column is None else column for column in columns]
+        return np.stack(values, axis=1).reshape(shape)
+
+    contributions = []
+    for name, evaluation in names:
+        by_curve = [next((cause for cause in budget.contributions if cause.name == name), None) for budget in budgets]
+        contributions.append(
+            Contribution(
+                name,
+                evaluation,
+                join([None if cause is None else cause.deviation for cause in by_curve]),
+                join([None if cause is None else cause.degrees for cause in by_curve]) if evaluation == "A" else None,
+                _join_sources(by_curve),
+            )
+        )
+    first, *others = (budget.errors for budget in budgets)
+    other_errors = [errors for errors in others if errors is not None]
+    joined = first.joined(other_errors) if first is not None and len(other_errors) == len(others) else None
+    shared, clock, scale = (max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale"))
+    return UncertaintyBudget(tuple(contributions), joined, shared, clock, scale)
+
+
+def _join_sources(by_curve: Sequence[Contribution | None]) -> tuple[Sources, ...]:
+    sources = [cause.sources[0] if cause is not None and cause.sources else {} for cause in by_curve]
+    return tuple(sources) if any(sources) else ()
+
+
+@dataclass(frozen=True)
+class LineCovariance:
+    """A `Covariance` of errors that are independent from line to line, except for `shared`."""
+
+    lines: ComplexArray
+    shared: float = 1.0
+    reference: Array | None = field(default=None, init=False)
+
+    def at(self, lines: Lines) -> LineCovariance:
+        """Select some lines."""
+        return replace(self, lines=self.lines[lines])
+
+    def select(self, elements: Sequence[int]) -> LineCovariance:
+        """Select some elements."""
+        return replace(self, lines=self.lines[:, elements][:, :, elements])
+
+    def of_sums(self, weights: ComplexArray) -> Array:
+        """Return the covariance of weighted sums over lines and elements."""
+        complex_sum = np.einsum("kap,kac,kcq->pq", weights.conj(), self.lines, weights, optimize=True)
+        return np.asarray(0.5 * self.shared * complex_sum.real)
+
+
+@dataclass(frozen=True)
+class BudgetTable:
+    """Uncertainty budget of one value as text: contributions, type, standard uncertainty, share of the variance.
+
+    `value`, `expanded`: magnitude and its expanded uncertainty U, in `unit`.
+
+    `rows`: name, type, standard uncertainty in `unit`, share of the combined variance; largest first.
+    """
+
+    title: str  # ratio and frequency of the value
+    value: float
+    expanded: float
+    unit: str
+    rows: tuple[tuple[str, str, float, float], ...]
+
+    @property
+    def combined(self) -> float:
+        """Combined standard uncertainty (GUM 5.1.2)."""
+        return float(np.linalg.norm([row[2] for row in self.rows]))
+
+    def __str__(self) -> str:
+        heading = ("contribution", "type", f"standard uncertainty / ({self.unit})", "share")
+        body = [
+            (name, evaluation, f"{standard:.2g}", "-" if np.isnan(share) else f"{100.0 * share:.1f} %")
+            for name, evaluation, standard, share in self.rows
+        ]
+        body.append(("combined", "", f"{self.combined:.2g}", ""))
+        widths = [max(len(row[k]) for row in (heading, *body)) for k in range(4)]
+        lines = [
+            "  ".join(
+                cell.ljust(width) if k < 2 else cell.rjust(width)
+                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+            ).rstrip()
+            for row in (heading, *body)
+        ]
+        magnitude = round_to_bound(self.value, self.expanded)
+        expanded = round_to_bound(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
+        return "\n".join([f"{self.title}: ({magnitude} ± {expanded}) {self.unit} (95 %)", *lines])
+
+    __repr__ = __str__
+
+
+def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees: ArrayLike = 0.0) -> Array:
+    """Return the expanded uncertainty U of a real quantity, for a coverage of about 95 %.
+
+    Parameters
+    ----------
+    standard : array_like
+        Standard uncertainty u of all contributions that have no limit.
+    limits : sequence of array_like
+        Limits of error a of independent contributions, in the shape of `standard`.
+    degrees : array_like
+        Degrees of freedom of `standard`; 0 where they are unknown.
+
+    Examples
+    --------
+    Ten readings, two limits of error, and a single limit, which is never exceeded:
+
+    >>> [round(float(expand(*of)), 3) for of in ((1.0, (), 9), (0.0, (1.0, 1.0)), (0.0, (1.0,)))]
+    [2.262, 1.633, 1.0]
+    """
+    # The quantile of a rectangular distribution is below its limit. The largest limits are therefore added, too.
+    standard, *limits = np.broadcast_arrays(np.asarray(standard, dtype=float), *limits)
+    descending = -np.sort([-limit for limit in limits], axis=0)
+    whole: Array = np.zeros(standard.shape)
+    expanded = np.full(standard.shape, np.inf)
+    for count in range(len(descending) + 1):
+        combined = np.linalg.norm([standard, *standard_of_limit(descending[count:])], axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Welch-Satterthwaite formula (GUM G.4.1).
+            effective = np.nan_to_num(degrees * (combined / standard) ** 4, nan=0.0, posinf=_NORMAL_DEGREES)
+        expanded = np.minimum(expanded, whole + coverage_factor(effective) * combined)
+        if count < len(descending):
+            whole = whole + descending[count]
+    return np.asarray(expanded)
+
+
+def standard_of_limit(limit: ArrayLike) -> Array:
+    """Return the standard uncertainty of an error within ±limit, with a rectangular distribution (GUM 4.3.7)."""
+    return np.asarray(limit, dtype=float) / _ROOT_3
+
+
+def coverage_factor(degrees: ArrayLike, confidence: float = 0.95) -> Array:
+    """Return the coverage factor k of an expanded uncertainty (GUM 6.3.3, G.4); degrees of freedom 0: unknown.
+
+    >>> coverage_factor([0.0, 3.0, 30.0, 100.0]).round(2).tolist()
+    [2.0, 3.18, 2.04, 2.0]
+    """
+    known = known_degrees(np.asarray(degrees, dtype=float))
+    factor = scipy.special.stdtrit(known, 0.5 + confidence / 2.0)
+    return np.where(known >= _MIN_NORMAL_DEGREES, COVERAGE_FACTOR, factor) if confidence == 0.95 else np.asarray(factor)
+
+
+def circle_factor(confidence: float, degrees: Array) -> Array:
+    """Return the coverage factor of a complex mean: radius of its circle relative to the standard uncertainty.
+
+    >>> circle_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
+    [2.45, 19.97, 2.58]
+    """
+    # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
+    known = known_degrees(degrees)
+    return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
+
+
+def known_degrees(degrees: Array) -> Array:
+    """Replace unknown degrees of freedom (0) with a number for which the distribution is normal (GUM G.3.4)."""
+    return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)

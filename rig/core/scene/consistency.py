@@ -1,0 +1,147 @@
+"""Checks of references between the sections of a scene, such as whether the body or shaker that a test names exists.
+
+Each check compares a section with those before it in `Scene`. `valid` contains the valid sections among these, by key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from pydantic import AfterValidator, ValidationInfo
+
+from rig.core.scene.body_names import body_problems
+from rig.core.scene.measurement_chain import Channel, Converter
+from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
+from rig.core.settings.problems import KeyPath, Problem, combined_error
+
+if TYPE_CHECKING:
+    from rig.core.scene.damper import Damper
+    from rig.core.scene.excitation import Test
+    from rig.core.scene.measurement_chain import RecordingSettings
+
+ValidSections = Mapping[str, Any]
+
+
+def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
+    yield from body_problems(valid, damper.body, ("body",))
+
+
+def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
+    for number, shaker in enumerate(as_tuple(value)):
+        key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
+        for k, body in enumerate(shaker.bodies):
+            yield from body_problems(
+                valid, body, (*key_path, k) if isinstance(getattr(shaker, "body", None), tuple) else key_path
+            )
+
+
+def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:
+    return () if test is None else test.references(valid)
+
+
+def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Problem]:
+    if channel.body is not None:
+        yield from body_problems(valid, channel.body, ("at",))
+    elif channel.at == "hammer":
+        if "test" in valid and (valid["test"] is None or valid["test"].hammer is None):
+            message = "this test has no hammer; expected a body or the table, or a test of kind impulse"
+            yield Problem(("at",), message, absent="" if valid["test"] else "test")
+    elif "shaker" in valid:
+        yield from _check_location_at_shaker(channel, as_tuple(valid["shaker"]), valid.get("test"), ("at",))
+
+
+def _check_channels(channels: tuple[Channel, ...] | None, valid: ValidSections) -> Iterable[Problem]:
+    first_index: dict[str, int] = {}
+    for k, channel in enumerate(channels or ()):
+        if channel.name in first_index:
+            first_number = first_index[channel.name] + 1
+            message = f'"{channel.name}" is also the name of channels[{first_number}]; expected a unique name'
+            yield Problem((k, "name"), message)
+        first_index.setdefault(channel.name, k)
+
+
+def _check_location_at_shaker(
+    channel: Channel, shakers: tuple[Shaker, ...], test: Test | None, key_path: KeyPath
+) -> Iterable[Problem]:
+    """Check that the shaker at which a channel measures exists and has the measured quantity."""
+    kind, n_shakers = channel.place_kind, len(shakers)
+    if n_shakers > 1 and channel.number is None:
+        names = ", ".join(at_shaker(kind, number, n_shakers) for number in range(1, n_shakers + 1))
+        yield Problem(key_path, f"there are {n_shakers} shakers; expected one of {names}")
+        return
+    if channel.number is not None and (n_shakers < 2 or channel.number > n_shakers):
+        names = f"{kind} 1 to {kind} {n_shakers}" if n_shakers > 1 else kind
+        count_text = f"{n_shakers} shaker{'s' if n_shakers > 1 else ''}"
+        yield Problem(key_path, f"got {channel.at} with {count_text} in the scene; expected {names}")
+        return
+    shaker = shakers[(channel.number or 1) - 1] if shakers else None
+    absent = "" if shakers else "shaker"
+    if kind == "table" and (shaker is None or kind not in shaker.points):
+        with_table = " or ".join(name for name, each in KINDS.items() if kind in each.points)
+        message = f"the scene has no shaker table; expected a body, or a shaker of kind {with_table}"
+        yield Problem(key_path, message, absent)
+    elif kind == "drive" and shaker is None:
+        yield Problem(
+            key_path,
+            "the scene has no shaker, so there is no drive to measure. Add a shaker, or remove the channel.",
+            absent,
+        )
+    elif kind == "shaker" and shaker is None:
+        remedy = "Mount the channel on a body (at: body 1), or add a shaker of kind force."
+        yield Problem(key_path, f"the scene has no force shaker. {remedy}", absent)
+    elif kind == "shaker" and shaker is not None and kind not in shaker.points:
+        yield Problem(key_path, shaker.force_hint(at_shaker("table", channel.number or 1, n_shakers)))
+    elif kind == "shaker" and test is not None and test.hammer is not None:
+        message = "in a hammer test the shaker is idle, so its force is not measured."
+        yield Problem(key_path, f"{message} Mount this channel at the hammer (at: hammer).")
+
+
+def _check_converter(converter: Converter, valid: ValidSections) -> Iterable[Problem]:
+    channels = valid.get("channels")
+    if channels is not None and isinstance(converter.skew, tuple) and len(converter.skew) != len(channels):
+        yield Problem(("skew",), f"got {len(converter.skew)} values; expected {len(channels)}, one for each channel")
+
+
+def _check_recording(recording: RecordingSettings, valid: ValidSections) -> Iterable[Problem]:
+    converter = valid.get("converter")
+    if converter is not None and recording.samples == "counts" and not (converter.bits or converter.preset):
+        yield Problem(("samples",), "counts require a converter with bits. Add bits to converter.")
+
+
+Check = Callable[[Any, ValidSections], Iterable[Problem]]
+
+
+def _validator(check: Check) -> AfterValidator:
+    """Return a pydantic validator that applies a check to a field of `Scene`, or to each item of the field."""
+
+    def validate(section: Any, info: ValidationInfo) -> Any:
+        problems = list(check(section, info.data))
+        if problems:
+            raise combined_error("references", problems)
+        return section
+
+    return AfterValidator(validate)
+
+
+DAMPER = _validator(_check_damper)
+SHAKERS = _validator(_check_shakers)
+TEST = _validator(_check_test)
+CHANNEL = _validator(_check_channel)
+CHANNELS = _validator(_check_channels)
+CONVERTER = _validator(_check_converter)
+RECORDING = _validator(_check_recording)
+
+
+def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem]:
+    """Check that the test's highest frequency is below half the sample rate of readings and drive."""
+    highest = None if test is None else test.highest
+    if highest is None:
+        return
+    (key_path, frequency), rate = highest, converter.sample_rate
+    if frequency >= rate / 2:
+        yield Problem(
+            ("test", *key_path),
+            f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
+            "Lower the frequency, or raise converter.rate.",
+        )

@@ -1,0 +1,136 @@
+"""Settings of a particle damper: its bed of particles, contact with the walls (floor, ceiling), and grains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar
+
+from rig.core.scene.shaker import Body
+from rig.core.settings.alternatives import Alternatives, by_key
+from rig.core.settings.problems import Problem
+from rig.core.settings.quantities import DASHPOT, DENSITY, LENGTH, MASS, MODULUS, RATIO, STIFFNESS, TIME
+from rig.core.settings.quantity_field import Quantity, unexpected_value_message
+from rig.core.settings.settings import Settings
+
+
+class TimedContact(Settings):
+    """Wall contact given by its duration; the damper's restitution sets the rebound speed."""
+
+    duration: Annotated[float, Quantity(TIME, above=0.0)]
+    """Contact duration of an isolated impact [s]; without loss, half the natural period of bed and body on the
+    contact stiffness."""
+
+
+class SpringDamper(Settings):
+    """Wall contact given by spring and dashpot, which also determine the restitution."""
+
+    stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
+    """Contact stiffness: force per overlap [N/m]."""
+    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
+    """Contact damping: force per speed of approach [N s/m]."""
+
+
+Wall = Annotated[TimedContact | SpringDamper, Alternatives(by_key)]
+
+
+class Walls(Settings):
+    """Different settings for floor and ceiling."""
+
+    floor: Wall
+    """The floor: duration, or stiffness and damping."""
+    ceiling: Wall
+    """The ceiling: duration, or stiffness and damping."""
+
+
+Contact = Annotated[TimedContact | SpringDamper | Walls, Alternatives(by_key)]
+
+
+def walls_of(contact: TimedContact | SpringDamper | Walls | None) -> tuple[TimedContact | SpringDamper, ...]:
+    """Return the settings of floor and ceiling, or one item if both are the same; empty if contact is instantaneous."""
+    if isinstance(contact, Walls):
+        return contact.floor, contact.ceiling
+    return () if contact is None else (contact,)
+
+
+class Grains(Settings):
+    """The bed as spheres in an upright cylinder (discrete element method); by default the bed moves as one mass.
+
+    Normal contact is Hertzian with a dashpot. Tangential contact follows Mindlin up to Coulomb's limit, without
+    rolling friction. The walls have the grains' material. Defaults are those of lead shot: density and Poisson's
+    ratio from handbooks, restitution of lead balls from E. Hodgkinson (Report of the British Association, 1834).
+    """
+
+    diameter: Annotated[float, Quantity(LENGTH, above=0.0)]
+    """Diameter of the spheres [m]."""
+    spread: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.0
+    """Relative half-width of the uniform distribution of diameters about `diameter`; sizes are random (`seed`)."""
+    density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
+    """Density [kg/m^3]; it is adjusted slightly so that the bed is a whole number of grains."""
+    modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e8
+    """Young's modulus [Pa], below the 16 GPa of lead because stiffer grains need shorter time steps."""
+    poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
+    """Poisson's ratio."""
+    restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
+    """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
+    friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
+    """Coefficient of friction of grains and walls. The default is assumed; graphited shot has less."""
+    side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
+    """Friction coefficient of the side wall; 0 for a narrow cavity that represents part of a wide cavity. None: as
+    `friction`."""
+    cavity: Annotated[float, Quantity(LENGTH, above=0.0)] = 40e-3
+    """Diameter of the cavity [m]; 40 mm in the rig of Inoue, Yokomichi and Hiraki (2011)."""
+    time_step: Annotated[float, Quantity(TIME, above=0.0)] | None = None
+    """Largest time step [s]; by default 0.03 Rayleigh times of the smallest grain, less if restitution is below 0.2."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that a grain fits into the cavity."""
+        if self.diameter * (1.0 + self.spread) > self.cavity:
+            yield Problem(
+                ("cavity",),
+                unexpected_value_message(
+                    f"{self.cavity:g} m",
+                    f"at least the diameter of the largest grain, {self.diameter * (1.0 + self.spread):g} m",
+                ),
+            )
+
+
+class Damper(Settings):
+    """A particle damper: the bed as one mass that rests on the floor, separates, and hits floor and ceiling."""
+
+    one_of: ClassVar = (("mass", "mass_ratio"),)
+    body: Body
+    """The body with the cavity, by its number from 1 or its name; a body may have several."""
+    mass: Annotated[float, Quantity(MASS, above=0.0)] | None = None
+    """Mass of the bed [kg]."""
+    mass_ratio: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
+    """Instead of `mass`: ratio of the bed's mass to the mass of its body."""
+    clearance: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)]
+    """Free height of the cavity above the bed [m]; infinite: no ceiling, 0: the bed cannot move."""
+    restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
+    """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
+    contact: Contact | None = None
+    """Finite-duration contact with floor and ceiling; by default contact is instantaneous."""
+    grains: Grains | None = None
+    """The bed as spheres (requires the optional dependency `grains`); by default the bed is one mass."""
+    locked: bool = False
+    """Whether the bed is glued to the floor."""
+
+    @property
+    def moves(self) -> bool:
+        """Return whether the bed can move in its cavity: it is not locked and has clearance."""
+        return not self.locked and self.clearance > 0.0
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the restitution is given once, and that the bed is either one mass or grains."""
+        if self.grains is not None and self.restitution:
+            yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
+        if self.grains is not None and self.contact is not None:
+            message = "contact and grains are given together, but grains have a contact law. Remove contact or grains."
+            yield Problem(("contact",), message)
+        has_duration = any(isinstance(wall, TimedContact) for wall in walls_of(self.contact))
+        if self.restitution and self.contact is not None and not has_duration:
+            yield Problem(
+                ("restitution",),
+                "stiffness and damping of the contact determine the restitution. Remove restitution, or give contact: "
+                "duration.",
+            )

@@ -1,0 +1,146 @@
+"""Hammer hits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.scene.body_names import body_problems
+from rig.core.scene.excitation.kind import Count, Duration, KindOfTest, Pulses, Start
+from rig.core.scene.shaker import Body
+from rig.core.settings.problems import Problem
+from rig.core.settings.quantities import FORCE, RATIO
+from rig.core.settings.quantity_field import Quantity
+from rig.core.settings.settings import Settings
+
+
+class DoubleHit(Settings):
+    """Double hit: the hammer bounces, and a second, weaker pulse follows."""
+
+    hits: tuple[Count, ...] | None = Field(None, min_length=1)
+    """Numbers of the hits that bounce, from 1; None: all."""
+    after: Duration = 20e-3
+    """Time from the start of the first pulse to the start of the second [s]."""
+    ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
+    """Ratio of the second pulse's peak to the first's."""
+
+
+class Impulse(KindOfTest):
+    """Hammer hits: half-sine pulses of force on a body."""
+
+    kind: Literal["impulse"] = "impulse"
+    recorded_as: ClassVar = "hits"
+    level_keys: ClassVar = ("peak",)
+    uses_shaker: ClassVar = False
+    start: Start = "settled"
+    body: Body
+    """The body hit, by its number from 1 or its name."""
+    peak: Annotated[float, Quantity(FORCE, above=0.0)]
+    """Peak of the pulse [N]."""
+    width: Duration
+    """Duration of the half sine [s]; a softer tip makes it longer."""
+    repeats: Count = 1
+    """Number of hits."""
+    interval: Duration = 6.0
+    """Time from one hit to the next, and recording time after the last [s]."""
+    double_hit: DoubleHit | None = None
+    """Bounces of the hammer, each with a second, weaker pulse; None: single hits only."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that pulses do not overlap."""
+        if self.width >= self.interval:
+            yield Problem(
+                ("width",),
+                f"got {self.width:g} s, which is not shorter than the interval between hits, {self.interval:g} s. Give "
+                "a shorter width or a longer interval.",
+            )
+        if self.double_hit is None:
+            return
+        if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
+            yield Problem(
+                ("double_hit", "after"),
+                f"got {self.double_hit.after:g} s, but the second pulse must lie between the first pulse and the next "
+                f"hit. Give at least {self.width:g} s and less than {self.interval - self.width:g} s, or a longer "
+                "interval.",
+            )
+        for k, hit in enumerate(self.double_hit.hits or ()):
+            if hit > self.repeats:
+                yield Problem(
+                    ("double_hit", "hits", k),
+                    f"hit {hit} does not exist; expected at most {self.repeats}, the number of repeats",
+                )
+
+    @property
+    def hammer(self) -> int:
+        """Number of the body hit, from 1."""
+        return self.body
+
+    @property
+    def shortest(self) -> float:
+        """Time of all hits, s."""
+        return self.repeats * self.interval
+
+    @property
+    def simulated(self) -> float:
+        """Time of all hits, s."""
+        return self.shortest
+
+    def is_double(self, hit: int) -> bool:
+        """Return whether the hammer bounces at a hit; `hit`: its number, from 1."""
+        return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
+
+    def pulses(self, rate: float) -> list[Array]:
+        """Return the force of each hit with its bounce, N, from its first sample; `rate`: samples per second."""
+        single = double = half_sine(self.peak, self.width, rate)
+        if self.double_hit is not None:
+            second = half_sine(self.peak * self.double_hit.ratio, self.width, rate)
+            delay = max(1, round(self.double_hit.after * rate))
+            double = np.zeros(delay + second.size)
+            double[: single.size] += single
+            double[delay:] += second
+        return [double if self.is_double(hit) else single for hit in range(1, self.repeats + 1)]
+
+    def wave(self, samples: int, rate: float) -> Pulses:
+        """Return the force, N: the hits of a recording, of which the first begins at t = 0."""
+        force, interval = np.zeros(samples), max(1, round(self.interval * rate))
+        for first, pulse in zip(range(0, samples, interval), self.pulses(rate), strict=False):
+            force[first : first + pulse.size] = pulse[: samples - first]
+        return Pulses("hammer", force)
+
+    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
+        """Check the body."""
+        return body_problems(valid, self.body, ("body",))
+
+
+def half_sine(peak: float, width: float, rate: float) -> Array:
+    """Return samples of a half-sine pulse, N, whose linear interpolation has the requested peak and impulse.
+
+    `peak`: N; `width`: s; `rate`: Hz. Linear interpolation reduces the area of a sampled half sine; the pulse is
+    therefore longer than `width`. One sample is at the peak.
+
+    >>> pulse = half_sine(50.0, 4e-3, 5120.0)
+    >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
+    (50.0, 1.0)
+    """
+    from scipy.optimize import brentq
+
+    target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
+    if target_sum < 1.2:  # 4 / pi for two samples, with a tolerance for a width rounded as in the message
+        raise SceneError(
+            f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
+            f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise the sample rate (converter.rate)."
+        )
+
+    def pulse(length: float) -> Array:
+        """Sample a half sine with a peak of 1 and a length in samples."""
+        half = int(np.ceil(length / 2))
+        offset = np.arange(-half, half + 1)
+        return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
+
+    length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
+    return peak * pulse(length)

@@ -1,0 +1,238 @@
+"""Base class of all kinds of test: the facts that other modules use, with the values that most kinds share.
+
+The class of a kind states its own facts. Other modules never ask which kind of test a scene has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+
+from pydantic import Field
+
+from rig.core.base.arrays import Array
+from rig.core.scene.shaker import Shaker, as_tuple
+from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
+from rig.core.settings.quantity_field import Quantity
+from rig.core.settings.settings import Settings
+
+Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
+Duration = Annotated[float, Quantity(TIME, above=0.0)]
+# The unit of the drive depends on the shaker: volts at its amplifier, or commanded displacement of the table.
+Force = Annotated[float, Quantity(FORCE, above=0.0)]
+Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
+Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
+Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, above=0.0, listed=True)]
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+ShakerNumber = Annotated[int, Field(ge=1)]
+Start = Annotated[
+    Literal["settled", "empty"],
+    Field(
+        description="Initial position, at rest with the dampers on their floors. settled: static equilibrium; empty: "
+        "x = 0, the equilibrium of the structure without dampers."
+    ),
+]
+Spacing = Literal["linear", "log"]
+
+#: Maximum number of frequencies of a test.
+MAX_STEPS = 100_000
+#: Relative tolerance within which a controller accepts a force.
+FORCE_TOLERANCE = 0.005
+
+
+class Chirp(NamedTuple):
+    """Open-loop drive: a tone of changing frequency at the level of the test, from t = 0 to `KindOfTest.shortest`."""
+
+    phase: Array  # rad, shape (samples,)
+    frequency: Array  # Hz, shape (samples,)
+
+
+class Pulses(NamedTuple):
+    """Open-loop drive: samples of one input."""
+
+    input: Literal["hammer", "shaker"]
+    values: Array  # in the unit of the input, shape (samples,)
+
+
+class Rest(NamedTuple):
+    """Open-loop drive: none."""
+
+
+class Settle(Settings):
+    """Criterion for the steady state of a step."""
+
+    tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
+    """Largest relative change of any channel's first harmonic between successive time windows."""
+    longest: Duration = 60.0
+    """Longest time to wait for the steady state [s]."""
+
+
+class KindOfTest(Settings):
+    """A kind of test. Subclasses are the sections `test` of a scene; this class has no keys.
+
+    `recorded_as`: how recordings of this kind are evaluated, a value of `daq.core.recording.recorded_test.TestKind`.
+    `level_keys`: keys of which one is the level of the test. `uses_shaker`: whether a shaker is driven. `single_tone`:
+    whether the drive is one tone at a time.
+    """
+
+    recorded_as: ClassVar[str]
+    level_keys: ClassVar[tuple[str, ...]] = ("force", "drive")
+    uses_shaker: ClassVar[bool] = True
+    single_tone: ClassVar[bool] = False
+
+    @classmethod
+    def kind_name(cls) -> str:
+        """Return the value of `kind`, which is also the name of the kind's modules."""
+        return str(cls.model_fields["kind"].default)
+
+    @property
+    def level_key(self) -> str:
+        """Key of the level; empty if the test has no level."""
+        return next((key for key in self.level_keys if getattr(self, key) is not None), "")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Levels (amplitude or root mean square of force or drive) in the order of the test, in the key's unit."""
+        level = getattr(self, self.level_key) if self.level_key else ()
+        return level if isinstance(level, tuple) else (level,)
+
+    def at_level(self, level: float) -> Self:
+        """Return the test at another level."""
+        return self.replace(**{self.level_key: level})
+
+    @property
+    def driven(self) -> int | None:
+        """Number of the driven shaker, from 1, if the test gives it."""
+        return getattr(self, "shaker", None)
+
+    @property
+    def also_driven(self) -> tuple[int, ...]:
+        """Numbers of the shakers that are driven simultaneously."""
+        return getattr(self, "also", None) or ()
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """Lowest and highest frequency of the drive, Hz; default: the keys `from` and `to`; None without a band."""
+        first, last = getattr(self, "from_", None), getattr(self, "to", None)
+        return None if first is None or last is None else (min(first, last), max(first, last))
+
+    @property
+    def dwells(self) -> tuple[float, ...]:
+        """Frequencies of the tones that are held until steady state, in the order of one level, Hz."""
+        return ()
+
+    @property
+    def sweep_direction(self) -> Literal["up", "down", "both"]:
+        """Order in which the frequencies are visited."""
+        return "up"
+
+    @property
+    def range_of_dwells(self) -> tuple[float | None, float | None, int | None]:
+        """Lowest and highest frequency (Hz) and number of evenly spaced dwells; None if the test does not give it."""
+        return None, None, None
+
+    @property
+    def steady_state(self) -> Settle:
+        """Criterion for the steady state of a tone."""
+        return Settle()
+
+    def tones(self, points: int) -> tuple[float, ...]:
+        """Return the tones of the test, or `points` frequencies over its band, ascending, Hz; () without a band."""
+        if self.dwells:
+            return tuple(sorted(set(self.dwells)))
+        return () if self.band is None else spaced_frequencies(*self.band, points, "log")
+
+    @property
+    def highest(self) -> tuple[KeyPath, float] | None:
+        """Key path and value of the highest frequency, Hz; None without a band."""
+        if self.band is None:
+            return None
+        key = "to" if getattr(self, "to", None) == self.band[1] else "from"
+        return (key,), self.band[1]
+
+    @property
+    def shortest(self) -> float:
+        """Duration without waits for steady states, s; default: the key `duration`."""
+        return float(getattr(self, "duration", 0.0))
+
+    @property
+    def simulated(self) -> float:
+        """Duration of the open-loop drive in `rig simulate`, s; default: the key `duration`, or 2 s."""
+        return float(getattr(self, "duration", 2.0))
+
+    @property
+    def tone(self) -> float | None:
+        """Frequency of the open-loop drive, Hz, if it is a tone."""
+        return self.dwells[0] if self.dwells else None
+
+    def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:
+        """Return the open-loop drive, if it is not a tone; None if it depends on readings. `rate`: Hz."""
+        return None
+
+    @property
+    def hammer(self) -> int | None:
+        """Number of the body that a hammer hits, from 1; None without a hammer."""
+        return None
+
+    def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array] | None:
+        """Return initial displacement (m) and velocity (m/s) of the bodies, shape (bodies,); None for rest.
+
+        `shapes` computes the mode shapes of the structure, shape (bodies, modes).
+        """
+        return None
+
+    def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
+        """Return the controlled quantity: its amount per meter of displacement at each location; {} in open loop.
+
+        By default it is the force of the driven shaker, whose table has the name `table`.
+        """
+        if self.level_key != "force" or shaker.drive_is_force:
+            return {}
+        return shaker.force_terms("", table)
+
+    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
+        """Check references to other sections; `valid`: the valid sections before the test, by key."""
+        if self.uses_shaker and "shaker" in valid:
+            yield from self._check_shakers(as_tuple(valid["shaker"]))
+
+    def _check_shakers(self, shakers: tuple[Shaker, ...]) -> Iterable[Problem]:
+        """Check the numbers of the driven shakers, and that the first has the key of the level."""
+        n_shakers, number, others = len(shakers), self.driven or 1, self.also_driven
+        if not shakers:
+            message = f"{self.kind_name()} requires a shaker. Add a shaker to the scene."
+            yield Problem(("kind",), message, absent="shaker")
+        elif n_shakers > 1 and self.driven is None:
+            message = f"the scene has {n_shakers} shakers, but the test does not name the driven one."
+            yield Problem((), f"{message} Add shaker: N to the test, with N from 1 to {n_shakers}.")
+        elif number > n_shakers:
+            yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")
+        elif max(others, default=0) > n_shakers:
+            yield Problem(("also",), f"shaker {max(others)} does not exist; expected numbers from 1 to {n_shakers}")
+        elif len({self.driven, *others}) <= len(others):
+            message = "a shaker is given twice; expected each number once in the keys shaker and also together"
+            yield Problem(("also",), message)
+        elif self.level_key in {"force", "drive"} - {*shakers[number - 1].level_keys}:
+            shaker = shakers[number - 1]
+            message = f"a shaker of kind {shaker.kind} {shaker.level_remark}. Give {shaker.level_keys[0]} instead."
+            yield Problem((self.level_key,), message)
+
+
+def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> tuple[float, ...]:
+    """Return `points` frequencies, evenly spaced on a linear or logarithmic axis; first and last are exact.
+
+    >>> spaced_frequencies(8.0, 10.0, 3, "linear")
+    (8.0, 9.0, 10.0)
+    """
+    fractions = [k / (points - 1) for k in range(points)]
+    if spacing == "log":
+        interior = [first * (last / first) ** fraction for fraction in fractions]
+    else:
+        interior = [first + (last - first) * fraction for fraction in fractions]
+    return (first, *interior[1:-1], last)
+
+
+def check_band(low: float, high: float) -> Iterable[Problem]:
+    """Check that a frequency band is given with its lower end first."""
+    if low >= high:
+        yield Problem(("from",), f"got {low:g} Hz, which is not below to, {high:g} Hz. Give the lower end first.")

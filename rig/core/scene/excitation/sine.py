@@ -1,0 +1,43 @@
+"""A sine of constant frequency and amplitude."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+from rig.core.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start
+from rig.core.settings.problems import KeyPath
+
+
+class Sine(KindOfTest):
+    """A sine of constant frequency and amplitude: amplitude times sin(2 pi f t) from t = 0."""
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["sine"] = "sine"
+    recorded_as: ClassVar = "tones"
+    single_tone: ClassVar = True
+    start: Start = "settled"
+    frequency: Frequency
+    """Frequency [Hz]."""
+    force: Force | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    drive: Drive | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    duration: Duration = 2.0
+    """Duration of the test [s]."""
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The frequency as a band, Hz."""
+        return self.frequency, self.frequency
+
+    @property
+    def highest(self) -> tuple[KeyPath, float]:
+        """Key path and value of the frequency."""
+        return ("frequency",), self.frequency
+
+    @property
+    def dwells(self) -> tuple[float, ...]:
+        """The frequency, Hz."""
+        return (self.frequency,)

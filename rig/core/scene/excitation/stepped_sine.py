@@ -1,0 +1,127 @@
+"""A series of tones, each measured in steady state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from rig.core.scene.excitation.kind import (
+    MAX_STEPS,
+    Count,
+    Drives,
+    Forces,
+    Frequency,
+    KindOfTest,
+    Settle,
+    ShakerNumber,
+    Spacing,
+    Start,
+    spaced_frequencies,
+)
+from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.settings import Settings
+
+
+class Measure(Settings):
+    """Measurement time of a step in steady state, in periods of the drive."""
+
+    periods: Count = 20
+    """Number of periods."""
+
+
+class SteppedSine(KindOfTest):
+    """A series of tones; each is brought to the level, settles to steady state and is measured."""
+
+    one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
+    kind: Literal["stepped_sine"] = "stepped_sine"
+    recorded_as: ClassVar = "tones"
+    single_tone: ClassVar = True
+    start: Start = "settled"
+    from_: Frequency | None = Field(None, alias="from")
+    """First frequency [Hz]."""
+    to: Frequency | None = None
+    """Last frequency [Hz], above from."""
+    points: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
+    """Number of frequencies, both ends inclusive."""
+    frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MAX_STEPS)
+    """Instead of from, to and points: the frequencies [Hz] in ascending order."""
+    spacing: Spacing = "linear"
+    """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
+    direction: Literal["up", "down", "both"] = "up"
+    """Order of the frequencies; both: up, then down."""
+    force: Forces | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
+    levels are run one after another."""
+    drive: Drives | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]. Several levels are run one
+    after another."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    settle: Settle = Settle()
+    """Criterion for the steady state of a step."""
+    measure: Measure = Measure()
+    """Measurement time of a step in steady state."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check the range or the list of frequencies."""
+        if self.frequencies is not None:
+            if self.from_ is not None or self.to is not None:
+                yield Problem((), "frequencies and from or to are given together. Remove frequencies, or from and to.")
+            if any(b <= a for a, b in zip(self.frequencies, self.frequencies[1:], strict=False)):
+                yield Problem(
+                    ("frequencies",),
+                    "the frequencies do not ascend. List them from low to high; direction: down reverses their order.",
+                )
+        elif self.from_ is None or self.to is None:
+            yield Problem((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
+        elif self.from_ >= self.to:
+            message = f"got {self.from_:g} Hz, which is not below to, {self.to:g} Hz. Give the lower end first"
+            yield Problem(("from",), f"{message}; direction: down sweeps downward.")
+
+    @property
+    def order(self) -> tuple[float, ...]:
+        """The frequencies of one level in the order of the test [Hz]."""
+        ascending = self.frequencies
+        if ascending is None:
+            ascending = spaced_frequencies(self.from_ or 0.0, self.to or 0.0, self.points or 0, self.spacing)
+        descending = ascending[::-1]
+        return {"up": ascending, "down": descending, "both": ascending + descending}[self.direction]
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency, Hz."""
+        return min(self.order), max(self.order)
+
+    @property
+    def highest(self) -> tuple[KeyPath, float] | None:
+        """Key path and value of the highest frequency, Hz."""
+        if self.frequencies is None:
+            return super().highest
+        return ("frequencies", len(self.frequencies) - 1), self.frequencies[-1]
+
+    @property
+    def dwells(self) -> tuple[float, ...]:
+        """The frequencies of one level in the order of the test, Hz."""
+        return self.order
+
+    @property
+    def sweep_direction(self) -> Literal["up", "down", "both"]:
+        """Order of the frequencies of one level."""
+        return self.direction
+
+    @property
+    def range_of_dwells(self) -> tuple[float | None, float | None, int | None]:
+        """First and last frequency (Hz) and number of frequencies."""
+        return self.from_, self.to, self.points
+
+    @property
+    def steady_state(self) -> Settle:
+        """Criterion for the steady state of a step."""
+        return self.settle
+
+    @property
+    def shortest(self) -> float:
+        """Time of all measurements, s."""
+        return len(self.levels) * self.measure.periods * sum(1.0 / frequency for frequency in self.order)

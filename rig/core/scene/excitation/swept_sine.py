@@ -1,0 +1,75 @@
+"""A sine whose frequency sweeps from one end to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.kind import (
+    Chirp,
+    Drive,
+    Duration,
+    Force,
+    Frequency,
+    KindOfTest,
+    ShakerNumber,
+    Spacing,
+    Start,
+)
+from rig.core.settings.problems import Problem
+
+
+class SweptSine(KindOfTest):
+    """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
+
+    one_of: ClassVar = (("force", "drive"),)
+    kind: Literal["swept_sine"] = "swept_sine"
+    recorded_as: ClassVar = "sweep"
+    single_tone: ClassVar = True
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    """First frequency [Hz]."""
+    to: Frequency
+    """Last frequency [Hz], above or below the first."""
+    duration: Duration
+    """Duration of the sweep [s]."""
+    spacing: Spacing = "log"
+    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
+    force: Force | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    drive: Drive | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the two end frequencies differ."""
+        if self.from_ == self.to:
+            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
+
+    @property
+    def sweep_direction(self) -> Literal["up", "down"]:
+        """Direction of the sweep."""
+        return "up" if self.from_ < self.to else "down"
+
+    def frequency_at(self, fraction: Any) -> Any:
+        """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
+        if self.spacing == "linear":
+            return self.from_ + (self.to - self.from_) * fraction
+        return self.from_ * (self.to / self.from_) ** fraction
+
+    def periods_at(self, fractions: Array) -> Array:
+        """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
+        if self.spacing == "linear":
+            return self.duration * (self.from_ * fractions + (self.to - self.from_) * fractions**2 / 2)
+        log_ratio = np.log(self.to / self.from_)
+        return np.asarray(self.duration * self.from_ * np.expm1(log_ratio * fractions) / log_ratio)
+
+    def wave(self, samples: int, rate: float) -> Chirp:
+        """Return the tone at its momentary frequency; after the sweep, the last phase."""
+        progress = np.minimum(np.arange(samples) / rate / self.duration, 1.0)
+        return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))

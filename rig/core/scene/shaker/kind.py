@@ -1,0 +1,140 @@
+"""Base class of all kinds of shaker: the facts that other modules use, with the values that most kinds share.
+
+The class of a kind states its own facts. Other modules never ask which kind of shaker a scene has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.equations import Equations
+from rig.core.settings.quantities import Kind
+from rig.core.settings.settings import Settings
+
+
+class Glyph(NamedTuple):
+    """How a shaker is drawn."""
+
+    title: str
+    shape: Literal["arrow", "box", "cylinder"]
+    table: str = "table"  # name of its moving part
+
+
+class AmplifierOutput(NamedTuple):
+    """Output of a power amplifier."""
+
+    unit: str
+    gain: float  # output per unit of drive
+    limit: float  # largest output
+
+
+class ShakerEffect(NamedTuple):
+    """A physical effect of a shaker, for `rig explain`."""
+
+    name: str
+    states: int
+    detail: str
+
+
+class KindOfShaker(Settings):
+    """A kind of shaker. Subclasses are the sections `shaker` of a scene; this class has no keys.
+
+    `drive_quantity`: quantity of its drive. `level_keys`: keys of a test's level that it permits; `level_remark`: why
+    it permits no other. `points`: locations at it at which a channel can measure. `prescribed`: whether its table has a
+    prescribed motion. `drive_is_force`: whether its drive is the force on the structure. `references`: denominators of
+    responses, the default first. `glyph`: how it is drawn.
+    """
+
+    drive_quantity: ClassVar[Kind]
+    level_keys: ClassVar[tuple[str, ...]] = ("force", "drive")
+    level_remark: ClassVar[str] = ""
+    points: ClassVar[tuple[str, ...]] = ("table", "drive")
+    prescribed: ClassVar[bool] = False
+    drive_is_force: ClassVar[bool] = False
+    references: ClassVar[tuple[str, ...]] = ("force", "table")
+    glyph: ClassVar[Glyph]
+
+    @property
+    def name_of_kind(self) -> str:
+        """Value of the key `kind`."""
+        return str(type(self).model_fields["kind"].default)
+
+    @property
+    def drive_unit(self) -> str:
+        """Unit of the drive."""
+        return self.drive_quantity.si
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """The bodies on which it acts, from 1."""
+        return ()
+
+    @property
+    def coil_spring(self) -> float | None:
+        """Stiffness of the spring between its table and its body, N/m; None without one."""
+        return None
+
+    @property
+    def corner(self) -> float:
+        """Corner frequency of the servo of its table, Hz; 0 without a servo."""
+        return 0.0
+
+    @property
+    def power_amplifier(self) -> AmplifierOutput | None:
+        """Its power amplifier, if it has one."""
+        return None
+
+    @property
+    def drive_limit(self) -> float:
+        """Largest drive within the range of the amplifier."""
+        amplifier = self.power_amplifier
+        return np.inf if amplifier is None else amplifier.limit / amplifier.gain
+
+    @property
+    def newtons_per_drive(self) -> float:
+        """Rough static force on the structure per unit of drive, N."""
+        raise NotImplementedError
+
+    def add_to(self, equations: Equations, drive: str, table: str) -> None:
+        """Add it to the equations of motion; `drive`, `table`: names of its input and of its table."""
+        raise NotImplementedError
+
+    def force_terms(self, drive: str, table: str) -> dict[str, float]:
+        """Return the locations of the channels from which its force on the structure follows, and their weights.
+
+        `drive`, `table`: locations of its force and of its table. The weights are 1 for a force, otherwise N per m of
+        displacement.
+        """
+        return {}
+
+    def force_row(self, states: int, table: int | None) -> Array:
+        """Return the row whose product with the state is its force on the structure, N, shape (states,).
+
+        `table`: row of its table. The row is zero if no state gives the force.
+        """
+        return np.zeros(states)
+
+    def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the drive, up to a constant gain, per meter of table motion and per newton on the table; `s` = iω."""
+        raise NotImplementedError
+
+    def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
+        """Yield its effects; `bodies`: names of its bodies; `modes_at_rest`: modes with the table at rest, as text."""
+        raise NotImplementedError
+
+    def output_text(self, suffix: str, bodies: str) -> str:
+        """Describe what an output drives, and its value per volt; `suffix`: " 2" for the second of several shakers."""
+        raise NotImplementedError
+
+    def force_hint(self, table: str) -> str:
+        """Return why no channel measures its force, and what to measure instead; `table`: location of its table."""
+        raise NotImplementedError
+
+
+def servo_inverse(corner: float, s: complex | ComplexArray) -> ComplexArray:
+    """Return the command of a position servo per displacement; `corner`: corner frequency, Hz."""
+    return np.asarray(np.square(1.0 + s / (2.0 * np.pi * corner)), dtype=np.complex128)

@@ -1,0 +1,333 @@
+"""The energy balance of a run: work of the drive, stored energy, and dissipated energy.
+
+Power and dissipation are quadratic forms of the state. Both are integrated over every interval between samples and
+breaks (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
+energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
+
+A table index is the position of a contact configuration (which dampers are in contact with which wall) in the flow
+tables. A segment is a time interval under one drive, such as a sample interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.engine.flow_tables import FlowTables
+from rig.core.engine.state import State
+from rig.core.engine.trajectory import Trajectory
+from rig.core.laws.events import CEILING, FLIGHT
+from rig.core.numerics.bernstein import N_COEFFICIENTS
+from rig.core.system.hybrid_system import FORCE_OF_BED, HybridSystem
+
+#: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
+#: error.
+_GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
+# Maximum number of values of power series in memory at a time.
+_MAX_VALUES = 1 << 21
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Energy balance over a run, J.
+
+    `stored`, `stored_before`: kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at
+    the end and at the start. `contacts`: energy lost in finite-duration contacts, by dashpots and by contact springs
+    that are still compressed at release.
+    """
+
+    work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
+    stored: float
+    stored_before: float
+    dissipated: float  # energy dissipated in structural damping, suspension and coil resistance
+    impacts: float  # energy lost in impacts
+    contacts: float
+    grains: float  # energy transferred to beds of grains: stored in their motion, and dissipated
+
+    @property
+    def residual(self) -> float:
+        """Work minus all stored, dissipated, lost and transferred energy; zero within rounding error."""
+        lost = self.dissipated + self.impacts + self.contacts + self.grains
+        return self.work - (self.stored - self.stored_before) - lost
+
+
+def total_energy(balances: Sequence[Energy]) -> Energy:
+    """Add the energy balances of successive sections of a run."""
+    sums = {
+        name: sum(getattr(balance, name) for balance in balances)
+        for name in ("work", "dissipated", "impacts", "contacts", "grains")
+    }
+    return Energy(stored=balances[-1].stored, stored_before=balances[0].stored_before, **sums)
+
+
+@dataclass(frozen=True)
+class QuadraticForms:
+    """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices (size, size)."""
+
+    stored: Array  # z' stored z: energy, J
+    dissipated: Array  # the others: power, W
+    power: Array  # of the drive
+    to_grains: Array  # into beds of grains
+
+
+def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
+    """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
+
+    `output`: matrix that maps the drive states p to the inputs, u = output p.
+    """
+    n, ns = system.coordinates, system.states
+    size = ns + output.shape[1]
+    mass = system.mass.copy()
+    stiffness = -system.force_state[:, :n]
+    damping = -system.force_state[:, n : 2 * n]
+    # A prescribed coordinate has no mass of its own. Its actuator does work against the structure.
+    prescribed = system.prescribed
+    mass[prescribed] = 0.0
+    stiffness[prescribed], damping[prescribed] = system.reaction[:, :n], system.reaction[:, n : 2 * n]
+    input_force = np.zeros((n, size))
+    is_bed_input = np.array([name.startswith(f"{FORCE_OF_BED} ") for name in system.inputs], dtype=bool)
+    input_force[:, ns:] = system.force_drive[:, ~is_bed_input] @ output[~is_bed_input]
+    input_force[prescribed] = 0.0
+    input_force[prescribed, :ns] = system.reaction
+    to_grains = np.zeros((size, size))
+    to_grains[n : 2 * n, ns:] = -system.force_drive[:, is_bed_input] @ output[is_bed_input]
+    further = np.arange(2 * n, ns)
+    power = np.zeros((size, size))
+    power[n : 2 * n] = input_force
+    power[2 * n : ns, ns:] = system.state_power @ output
+    stored = np.zeros((size, size))
+    stored[:n, :n] = stiffness
+    stored[n : 2 * n, n : 2 * n] = mass
+    stored[further, further] = system.state_energy
+    dissipated = np.zeros((size, size))
+    dissipated[n : 2 * n, n : 2 * n] = damping
+    dissipated[further, further] = system.state_loss
+    return QuadraticForms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
+
+
+def _symmetric(matrix: Array) -> Array:
+    """Return the symmetric part of a matrix, which has the same quadratic form."""
+    return 0.5 * (matrix + matrix.T)
+
+
+def _quadratic(form: Array, states: Array) -> Array:
+    """Return z' form z for each state z."""
+    return ((states @ form) * states).sum(axis=-1)
+
+
+def energy_balance(
+    tables: FlowTables,
+    start: State,
+    end: State,
+    trajectory: Trajectory,
+    segment_states: Array,
+    durations: Array,
+) -> Energy:
+    """Compute the energy balance of a simulated motion.
+
+    `tables`: the flow tables of its simulation; `start`, `end`: states before and after the
+    motion; `segment_states`: states at the starts of the segments; `durations`: durations of the segments, s.
+    """
+    forms = quadratic_forms(tables.system, tables.drive.output)
+    intervals = _intervals(tables, trajectory, segment_states, durations)
+    work, dissipated, dashpots, to_grains = _integrate(tables, forms, *intervals)
+    return Energy(
+        work=work,
+        stored=_stored_energy(tables, forms, end),
+        stored_before=_stored_energy(tables, forms, start),
+        dissipated=dissipated,
+        impacts=_impact_losses(tables.system, trajectory),
+        contacts=dashpots + _release_losses(tables, trajectory),
+        grains=to_grains,
+    )
+
+
+def fourier_integral(
+    tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array, omega: float
+) -> NDArray[np.complex128]:
+    """Integrate z(t) e^{-i omega t} over a motion, shape (size,).
+
+    `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
+    Intervals end at breaks, so that the quadrature has its full order.
+    """
+    total = np.zeros(tables.size, dtype=np.complex128)
+    nodes, node_weights = _GAUSS_RULE
+    powers = np.vander(nodes, N_COEFFICIENTS + 1, increasing=True).T * node_weights
+    for _, terms, lengths, starts in _steps(tables, *_intervals(tables, trajectory, segment_states, durations)):
+        # Sum over the nodes first, because the series has many terms but few weights.
+        phase_factors = np.exp(-1j * omega * (starts + nodes[:, None] * lengths))
+        weights = (powers @ phase_factors) * (
+            np.vander(lengths / tables.step, N_COEFFICIENTS + 1, increasing=True).T * lengths
+        )
+        integrals = np.stack([weights.real, weights.imag], axis=1) @ terms
+        total += [1.0, 1.0j] @ integrals.sum(axis=0)
+    return total
+
+
+def _intervals(
+    tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
+) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    """Divide the motion into intervals at segment ends and breaks.
+
+    Returns for each interval its initial state, table index, duration [s] and start time [s].
+    """
+    size = tables.size
+    segments = len(durations)
+    # An interval begins with each segment, at offset 0, and at each break in a segment.
+    segment = np.concatenate([np.arange(segments), trajectory.break_segment])
+    offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
+    states = np.concatenate([segment_states[:, :size], trajectory.state_after[:, :size]])
+    # Preserve the order of breaks, because several may occur at one instant.
+    order = np.lexsort((np.arange(len(segment)), offset, segment))
+    segment, offset = segment[order], offset[order]
+    first_index = trajectory.table_index_before[0] if len(trajectory.table_index_before) else trajectory.table_index[0]
+    # Only breaks change the table index (-1: unchanged); other intervals have the index of the previous interval.
+    new_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
+    new_indices[0] = first_index if new_indices[0] < 0 else new_indices[0]
+    last_change = np.maximum.accumulate(np.where(new_indices >= 0, np.arange(len(new_indices)), 0))
+    table_indices = new_indices[last_change]
+    next_offset = np.append(offset[1:], 0.0)
+    has_next = np.append(segment[1:] == segment[:-1], False)
+    lengths = np.where(has_next, next_offset, durations[segment]) - offset
+    segment_starts = np.concatenate([[0.0], np.cumsum(durations)[:-1]])
+    return states[order], table_indices, np.maximum(lengths, 0.0), segment_starts[segment] + offset
+
+
+def _steps(
+    tables: FlowTables, states: Array, table_indices: NDArray[np.int64], lengths: Array, starts: Array
+) -> Iterator[tuple[int, Array, Array, Array]]:
+    """Split intervals into parts no longer than a step; yield groups of parts in the same contact configuration.
+
+    Yields the table index, the power series (terms, parts, size), the durations and the start times, s.
+    """
+    step, max_rows = tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
+    while len(states):
+        continues = lengths > step * (1.0 + 1e-12)
+        part_lengths, ends = np.where(continues, step, lengths), np.empty_like(states)
+        for table_index in np.unique(table_indices).tolist():
+            indices = np.flatnonzero(table_indices == table_index)
+            for rows in np.split(indices, range(max_rows, indices.size, max_rows)):
+                terms = _series(tables, table_index, states[rows])
+                yield table_index, terms, part_lengths[rows], starts[rows]
+                unfinished = continues[rows]
+                ends[rows[unfinished]] = _sum_series(terms[:, unfinished], np.ones(int(unfinished.sum())))
+        states, table_indices = ends[continues], table_indices[continues]
+        lengths, starts = lengths[continues] - step, starts[continues] + step
+
+
+def _integrate(
+    tables: FlowTables,
+    forms: QuadraticForms,
+    states: Array,
+    table_indices: NDArray[np.int64],
+    lengths: Array,
+    starts: Array,
+) -> tuple[float, float, float, float]:
+    """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
+    work = dissipated = dashpots = to_grains = 0.0
+    system = tables.system
+    walls = _walls(tables)
+    for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
+        fractions = durations / tables.step
+        in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
+        damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
+        for node, weight in zip(*_GAUSS_RULE, strict=True):
+            at_node = _sum_series(terms, fractions * node)
+            node_weights = weight * durations
+            work += float(node_weights @ _quadratic(forms.power, at_node))
+            dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
+            if forms.to_grains.any():
+                to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
+            dashpots += float(
+                node_weights @ (at_node[:, system.coordinates + system.gap_coordinate[in_contact]] ** 2 @ damping)
+            )
+    return work, dissipated, dashpots, to_grains
+
+
+def _walls(tables: FlowTables) -> NDArray[np.int64]:
+    """Return the number of the force of each element in its law; shape (configurations, elements)."""
+    configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)
+    return tables.system.force_indices(configurations)
+
+
+def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
+    """Return the energy in contact springs, J; `walls`, shape (states, dampers), as in `_walls`."""
+    energy = np.zeros(len(states))
+    for j in np.flatnonzero(system.finite_contact):
+        stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
+        overlap = states[:, system.gap_coordinate[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
+        energy += 0.5 * stiffness * overlap**2
+    return energy
+
+
+def _release_losses(tables: FlowTables, trajectory: Trajectory) -> float:
+    """Return the energy [J] of contact springs that are still compressed at release: they recover without force."""
+    walls = _walls(tables)
+    before = _contact_energy(tables.system, walls[trajectory.table_index_before], trajectory.state_before)
+    after = _contact_energy(tables.system, walls[trajectory.table_index_after], trajectory.state_after)
+    return float((before - after).sum())
+
+
+def _series(tables: FlowTables, table_index: int, states: Array) -> Array:
+    """Return the power series of states over a step, shape (terms, states, size)."""
+    flow, size = tables.flow, tables.size
+    if tables.has_series:
+        matrix = flow.series[table_index].reshape(size, N_COEFFICIENTS + 1, -1)[:, :, :size]
+        constant = flow.series_constant[table_index].reshape(N_COEFFICIENTS + 1, -1)[:, :size]
+        return np.tensordot(states, matrix, 1).transpose(1, 0, 2) + constant[:, None]
+    from scipy.sparse import csr_array
+
+    rates = csr_array((flow.rates[table_index], flow.column, flow.row_pointer), shape=(size, size))
+    terms = np.empty((N_COEFFICIENTS + 1, len(states), size))
+    terms[0] = states
+    for k in range(N_COEFFICIENTS):
+        terms[k + 1] = (rates @ terms[k].T).T * (tables.step / (k + 1))
+        if k == 0:
+            terms[1] += flow.rates_constant[table_index] * tables.step
+    return terms
+
+
+def _sum_series(terms: Array, tau: Array) -> Array:
+    """Return the states at the fractions `tau` of a step, shape (states, size), by Horner's method."""
+    total = terms[-1].copy()
+    for term in terms[-2::-1]:
+        total *= tau[:, None]
+        total += term
+    return total
+
+
+def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> float:
+    """Return the stored energy of structure, dampers and contact springs in a state, J."""
+    system = tables.system
+    n, body = system.coordinates, system.damper_coordinate
+    z = state.z[: tables.size]
+    contact = tables.contacts(state.mode)
+    is_flying = contact == FLIGHT
+    wall_height = z[body] + np.where(contact == CEILING, system.clearance, 0.0)
+    height = np.where(is_flying, state.height, wall_height)
+    velocity = np.where(is_flying, state.velocity, z[n + body])
+    energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
+    energy += float(_contact_energy(system, contact[None], z[None])[0])
+    # Beds with finite-duration contact are part of the mass matrix.
+    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
+    return energy + float(masses @ (system.gravity * height + 0.5 * velocity**2))
+
+
+def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
+    """Return the kinetic energy lost at the breaks, J."""
+    n = system.coordinates
+    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
+    loss = 0.0
+    for sign, states, damper_velocities in (
+        (1.0, trajectory.state_before, trajectory.damper_velocity_before),
+        (-1.0, trajectory.state_after, trajectory.damper_velocity_after),
+    ):
+        velocity = states[:, n : 2 * n]
+        loss += sign * 0.5 * float(np.einsum("bi,ij,bj->", velocity, system.mass, velocity))
+        loss += sign * 0.5 * float((damper_velocities**2 @ masses).sum())
+    return loss

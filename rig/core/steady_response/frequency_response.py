@@ -1,0 +1,464 @@
+"""Steady frequency response of a scene with dampers: exact integration until steady, continued over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import count
+from threading import Event
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.base.progress import CountProgress
+from rig.core.engine.propagator import Propagator, tone_propagator
+from rig.core.engine.trajectory import Trajectory
+from rig.core.laws.events import CONTACT_EVENTS
+from rig.core.results import Result, complete_style
+from rig.core.scene.loading import SceneLike, scene_of
+from rig.core.scene.scene import Scene
+from rig.core.settings.quantities import FREQUENCY, positive_values
+from rig.core.simulation.energy import fourier_integral
+from rig.core.steady_response.motion_type import combined_type, motion_types
+from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle
+from rig.core.system.assembly import assemble, force_row
+from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.open_loop_drive import level_of, tone_drive
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from rig.core.results.response import Response
+
+#: The controlled spring force agrees with its level within this fraction.
+LEVEL_TOLERANCE = 1e-6
+#: Maximum number of drive levels tried for one point.
+MAX_LEVEL_TRIALS = 25
+#: Number of periods over which a motion without repetition is averaged.
+IRREGULAR_PERIODS = 16
+#: Two computations have the same motion if their compliances differ by at most this fraction of the largest compliance.
+SAME_MOTION_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True, repr=False)
+class SteadyResponse(Result):
+    """Steady response over frequency, in the order in which the frequencies were visited.
+
+    Attributes
+    ----------
+    frequency : ndarray, shape (frequencies,)
+        Hz.
+    compliance : complex ndarray, shape (bodies, frequencies)
+        First harmonic of each displacement, divided by the first harmonic of the force, m/N; x(t) = Re(X e^{i w t}).
+    peak : ndarray, shape (bodies, frequencies)
+        Half the peak-to-peak displacement, m.
+    force : ndarray, shape (frequencies,)
+        Amplitude of the force's first harmonic, N.
+    motion_type : ndarray of str, shape (frequencies,)
+        "linear" (no damper moves in its cavity), "riding" (at rest on the floor), "I", "II", "III" (see
+        `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
+    damper_motion : ndarray of str, shape (dampers, frequencies)
+        Motion type of each moving damper.
+    impacts : ndarray, shape (dampers, frequencies)
+        Impacts per period of the drive.
+    closing_speed : ndarray, shape (dampers, frequencies)
+        Largest approach speed of each moving damper to a wall, m/s; 0 without contact.
+    converged : ndarray of bool, shape (frequencies,)
+    repetition : ndarray of int, shape (frequencies,)
+        Periods of the drive after which the motion repeats; 0 if no repetition was detected.
+    residual : ndarray, shape (frequencies,)
+        Estimated distance from the steady state, relative to the motion; without repetition, the smallest change over
+        1 to 8 periods.
+    bodies : tuple of str
+        Names of the bodies; empty if they have numbers only.
+    """
+
+    frequency: Array
+    compliance: NDArray[np.complex128]
+    peak: Array
+    force: Array
+    motion_type: NDArray[np.str_]
+    damper_motion: NDArray[np.str_]
+    impacts: Array
+    closing_speed: Array
+    converged: NDArray[np.bool_]
+    repetition: NDArray[np.int64]
+    residual: Array
+    bodies: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the bodies: their names, or body 1, body 2, ..."""
+        return self.bodies or tuple(f"body {number}" for number in range(1, len(self.compliance) + 1))
+
+    @property
+    def response(self) -> Response:
+        """Return the compliance of all bodies as a `rig.Response`, for plots with measured responses."""
+        return compliance_response(self.frequency, self.labels, self.compliance, self.force, ~self.converged)
+
+    def summary(self) -> str:
+        """Summarize frequency range, peak and motion types."""
+        body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        return (
+            f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
+            f"{1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
+            f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+        )
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return frequency, compliance of each body, and motion type."""
+        return {
+            "frequency_Hz": self.frequency,
+            **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
+            "motion_type": self.motion_type,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the compliance of each body."""
+        draw_compliance(ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style)
+        ax.set(xlabel="frequency / Hz")
+
+
+def compliance_response(
+    frequency: Array,
+    labels: Sequence[str],
+    compliance: NDArray[np.complex128],
+    force: Array | None = None,
+    unsteady: NDArray[np.bool_] | None = None,
+    label: str = "computed",
+) -> Response:
+    """Create a `rig.Response` from the compliance of bodies, (bodies, frequencies)."""
+    from rig.core.results.response import Point, Response
+
+    return Response(
+        frequency,
+        np.ascontiguousarray(compliance.T[:, :, None]),
+        tuple(Point(name, "displacement", name) for name in labels),
+        amplitude=force,
+        unsteady=unsteady,
+        label=label,
+    )
+
+
+def draw_compliance(
+    ax: Axes,
+    abscissa: Array,
+    labels: Sequence[str],
+    compliance: NDArray[np.complex128],
+    is_marked: NDArray[np.bool_],
+    marker_label: str,
+    **style: Any,
+) -> None:
+    """Draw the compliance of each body, (bodies, points), in the order of the points, with optional markers."""
+    for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
+        (line,) = ax.loglog(abscissa, row, **complete_style(style, label=label))
+        ax.plot(abscissa[is_marked], row[is_marked], "o", mfc="white", mec=line.get_color(), ms=4)
+    if is_marked.any():
+        ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=marker_label)
+    ax.set(ylabel="|compliance| / (µm/N)")
+
+
+@dataclass(frozen=True)
+class SteadyMotion:
+    """Steady-state motion at one frequency, over one repetition.
+
+    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`, whose
+    segments last `interval` s; of each damper, `types`: motion type, `impacts`: impacts per period of the drive,
+    `closing_speed`: as in `SteadyResponse`.
+    """
+
+    steady: SteadyState
+    end_state: tuple[Array, ...]
+    trajectory: Trajectory
+    initial_states: Array
+    interval: float
+    types: list[str]
+    impacts: Array
+    closing_speed: Array
+
+
+@dataclass(frozen=True)
+class SteadyPoint:
+    """Response of a steady-state motion at one frequency; `end_state` is the initial state for the next frequency.
+
+    The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
+    `settle`, and the drive level relative to the level of the linear structure.
+    """
+
+    frequency: float
+    compliance: NDArray[np.complex128]
+    peak: Array
+    force: float
+    types: list[str]
+    impacts: Array
+    closing_speed: Array
+    steady: SteadyState
+    end_state: tuple[Array, ...]
+    level: complex
+
+
+def frequency_response(
+    scene: SceneLike,
+    frequencies: ArrayLike,
+    direction: str = "up",
+    tolerance: float = 1e-8,
+    longest: int = 20_000,
+    progress: CountProgress | None = None,
+) -> SteadyResponse:
+    """Compute the steady response of a scene at a list of frequencies.
+
+    Parameters
+    ----------
+    scene : Scene, str, Path or mapping
+        A scene, or an argument of `rig.load`. Its test gives the level: `force` (the applied force, or the first
+        harmonic of the spring force) or `drive`.
+    frequencies : array_like or sequence of str, shape (frequencies,)
+        Hz, or strings with a unit, such as ``"49 Hz"``.
+    direction : {"up", "down", "both"}
+        Order of the frequencies; each starts from the motion at the previous frequency. "both" is up, then down.
+    tolerance : float
+        Largest distance from steady state, relative to the motion, for a point to count as converged.
+    longest : int
+        Number of periods after which a point is returned as not converged.
+    progress : callable, optional
+        Called with the number of completed points and the total.
+
+    Raises
+    ------
+    SceneError
+        If a frequency is not positive, or the scene has no shaker or no level.
+
+    Notes
+    -----
+    The list is divided into two sections that are computed in parallel on two cores. The second section starts from
+    rest. Its points are then recomputed from the last motion of the first section, until a point is the same motion.
+
+    Examples
+    --------
+    >>> import rig
+    >>> scene = rig.load("fig9")
+    >>> response = rig.frequency_response(scene.replace(shaker={"kind": "force", "body": 1}, channels=None), [50.0])
+    >>> str(response.motion_type[0]), bool(response.converged[0])
+    ('II', True)
+    """
+    scene = scene_of(scene)
+    requested = positive_values(frequencies, FREQUENCY, "frequencies")
+    if direction not in ("up", "down", "both"):
+        raise SceneError(f"direction: got {direction!r}; expected up, down or both")
+    level_of(scene)
+    ascending = np.sort(requested)
+    tasks = {"up": [ascending], "down": [ascending[::-1]], "both": [ascending, ascending[::-1]]}[direction]
+    continuation = SteadyContinuation(scene, tolerance, longest)
+    completed_points, total = count(1), sum(len(task) for task in tasks)
+
+    def compute_section(order: Array) -> list[SteadyPoint]:
+        points = []
+        for point in continuation.points(order):
+            points.append(point)
+            if progress is not None:
+                progress(min(next(completed_points), total), total)
+        return points
+
+    with ThreadPoolExecutor(2) as pool:
+        try:
+            if len(tasks) == 2:
+                points = [point for section in pool.map(compute_section, tasks) for point in section]
+            else:
+                points = _compute_in_two_sections(pool, continuation, compute_section, tasks[0])
+        except BaseException:
+            # Leaving the pool waits for the other section, so stop it first.
+            continuation.stopped.set()
+            raise
+    return _join_points(points, continuation.system, scene.structure.names)
+
+
+def _compute_in_two_sections(
+    pool: ThreadPoolExecutor,
+    continuation: SteadyContinuation,
+    compute_section: Callable[[Array], list[SteadyPoint]],
+    order: Array,
+) -> list[SteadyPoint]:
+    """Compute two halves of the frequencies in parallel, and let the second continue the motion of the first."""
+    # The first point of the second section is always recomputed, so that sections of up to two points save no time.
+    if len(order) < 4:
+        return compute_section(order)
+    middle = len(order) // 2
+    pending = pool.submit(compute_section, order[middle:])
+    first = compute_section(order[:middle])
+    second = pending.result()
+    # The second section started from rest, so its first points may have another motion than the first section.
+    previous = first[-1]
+    for k, estimate in enumerate(second):
+        point = continuation.point(estimate.frequency, previous)
+        second[k] = point
+        if _same_motion(point, estimate):
+            break
+        previous = point
+    return first + second
+
+
+def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
+    magnitude = np.abs(second.compliance).max()
+    difference = np.abs(first.compliance - second.compliance).max()
+    return first.types == second.types and bool(difference < SAME_MOTION_TOLERANCE * magnitude)
+
+
+class SteadyContinuation:
+    """Continuation of the steady-state motion of a scene in frequency."""
+
+    def __init__(self, scene: Scene, tolerance: float, longest: int) -> None:
+        self.scene, self.system = scene, assemble(scene)
+        self.tolerance, self.longest = tolerance, longest
+        #: Set when no more points are required.
+        self.stopped = Event()
+        shaker = scene.driven_shaker
+        self.drive_is_force = shaker is not None and shaker.drive_is_force
+        self.controls_spring_force = scene.level_key == "force" and not self.drive_is_force
+
+    def points(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
+        """Yield points at the given frequencies, each from the previous point; the first from rest."""
+        previous = None
+        for frequency in order:
+            previous = self.point(float(frequency), previous)
+            yield previous
+
+    def point(self, frequency: float, previous: SteadyPoint | None) -> SteadyPoint:
+        """Compute the steady-state response at one frequency, from the motion at another or from rest."""
+        propagator, steps = self._propagator(frequency, previous)
+        if not self.controls_spring_force:
+            return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
+        return self._reach_spring_force(propagator, steps, frequency, previous)
+
+    def motions(self, order: Sequence[float] | Array) -> Iterator[SteadyMotion]:
+        """Yield the motions of `points` without their response; the force must act directly on a body.
+
+        The Fourier integrals of the response would take a sixth of the time.
+        """
+        assert not self.controls_spring_force
+        previous = None
+        for frequency in order:
+            propagator, steps = self._propagator(float(frequency), previous)
+            previous = self._settle(propagator, steps, 1.0, self.tolerance)
+            yield previous
+
+    def _propagator(self, frequency: float, previous: SteadyMotion | SteadyPoint | None) -> tuple[Propagator, float]:
+        """Return a propagator at the end of the motion at another frequency or at rest, and its steps per period."""
+        tone = tone_drive(self.scene, self.system, frequency)
+        assert tone is not None
+        propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)
+        if previous is None:
+            propagator.set_state(tone.state, np.array([1.0, 0.0]))
+        else:
+            propagator.resume(previous.end_state)
+        return propagator, steps
+
+    def _reach_spring_force(
+        self, propagator: Propagator, steps: float, frequency: float, previous: SteadyPoint | None
+    ) -> SteadyPoint:
+        """Compute the drive level that gives the required spring force, by the secant method in logarithms."""
+        target_force = level_of(self.scene)
+        level = abs(previous.level) if previous is not None else 1.0
+        trials: list[tuple[float, float]] = []
+        point = None
+        for _ in range(MAX_LEVEL_TRIALS):
+            error = abs(trials[-1][1]) if trials else 1.0
+            # Far from the required force, a coarse steady state is sufficient and faster.
+            tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
+            point = self._measure(propagator, steps, frequency, level, tolerance)
+            log_error = float(np.log(point.force / target_force)) if point.force > 0.0 else -1.0
+            trials.append((float(np.log(level)), log_error))
+            if abs(log_error) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
+                break
+            level = float(np.exp(_next_level(trials)))
+        assert point is not None
+        converged = abs(trials[-1][1]) < 10.0 * LEVEL_TOLERANCE
+        return point if converged else replace(point, steady=replace(point.steady, converged=False))
+
+    def _settle(self, propagator: Propagator, steps: float, level: float, tolerance: float) -> SteadyMotion:
+        """Integrate until the motion is steady at a drive level, and over one repetition."""
+        system = self.system
+        propagator.start_period(level)
+        steady = settle(propagator, steps, level, tolerance, self.longest, self.stopped.is_set)
+        repetition = steady.repetition or IRREGULAR_PERIODS
+        trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
+        interval = steps / INSTANTS_PER_PERIOD * propagator.tables.step
+        is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
+        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
+        np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
+        return SteadyMotion(
+            steady=steady,
+            end_state=propagator.snapshot(),
+            trajectory=trajectory,
+            initial_states=initial_states,
+            interval=interval,
+            types=motion_types(trajectory, system, steady.repetition, interval),
+            impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
+            closing_speed=closing_speed,
+        )
+
+    def _measure(
+        self, propagator: Propagator, steps: float, frequency: float, level: float, tolerance: float
+    ) -> SteadyPoint:
+        """Integrate until the motion is steady at a drive level, and compute its response over one repetition."""
+        system, n, omega = self.system, self.system.coordinates, 2.0 * np.pi * frequency
+        motion = self._settle(propagator, steps, level, tolerance)
+        trajectory, repetition = motion.trajectory, motion.steady.repetition or IRREGULAR_PERIODS
+        durations = np.full(len(motion.initial_states), motion.interval)
+        harmonic = fourier_integral(propagator.tables, trajectory, motion.initial_states, durations, omega) / (
+            np.pi * repetition / omega
+        )
+        positions = trajectory.state[:, :n]
+        if self.drive_is_force:
+            # The force is a sine: Re(-i F e^{i w t}) = F sin(w t).
+            force = -1j * level_of(self.scene) * level
+        else:
+            force = complex(force_row(self.scene, system) @ harmonic[: system.states])
+        bodies = self.scene.structure.bodies
+        return SteadyPoint(
+            frequency=frequency,
+            compliance=harmonic[:bodies] / force if force else np.full(bodies, np.nan + 0j),
+            peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
+            force=abs(force),
+            types=motion.types,
+            impacts=motion.impacts,
+            closing_speed=motion.closing_speed,
+            steady=motion.steady,
+            end_state=motion.end_state,
+            level=level,
+        )
+
+
+def _next_level(trials: list[tuple[float, float]]) -> float:
+    """Return ln(level) after a secant step of at most a factor of two; `trials`: ln(level), ln(force / target)."""
+    log_level, log_error = trials[-1]
+    slope = 1.0
+    if len(trials) > 1:
+        previous_level, previous_error = trials[-2]
+        change = log_level - previous_level
+        secant = (log_error - previous_error) / change if change else 1.0
+        # If the force hardly rises with the level (or falls, near a jump), the step would be too large.
+        slope = secant if secant > 0.1 else 1.0
+    step = -log_error / slope
+    return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))
+
+
+def _join_points(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:
+    types = [point.types for point in points]
+    return SteadyResponse(
+        frequency=np.array([p.frequency for p in points]),
+        compliance=np.array([p.compliance for p in points]).T,
+        peak=np.array([p.peak for p in points]).T,
+        force=np.array([p.force for p in points]),
+        motion_type=np.array([combined_type(t) for t in types]),
+        damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
+        impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
+        closing_speed=np.array([p.closing_speed for p in points]).reshape(len(points), system.dampers).T,
+        converged=np.array([p.steady.converged for p in points]),
+        repetition=np.array([p.steady.repetition for p in points]),
+        residual=np.array([p.steady.residual for p in points]),
+        bodies=tuple(names or ()),
+    )

@@ -1,0 +1,69 @@
+"""Classification of a damper's periodic motion; Types I to III are those of Inoue, Yokomichi and Hiraki (2011)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.engine.trajectory import Trajectory
+from rig.core.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
+from rig.core.system.hybrid_system import HybridSystem
+
+#: A contact with the ceiling is a stay if it is longer than this multiple of the duration of an isolated contact.
+MIN_STAY_RATIO = 2.0
+
+
+def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, segment_duration: float) -> list[str]:
+    """Classify the motion of every damper over one repetition of a steady-state motion.
+
+    `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
+    `segment_duration`: duration of a segment of the trajectory, s.
+
+    Returns one of these types for each damper: "riding" (at rest on the floor throughout), "I" (one floor impact per
+    period), "II" (one floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay),
+    "k per n" (k impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
+    """
+    times = trajectory.event_segment * segment_duration + trajectory.event_offset
+    cycle = len(trajectory.state) * segment_duration
+    events_of_dampers = [trajectory.event_damper == j for j in range(system.dampers)]
+    return [
+        type_of(trajectory.event_kind[events], times[events], system, j, n_periods, cycle)
+        for j, events in enumerate(events_of_dampers)
+    ]
+
+
+def type_of(
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, n_periods: int, cycle: float
+) -> str:
+    """Classify the motion of a damper (from 0) by its events over `n_periods`, in total `cycle` seconds."""
+    floor_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
+    ceiling_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
+    if n_periods == 0:
+        return "irregular"
+    if floor_impacts + ceiling_impacts == 0:
+        return "riding"
+    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 0:
+        return "I"
+    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 1:
+        return "III" if _stays_at_ceiling(kinds, times, system, damper, cycle) else "II"
+    return f"{floor_impacts + ceiling_impacts} per {n_periods}"
+
+
+def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float) -> bool:
+    """Return whether the damper stays at the ceiling after its impact."""
+    impact = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
+    following = (impact + 1) % len(kinds)
+    if kinds[impact] == CEILING_IMPACT:
+        return bool(kinds[following] == SEPARATION and times[following] != times[impact])
+    stay = times[following] - times[impact] + (cycle if following < impact else 0.0)
+    return bool(stay > MIN_STAY_RATIO * system.duration_and_restitution(damper, CEILING)[0])
+
+
+def combined_type(types: list[str]) -> str:
+    """Combine the motion types of all dampers; "linear" without dampers.
+
+    >>> combined_type(["I", "II", "I"])
+    'I/II'
+    """
+    return "/".join(sorted(set(types))) if types else "linear"

@@ -1,0 +1,170 @@
+"""Output of a steady response as a text table or CSV, and the frequencies at which it is computed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.errors import SceneError
+from rig.core.base.output_files import atomic_write, csv_text
+from rig.core.results.text import format_decimals, format_frequencies, format_interval, table_lines
+from rig.core.scene.excitation import spaced_frequencies
+from rig.core.scene.scene import Scene
+from rig.core.settings.quantities import count
+from rig.core.steady_response.frequency_response import SteadyResponse
+
+# A relative uncertainty of interpolation below this is not printed.
+_NEGLIGIBLE_ERROR = 1e-4
+# Maximum number of listed peaks with few frequencies.
+_MAX_LISTED = 8
+
+
+def sweep_frequencies(
+    scene: Scene, first: float | None, last: float | None, points: int | None, direction: str | None
+) -> tuple[tuple[float, ...], str]:
+    """Return ascending frequencies in Hz and the direction ("up", "down" or "both").
+
+    An argument that is None has the value of the scene's test; without one, `points` is 101 and `direction` is "up".
+    Raises `SceneError` if neither the arguments nor the test specify the frequencies.
+    """
+    test = scene.test
+    if any(value is not None for value in (first, last, points)):
+        test_first, test_last, test_points = (None, None, None) if test is None else test.range_of_dwells
+        first, last = test_first if first is None else first, test_last if last is None else last
+        points = count(points if points is not None else test_points or 101, 2, "points")
+        if first is None or last is None:
+            raise SceneError(f"frequencies: {'--from' if first is None else '--to'} is missing. Give --from and --to.")
+        if not 0.0 < first < last:
+            raise SceneError(f"frequencies: --from {first:g} Hz is not between 0 and --to {last:g} Hz. Change --from.")
+        return spaced_frequencies(first, last, points, "linear"), direction or "up"
+    if test is not None and test.dwells:
+        return tuple(sorted(set(test.dwells))), direction or test.sweep_direction
+    raise SceneError(f"scene {scene.name!r}: the test has no frequencies. Give --from and --to.")
+
+
+def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
+    """Return column names and rows of a response, with all digits."""
+    bodies, dampers = len(response.compliance), len(response.impacts)
+    header = ["frequency_hz"]
+    for body in range(1, bodies + 1):
+        header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
+    header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
+    header += ["repetition_periods", "converged", "residual", "direction"]
+    table, sweep_directions = [], directions(response.frequency)
+    for k, frequency in enumerate(response.frequency):
+        row = [repr(float(frequency))]
+        for body in range(bodies):
+            value = response.compliance[body, k]
+            body_values = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
+            row += [repr(float(number)) for number in body_values]
+        row += [repr(float(response.force[k])), str(response.motion_type[k])]
+        row += [repr(float(impacts)) for impacts in response.impacts[:, k]]
+        row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
+        row += [repr(float(response.residual[k])), sweep_directions[k]]
+        table.append(row)
+    return header, table
+
+
+def directions(frequency: NDArray[np.float64]) -> list[str]:
+    """Return the sweep direction, "up" or "down", at each frequency in the order visited.
+
+    >>> directions(np.array([10.0, 11.0, 12.0, 12.0, 11.0]))
+    ['up', 'up', 'up', 'down', 'down']
+    """
+    steps = ["up" if step > 0.0 else "down" for step in np.diff(frequency)]
+    return [*(steps[:1] or ["up"]), *steps]
+
+
+def write_csv(response: SteadyResponse, path: Path) -> None:
+    """Write a response as CSV.
+
+    Raises `SceneError` if the file cannot be written.
+    """
+    header, table = csv_rows(response)
+    with atomic_write(path) as temporary:
+        temporary.write_text(csv_text([header, *table]), encoding="utf-8", newline="")
+
+
+def format_response(response: SteadyResponse, every_frequency: bool = False) -> str:
+    """Return a response as text: range, motion of the dampers, peaks of each body; on request every frequency."""
+    lines = [response.summary()]
+    kinds = list(dict.fromkeys(map(str, response.motion_type)))
+    if len(kinds) > 1:
+        for kind in kinds:
+            ranges = format_frequencies(response.frequency.tolist(), (response.motion_type == kind).tolist())
+            lines.append(f"  motion {kind}: {ranges}")
+    if not response.converged.all():
+        ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
+        lines.append(
+            f"  no steady state: {ranges}. Irregular motion never settles; for other motion types, pass a larger "
+            "`longest` to rig.frequency_response (Python)."
+        )
+    motion = _motion_labels(response)
+    lines += ["", *_peak_table(response, motion)]
+    if every_frequency:
+        lines += ["", *_frequency_table(response, motion)]
+    return "\n".join(lines)
+
+
+def _motion_labels(response: SteadyResponse) -> list[str]:
+    """Return the motion type at each frequency, with the direction of the sweep if it goes both up and down."""
+    sweep_directions = directions(response.frequency)
+    is_up_and_down = len(set(sweep_directions)) > 1
+    return [
+        f"{kind}, {direction}" if is_up_and_down else str(kind)
+        for kind, direction in zip(response.motion_type, sweep_directions, strict=True)
+    ]
+
+
+def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
+    """Return a table of the peaks of each body's compliance, refined between the frequencies, with notes on spacing."""
+    from rig.core.results.resonances import MIN_LINES, find_resonances
+
+    rows, coarse = [("body", "frequency / Hz", "peak / (µm/N)", "motion")], []
+    sweep_directions = np.array(directions(response.frequency))
+    for curve in response.response.curves():
+        for direction in dict.fromkeys(sweep_directions):
+            points = np.flatnonzero(sweep_directions == direction)
+            sweep = curve.at(points)
+            for peak in find_resonances(sweep):
+                k = points[peak.line]
+                # Between two frequencies at which dampers are at rest, they may move.
+                if response.motion_type[k] == "linear" and peak.is_interpolated:
+                    error = peak.expanded if peak.expanded > _NEGLIGIBLE_ERROR * peak.value else 0.0
+                    row = format_decimals(peak.frequency, 4), format_interval(1e6 * peak.value, 1e6 * error)
+                else:
+                    height = f"{1e6 * abs(curve.value[k]):.4g}"
+                    is_coarse = peak.lines < MIN_LINES or not peak.is_interpolated
+                    row = format_decimals(curve.frequency[k], 4), f"at least {height}" if is_coarse else height
+                    coarse += [peak] * is_coarse
+                rows.append((curve.response, *row, motion[k]))
+        if rows[-1][0] != curve.response:
+            k = int(np.argmax(abs(curve.value)))
+            rows.append(
+                (curve.response, format_decimals(curve.frequency[k], 4), f"{1e6 * abs(curve.value[k]):.4g}", motion[k])
+            )
+    lines = table_lines(rows, "<>><")
+    if coarse:
+        frequencies = sorted({round(peak.frequency, 2) for peak in coarse})
+        needed = min(peak.needed_spacing for peak in coarse)
+        advice = f"Compute every {needed:.1g} Hz there" if np.isfinite(needed) else "Compute more frequencies there"
+        lines.append(
+            f"fewer than {MIN_LINES} frequencies in the half-power width of the peaks near "
+            f"{', '.join(f'{frequency:.4g}' for frequency in frequencies[:_MAX_LISTED])} Hz: the true "
+            f"peaks may be higher. {advice} (--points)."
+        )
+    return lines
+
+
+def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
+    """Return a table of compliance, impacts per period and motion type at each frequency."""
+    headers = [f"{label} / (µm/N)" for label in response.labels]
+    lines = [f"{'frequency / Hz':>14}" + "".join(f"{header:>18}" for header in headers) + "  impacts  motion"]
+    for k, frequency in enumerate(response.frequency):
+        columns = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
+        remark = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
+        impacts = float(response.impacts[:, k].sum())
+        lines.append(f"{format_decimals(frequency, 4):>14}{columns}  {impacts:7.3g}  {motion[k]}{remark}")
+    return lines

@@ -1,0 +1,242 @@
+"""Assembly of the hybrid linear system of a scene, which the engine simulates.
+
+A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on the
+floor of the cavity; otherwise it *flies*.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.equations import Equations
+from rig.core.laws.landing import spring_damper
+from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
+from rig.core.scene.scene import Scene
+from rig.core.scene.shaker import at_shaker
+from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.structural_model import StructuralModel, ground_connection, structural_model
+
+#: Maximum number of free dampers: configurations, two for each damper, are 64-bit integers.
+MAX_DAMPERS = 62
+#: A stiffness matrix has an inverse if its condition number is at most this; rounding limits it to about 1e16.
+MAX_CONDITION = 1e13
+
+
+def assemble(scene: Scene) -> HybridSystem:
+    """Return the hybrid linear system of a scene, in its initial state.
+
+    The coordinates are the bodies, then the tables (heads) of the shakers that have one, then the beds with
+    finite-duration contact. Dampers that are locked or have no clearance are part of the mass matrix; the others are
+    free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or the test starts from the static
+    equilibrium of a structure without support.
+    """
+    model = structural_model(scene)
+    bodies = len(model.mass)
+    masses, body, locked = model.bed_mass, model.bed_body, model.locked
+    free = np.flatnonzero(~locked)
+    finite_contact = any(scene.dampers[j].contact is not None for j in free)
+    # Finite-duration contact has three configurations: no contact, contact with the floor, and with the ceiling.
+    limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
+    if len(free) > limit:
+        condition = " with finite-duration contact" if finite_contact else ""
+        raise SceneError(
+            f"dampers: got {len(free)} dampers that are not locked; expected at most {limit}{condition}. Lock or "
+            "remove some."
+        )
+    weight = np.zeros(bodies)
+    np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
+    equations = _without_free_beds(scene, model, weight)
+    clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
+    restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
+    walls = _stiffness_and_damping(equations.matrices()[0], [scene.dampers[j] for j in free], masses[free])
+    gap_coordinate = np.full(len(free), -1, dtype=np.intp)
+    for row, j in enumerate(free):
+        if scene.dampers[j].contact is not None:
+            gap_coordinate[row] = _add_bed(equations, body[j], masses[j], scene.gravity)
+    system = _system(
+        equations,
+        gravity=scene.gravity,
+        coordinate=body[free],
+        masses=masses[free],
+        clearance=clearance,
+        restitution=restitution,
+        number=free + 1,
+        gap_coordinate=gap_coordinate,
+        walls=walls,
+        grains=np.array([scene.dampers[j].grains is not None for j in free], dtype=bool),
+    )
+    system.initial[:] = _initial_state(scene, system)
+    return system
+
+
+def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
+    """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies and tables, shape (coordinates, coordinates)."""
+    model = structural_model(scene)
+    equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
+    return equations.matrices()
+
+
+def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
+    """Return the equations of bodies and tables with their inputs.
+
+    `weight`: constant force of the locked beds on each body, N, shape (bodies,), upwards and therefore negative.
+    """
+    structure = model.with_bed_masses()
+    ground = partial(ground_connection, scene.structure, structure)
+    equations = Equations(structure.mass, structure.damping, structure.stiffness, weight, ground)
+    for number, shaker in enumerate(scene.shakers, 1):
+        shaker.add_to(equations, *(at_shaker(noun, number, len(scene.shakers)) for noun in ("shaker", "table")))
+    if scene.hammer is not None:
+        equations.add_input("hammer", "N", {scene.hammer - 1: 1.0})
+    return equations
+
+
+def _system(
+    equations: Equations, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
+    restitution: Array, number: NDArray[np.intp], gap_coordinate: NDArray[np.intp], walls: tuple[Array, Array],
+    grains: NDArray[np.bool_],
+) -> HybridSystem:  # fmt: skip
+    """Return the system of equations; the other arguments are the fields of `HybridSystem` for the free dampers."""
+    mass, damping, stiffness = equations.matrices()
+    n, currents, n_inputs = len(mass), equations.currents, len(equations.inputs)
+    force_state = np.hstack([-stiffness, -damping, np.zeros((n, len(currents)))])
+    force_drive = np.zeros((n, n_inputs))
+    for column, forces in enumerate(equations.input_forces):
+        for row, value in forces.items():
+            force_drive[row, column] = value
+    rate_state = np.zeros((len(currents), 2 * n + len(currents)))
+    rate_drive, state_power = np.zeros((2, len(currents), n_inputs))
+    for k, current in enumerate(currents):
+        force_state[current.row, 2 * n + k] = current.force_factor
+        rate_state[k, n + current.row] = -current.force_factor / current.inductance
+        rate_state[k, 2 * n + k] = -current.resistance / current.inductance
+        rate_drive[k, current.column] = current.gain / current.inductance
+        state_power[k, current.column] = current.gain
+    return HybridSystem(
+        points=tuple(equations.points),
+        inputs=tuple(equations.inputs),
+        drive_units=tuple(equations.units),
+        drive_limit=np.array(equations.drive_limit),
+        gravity=gravity,
+        mass=mass,
+        force_state=force_state,
+        force_drive=force_drive,
+        force_constant=equations.weight,
+        rate_state=rate_state,
+        rate_drive=rate_drive,
+        state_energy=np.array([current.inductance for current in currents]),
+        state_loss=np.array([current.resistance for current in currents]),
+        state_power=state_power,
+        prescribed=np.array(equations.prescribed, dtype=np.intp),
+        reaction=equations.reaction(),
+        damper_coordinate=coordinate,
+        damper_mass=masses,
+        clearance=clearance,
+        restitution=restitution,
+        damper_number=number,
+        gap_coordinate=gap_coordinate,
+        wall_stiffness=walls[0],
+        wall_damping=walls[1],
+        grains=grains,
+        initial=np.zeros(2 * n + len(currents)),
+    )
+
+
+def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> int:
+    """Add a bed in free fall, whose coordinate is its height above the floor of its cavity; return its row."""
+    row = equations.add_coordinate(mass)
+    equations.mass[body, body] += mass
+    equations.mass[body, row] = equations.mass[row, body] = mass
+    equations.weight[[body, row]] -= mass * gravity
+    return row
+
+
+def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
+    """Return stiffness and damping of floor and ceiling of each damper, (dampers, 2); 0 for instant contact.
+
+    `mass` is the mass matrix without the dampers that move, `bed_mass` their masses, kg.
+    """
+    stiffness, damping = np.zeros((2, len(dampers), 2))
+    if all(damper.contact is None for damper in dampers):
+        return stiffness, damping
+    inverse_mass = np.diag(np.linalg.inv(mass))
+    for row, damper in enumerate(dampers):
+        contact = damper.contact
+        if contact is None:
+            continue
+        walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
+        reduced_mass = 1.0 / (1.0 / bed_mass[row] + inverse_mass[damper.body - 1])
+        for wall_index, wall in enumerate(walls):
+            stiffness[row, wall_index], damping[row, wall_index] = _wall_stiffness_and_damping(
+                wall, damper.restitution, reduced_mass
+            )
+    return stiffness, damping
+
+
+def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
+    """Return stiffness [N/m] and damping [N s/m] of a wall; `mass`: reduced mass of bed and body, kg."""
+    if isinstance(wall, TimedContact):
+        return spring_damper(wall.duration, restitution, mass)
+    return wall.stiffness, wall.damping
+
+
+def _initial_state(scene: Scene, system: HybridSystem) -> Array:
+    """Return the state at t = 0 without drive, with all dampers on their floors."""
+    state = np.zeros(system.states)
+    n = system.coordinates
+    test = scene.test
+    if test is None or test.start == "settled":
+        state[:n] = static_equilibrium(scene, system)
+    bodies = scene.structure.bodies
+    motion = None if test is None else test.initial_motion(bodies, lambda: structural_model(scene).modes.shapes)
+    if motion is not None:
+        state[:bodies] += motion[0]
+        state[n : n + bodies] += motion[1]
+    return state
+
+
+def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
+    """Return the coordinates at rest under the weight of the dampers, m.
+
+    Raises `SceneError` if nothing supports the structure.
+    """
+    n = system.coordinates
+    load = system.force_constant.copy()
+    riding = ~system.finite_contact
+    np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
+    if not load.any():
+        return np.zeros(n)
+    stiffness = -(system.force_state + system.contact_forces(system.start)[0])[:, :n]
+    if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
+        raise SceneError(
+            f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under the weight of "
+            "the dampers. Add springs to ground, or set gravity: 0 or test: {start: empty}."
+        )
+    return np.linalg.solve(stiffness, load)
+
+
+def _is_singular(stiffness: Array) -> bool:
+    """Return whether a stiffness matrix is singular within rounding error.
+
+    Its diagonal is first scaled to 1, because a large ratio of springs makes the condition number of a regular matrix
+    large.
+    """
+    scale = np.sqrt(np.abs(np.diag(stiffness)))
+    scale[scale == 0.0] = 1.0
+    return bool(np.linalg.cond(stiffness / scale / scale[:, None]) > MAX_CONDITION)
+
+
+def force_row(scene: Scene, system: HybridSystem) -> Array:
+    """Return the row whose product with the state is the force of the driven shaker on the structure, N.
+
+    The row is zero without a shaker, or if no state gives its force.
+    """
+    if scene.driven_shaker is None:
+        return np.zeros(system.states)
+    table = scene.at_driven("table")
+    return scene.driven_shaker.force_row(system.states, system.points.index(table) if table in system.points else None)

@@ -1,0 +1,288 @@
+"""The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
+
+A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
+ceiling of its cavity. An *element* is a contact law at one place (`rig.core.laws`), here of a damper. A *configuration*
+states which of the forces of its law acts in each element: it determines the equations of motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.errors import SceneError
+from rig.core.laws.landing import duration_and_restitution
+from rig.core.laws.law import Law, Row
+from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.wall_contact import wall_contact
+
+#: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
+FORCE_OF_BED = "grains"
+
+
+class Element(NamedTuple):
+    """A contact law at one place.
+
+    `body`: coordinate of the body to which the gap is measured. `gap`: coordinate that is the gap; -1 for a *detached*
+    mass, whose position is not a coordinate: its force is constant while it is not held. `mass`: of the damper, kg.
+    """
+
+    law: Law
+    body: int
+    gap: int
+    mass: float
+
+
+@dataclass(frozen=True)
+class HybridSystem:
+    """The hybrid linear system of a scene, in SI units.
+
+    The state x is (coordinates q, velocities q', further states r such as the coil current), and u are the inputs. In
+    every contact configuration (M + riding damper masses) q'' = F_x x + F_u u + F_1 - (riding dampers' weight) and
+    r' = R_x x + R_u u.
+
+    `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s^2.
+    `mass`: M, without the dampers of instant contact that can move.
+    `force_state`, `force_drive`, `force_constant`: F_x (coordinates, states), F_u (coordinates, inputs) and F_1
+    (coordinates,).
+    `rate_state`, `rate_drive`: R_x (further states, states) and R_u (further states, inputs).
+    `state_energy`, `state_loss`, `state_power`: energy, loss and power of the drive of further states r are
+    r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last has the shape (further states, inputs).
+    `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed, states) whose product with the
+    state is the force of their actuator, N.
+    `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: coordinate of the body, mass [kg],
+    clearance [m], coefficient of restitution and number in the scene (from 1) of each free damper.
+    `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m; shape
+    (dampers, 2).
+    `gap_coordinate`: index of the coordinate that is the gap of a damper with finite-duration contact; -1 for instant
+    contact.
+    `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.extras.grains` computes its
+    motion.
+    `initial`: state at t = 0 without drive, with all dampers on their floors.
+    """
+
+    # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
+    points: tuple[str, ...]
+    inputs: tuple[str, ...]
+    drive_units: tuple[str, ...]
+    drive_limit: np.ndarray
+    gravity: float
+    mass: np.ndarray
+    force_state: np.ndarray
+    force_drive: np.ndarray
+    force_constant: np.ndarray
+    rate_state: np.ndarray
+    rate_drive: np.ndarray
+    state_energy: np.ndarray
+    state_loss: np.ndarray
+    state_power: np.ndarray
+    prescribed: np.ndarray
+    reaction: np.ndarray
+    damper_coordinate: np.ndarray
+    damper_mass: np.ndarray
+    clearance: np.ndarray
+    restitution: np.ndarray
+    damper_number: np.ndarray
+    gap_coordinate: np.ndarray
+    wall_stiffness: np.ndarray
+    wall_damping: np.ndarray
+    grains: np.ndarray
+    initial: np.ndarray = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Check that each array has an element for each input and further state; a part may add inputs."""
+        expected = {
+            "drive_limit": (len(self.inputs),),
+            "force_drive": (self.coordinates, len(self.inputs)),
+            "rate_drive": (len(self.rate_state), len(self.inputs)),
+            "state_power": (len(self.rate_state), len(self.inputs)),
+            "reaction": (len(self.prescribed), self.states),
+        }
+        for name, shape in expected.items():
+            assert getattr(self, name).shape == shape, f"{name}: {getattr(self, name).shape} instead of {shape}"
+
+    @property
+    def coordinates(self) -> int:
+        """Number of mechanical coordinates."""
+        return self.mass.shape[0]
+
+    @property
+    def states(self) -> int:
+        """Number of states without drive and dampers in flight."""
+        return 2 * self.coordinates + self.rate_state.shape[0]
+
+    @property
+    def dampers(self) -> int:
+        """Number of dampers that can move in their cavities."""
+        return self.damper_mass.shape[0]
+
+    def reject_grains(self) -> None:
+        """Raise `SceneError` if a damper is a bed of grains, which the engine cannot simulate."""
+        if self.grains.any():
+            number = self.damper_number[self.grains][0]
+            raise SceneError(
+                f"dampers[{number}] is a bed of grains, which only `rig simulate`, `rig grains` and `daq record` can "
+                "compute. Remove its key `grains` to replace the bed with a single mass."
+            )
+
+    @property
+    def coupled(self) -> bool:
+        """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
+        coordinates = self.damper_coordinate[~self.finite_contact]
+        # Without coupling, each of these rows of the mass matrix has one nonzero element, and belongs to one damper.
+        return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size)
+
+    @property
+    def finite_contact(self) -> np.ndarray:
+        """Whether the contact of each damper has a duration, bool (dampers,)."""
+        return self.gap_coordinate >= 0
+
+    @property
+    def reduced_mass(self) -> np.ndarray:
+        """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
+        # The index -1 of a damper with instant contact gives NaN.
+        inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
+        return np.asarray(1.0 / inverse_mass[self.gap_coordinate])
+
+    def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
+        """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
+        stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
+        return duration_and_restitution(float(stiffness), float(damping), float(self.reduced_mass[damper]))
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The contact law of each damper."""
+        laws = [
+            particle_bed(float(self.clearance[j]), float(self.restitution[j]))
+            if self.gap_coordinate[j] < 0
+            else wall_contact(
+                float(self.clearance[j]), tuple(self.wall_stiffness[j].tolist()), tuple(self.wall_damping[j].tolist())
+            )
+            for j in range(self.dampers)
+        ]
+        columns = (self.damper_coordinate.tolist(), self.gap_coordinate.tolist(), self.damper_mass.tolist())
+        return tuple(Element(*fields) for fields in zip(laws, *columns, strict=True))
+
+    @cached_property
+    def strides(self) -> tuple[int, ...]:
+        """A configuration is the sum of each element's stride times the index of its force among `Law.forces`."""
+        counts = [len(element.law.forces) for element in self.elements]
+        return tuple(prod(counts[:j]) for j in range(len(counts)))
+
+    @property
+    def configurations(self) -> int:
+        """Number of possible configurations."""
+        return prod(len(element.law.forces) for element in self.elements)
+
+    def configuration(self, modes: Sequence[str]) -> int:
+        """Return the configuration for the name of each element's mode."""
+        laws = (element.law for element in self.elements)
+        indices = (law.force_indices[mode] for law, mode in zip(laws, modes, strict=True))
+        return sum(stride * index for stride, index in zip(self.strides, indices, strict=True))
+
+    @property
+    def start(self) -> int:
+        """Configuration in which every element is in the mode at its start: the dampers on their floors."""
+        return self.configuration([element.law.start for element in self.elements])
+
+    def force_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the index of each element's force in `Law.forces`, shape of `configurations` and (elements,)."""
+        counts = np.array([len(element.law.forces) for element in self.elements], dtype=np.int64)
+        return configurations[..., None] // np.array(self.strides, dtype=np.int64) % counts
+
+    def held(self, configuration: int) -> list[int]:
+        """Return the elements that are held in a configuration."""
+        indices = self.force_indices(np.array(configuration)).tolist()
+        laws = (element.law for element in self.elements)
+        return [j for j, (law, index) in enumerate(zip(laws, indices, strict=True)) if law.forces[index] is None]
+
+    def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forces of the elements on their gaps in a configuration, without those of held elements.
+
+        Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
+        """
+        n = self.coordinates
+        force, constant = np.zeros((n, self.states)), np.zeros(n)
+        for element, index in zip(self.elements, self.force_indices(np.array(configuration)).tolist(), strict=True):
+            row, gap = element.law.forces[index], element.gap
+            if gap >= 0 and row is not None:
+                force[gap, gap], force[gap, n + gap], constant[gap] = row.gap, row.speed, -row.gap * row.rest
+        return force, constant
+
+    def matrix(self, configuration: int = 0) -> np.ndarray:
+        """Return the state matrix (states, states) with the forces of a configuration, but without held elements."""
+        n, ns = self.coordinates, self.states
+        matrix = np.zeros((ns, ns))
+        matrix[:n, n : 2 * n] = np.eye(n)
+        matrix[n : 2 * n] = np.linalg.solve(self.mass, self.force_state + self.contact_forces(configuration)[0])
+        matrix[2 * n :] = self.rate_state
+        return matrix
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Poles while no damper is in contact, rad/s; shape (states,), complex."""
+        return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
+
+    @cached_property
+    def max_rate(self) -> float:
+        """Largest rate (magnitude of a pole) of the system in any configuration, rad/s.
+
+        Held elements reduce the rates, so they are omitted. Forces increase them: each force alone, and the stiffest
+        forces of all elements together, are tried.
+        """
+        changes = [
+            [stride * index for index, row in enumerate(element.law.forces) if index and row is not None]
+            for element, stride in zip(self.elements, self.strides, strict=True)
+        ]
+        stiffest = [
+            stride * max(range(len(element.law.forces)), key=lambda index: -(element.law.forces[index] or Row()).gap)
+            for element, stride in zip(self.elements, self.strides, strict=True)
+        ]
+        configurations = {0, sum(stiffest), *(change for element in changes for change in element)}
+        rates = [
+            np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0) for configuration in configurations
+        ]
+        return float(max(rates))
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The inputs u within a time segment, from drive states p: p' = generator p, u = output p.
+
+    `max_rate`: angular frequency of a tone, rad/s; 0 for a sampled drive.
+    """
+
+    generator: np.ndarray
+    output: np.ndarray
+    max_rate: float
+
+    @property
+    def states(self) -> int:
+        """Number of drive states p."""
+        return self.generator.shape[0]
+
+
+def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
+    """Return the drive of a pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
+
+    `amplitudes`: U of each input; `angular_frequency`: w in rad/s.
+    """
+    generator = np.array([[0.0, -angular_frequency], [angular_frequency, 0.0]])
+    amplitudes = np.asarray(amplitudes, dtype=complex)
+    return Drive(generator, np.column_stack([amplitudes.real, -amplitudes.imag]), angular_frequency)
+
+
+def first_order_hold(inputs: int, interval: float) -> Drive:
+    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval).
+
+    `inputs`: number of inputs; `interval`: sample interval, s.
+    """
+    generator = np.zeros((2 * inputs, 2 * inputs))
+    generator[:inputs, inputs:] = np.eye(inputs) / interval
+    return Drive(generator, np.hstack([np.eye(inputs), np.zeros((inputs, inputs))]), 0.0)

@@ -1,0 +1,247 @@
+"""The drive of a scene's test without a controller (open loop), and the validation of a sampled drive.
+
+The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed for
+the linear structure with all dampers *riding*: their particles are at rest on the floor, as an added mass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RunError, SceneError
+from rig.core.scene.excitation.kind import Chirp, Pulses
+from rig.core.scene.scene import Scene
+from rig.core.scene.shaker import ForceShaker
+from rig.core.scene.shaker.kind import servo_inverse
+from rig.core.system.assembly import force_row
+from rig.core.system.hybrid_system import HybridSystem
+
+# Minimum number of frequencies between which the drive per level of a sweep is interpolated.
+_MIN_GAIN_FREQUENCIES = 400
+# The interpolated drive has a relative error of at most this.
+_MAX_GAIN_ERROR = 1e-3
+# Maximum number of times that an interval of this interpolation is halved.
+_MAX_HALVINGS = 20
+
+
+@dataclass(frozen=True)
+class ToneDrive:
+    """A pure tone u(t) = Re(U e^{i omega t}) of the inputs, and the state at its start."""
+
+    amplitudes: ComplexArray  # U of each input, in its unit
+    frequency: float  # Hz
+    omega: float  # rad/s
+    state: Array  # initial state, SI units, shape (states,)
+
+
+def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
+    """Return the tone of a test at a frequency, Hz.
+
+    The default is the test's `tone`; without one, the result is None.
+    Raises `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
+    """
+    test = scene.test
+    if frequency is None:
+        frequency = None if test is None else test.tone
+        if frequency is None:
+            return None
+    elif not (np.isfinite(frequency) and frequency > 0.0):
+        raise SceneError(f"frequency: got {frequency!r}; expected a positive number of hertz")
+    omega = 2.0 * np.pi * frequency
+    # The factor -i makes the tone a sine.
+    amplitude = -1j * level_of(scene) * drive_per_level(scene, system, omega)
+    amplitudes = np.zeros(len(system.inputs), dtype=complex)
+    amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
+    state = system.initial.copy()
+    if scene.driven_shaker is not None and scene.driven_shaker.prescribed:
+        # The table follows the tone from the start, without the transient of its servo.
+        position = complex(amplitude / servo_inverse(scene.driven_shaker.corner, 1j * omega))
+        table = system.points.index(scene.at_driven("table"))
+        state[table] = position.real
+        state[system.coordinates + table] = (1j * omega * position).real
+    return ToneDrive(amplitudes, frequency, omega, state)
+
+
+def level_of(scene: Scene) -> float:
+    """Return the level of the test: force [N], or drive in the unit of the input.
+
+    Raises `SceneError` if the scene has no shaker, or a test without a level.
+    """
+    if scene.driven_shaker is None and scene.shakers:
+        raise SceneError(
+            f"scene {scene.name!r} has {len(scene.shakers)} shakers. Set test.shaker to the number of the driven "
+            "shaker."
+        )
+    if scene.driven_shaker is None:
+        raise SceneError(f"scene {scene.name!r} has no shaker. Add shaker: {{kind: ...}}.")
+    test = scene.test
+    if test is None or not test.uses_shaker or not test.levels:
+        raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
+    return float(test.levels[0])
+
+
+def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
+    """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega, or 1."""
+    shaker = scene.driven_shaker
+    assert shaker is not None
+    if shaker.drive_is_force or scene.level_key == "drive":
+        return 1.0
+    return 1.0 / force_per_drive(scene, system, omega)
+
+
+def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
+    """Return the complex amplitude of the coil spring's force per unit of drive at omega (rad/s), in N."""
+    return force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
+
+
+def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
+    """Return the acceleration amplitude of each body per unit of level, m/s^2; shape (bodies,) + omega.shape.
+
+    All dampers ride. `omega`: rad/s.
+    """
+    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
+    return omega**2 * np.abs(response[: scene.structure.bodies])
+
+
+def with_ideal_force(scene: Scene) -> Scene:
+    """Replace the driven shaker with an ideal force on its body, and omit the channels.
+
+    Then the spring force needs no controller. A scene does not change if its test has no force, or its shaker is an
+    ideal force.
+    """
+    shaker = scene.driven_shaker
+    if shaker is None or shaker.drive_is_force or scene.level_key != "force":
+        return scene
+    force = ForceShaker(body=shaker.bodies[0])
+    shakers = [force if number == scene.driven else other for number, other in enumerate(scene.shakers, 1)]
+    return scene.replace(shaker=shakers if len(shakers) > 1 else force, channels=None)
+
+
+def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
+    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers riding; `name`: name of the input u.
+
+    E and G have the shape (states, states), b the shape (states,). E is the identity, except for the mass matrix in the
+    rows of the velocities.
+    """
+    n, ns = system.coordinates, system.states
+    descriptor_matrix, state_matrix, input_vector = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
+    mass = system.mass.copy()
+    riding = system.damper_coordinate[~system.finite_contact]
+    np.add.at(mass, (riding, riding), system.damper_mass[~system.finite_contact])
+    descriptor_matrix[n : 2 * n, n : 2 * n] = mass
+    state_matrix[:n, n : 2 * n] = np.eye(n)
+    force, _ = system.contact_forces(system.start)
+    state_matrix[n : 2 * n] = system.force_state + force
+    state_matrix[2 * n :] = system.rate_state
+    column = system.inputs.index(name)
+    input_vector[n : 2 * n] = system.force_drive[:, column]
+    input_vector[2 * n :] = system.rate_drive[:, column]
+    return descriptor_matrix, state_matrix, input_vector
+
+
+def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
+    """Return the complex amplitudes of the states per unit of drive, all dampers riding; shape (states,) + omega.shape.
+
+    `name`: name of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
+    """
+    n, ns = system.coordinates, system.states
+    descriptor_matrix, state_matrix, input_vector = riding_equations(system, name)
+    mass = descriptor_matrix[n : 2 * n, n : 2 * n]
+    state_matrix[n : 2 * n] = np.linalg.solve(mass, state_matrix[n : 2 * n])
+    right_side = input_vector[:, None].astype(complex)
+    right_side[n : 2 * n, 0] = np.linalg.solve(mass, input_vector[n : 2 * n])
+    j_omega = 1j * np.asarray(omega)[..., None, None]
+    try:
+        states = np.linalg.solve(j_omega * np.eye(ns) - state_matrix, right_side).astype(np.complex128, copy=False)
+    except np.linalg.LinAlgError:
+        raise SceneError(
+            f"the undamped rig has no steady state at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its "
+            "resonance. Add structure.damping, choose another frequency, or give drive instead of force."
+        ) from None
+    return np.moveaxis(states[..., 0], -1, 0)
+
+
+def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
+    """Return the drive (inputs, samples) of a test whose drive is not a tone; `rate`: sample rate, Hz.
+
+    Raises `SceneError` for tests whose signal is generated only during a recording.
+    """
+    drive = np.zeros((len(system.inputs), samples))
+    test = scene.test
+    if test is None:
+        return drive
+    wave = test.wave(samples, rate)
+    if isinstance(wave, Pulses):
+        name = "hammer" if wave.input == "hammer" else scene.at_driven("shaker")
+        drive[system.inputs.index(name)] = wave.values
+    elif isinstance(wave, Chirp):
+        is_sweeping = np.arange(samples) / rate <= test.shortest
+        values = np.where(is_sweeping, _chirp_drive(scene, system, wave), 0.0)
+        drive[system.inputs.index(scene.at_driven("shaker"))] = values
+    elif wave is None:
+        raise SceneError(
+            f"test: the signal of a {test.kind} test is generated during a recording. Use daq.record, or give "
+            "frequency (of a tone at the test's level) or drive (an array of shape (inputs, samples))."
+        )
+    return drive
+
+
+def _chirp_drive(scene: Scene, system: HybridSystem, chirp: Chirp) -> Array:
+    """Return the drive of a sweep, with the amplitude that gives the test's level at each frequency."""
+    assert scene.test is not None and scene.test.band is not None
+    gain = np.interp(chirp.frequency, *_tabulate_gain(scene, system, *scene.test.band))
+    return np.asarray(level_of(scene) * np.imag(gain * np.exp(1j * chirp.phase)))
+
+
+def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) -> tuple[Array, ComplexArray]:
+    """Return frequencies (Hz) and the drive per level at each, finely spaced at resonances and antiresonances."""
+
+    def gain_at(frequency: Array) -> ComplexArray:
+        gain = drive_per_level(scene, system, 2.0 * np.pi * frequency)
+        return np.broadcast_to(np.asarray(gain, dtype=np.complex128), frequency.shape)
+
+    frequency = np.linspace(low, high, _MIN_GAIN_FREQUENCIES)
+    gain = gain_at(frequency)
+    for _ in range(_MAX_HALVINGS):
+        middle = 0.5 * (frequency[1:] + frequency[:-1])
+        exact = gain_at(middle)
+        is_inaccurate = np.abs(0.5 * (gain[1:] + gain[:-1]) - exact) > _MAX_GAIN_ERROR * np.abs(exact)
+        if not is_inaccurate.any():
+            break
+        next_indices = np.flatnonzero(is_inaccurate) + 1
+        frequency = np.insert(frequency, next_indices, middle[is_inaccurate])
+        gain = np.insert(gain, next_indices, exact[is_inaccurate])
+    return frequency, gain
+
+
+def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> Array:
+    """Return a drive as an array of shape (inputs, samples).
+
+    `inputs`: names of the drive inputs; `first`: index of the first sample, for error messages. Raises `RunError`
+    if the drive has another shape or is not finite.
+    """
+    try:
+        block: Array = np.asarray(drive, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RunError(
+            "drive: the values are not real numbers, or the rows differ in length. Give an array of real numbers of "
+            f"shape ({len(inputs)}, samples)."
+        ) from None
+    if block.ndim != 2 or block.shape[0] != len(inputs):
+        raise RunError(
+            f"drive: got an array of shape {block.shape}; expected shape ({len(inputs)}, samples), one row for each "
+            f"input: {', '.join(inputs) or '(none)'}"
+        )
+    if not np.isfinite(block).all():
+        row, column = np.argwhere(~np.isfinite(block))[0]
+        raise RunError(
+            f"drive: got {block[row, column]} at sample {first + column} of input {inputs[row]}; expected finite "
+            "numbers"
+        )
+    return block

@@ -1,0 +1,341 @@
+"""The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
+
+A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity: an
+added mass of its body.
+
+Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike, NDArray
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+from rig.core.equations import Ground
+from rig.core.scene.matrices import is_positive_definite
+from rig.core.scene.scene import Scene
+from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
+
+# Maximum number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
+_MAX_ELEMENTS = 1_000_000
+# A squared frequency below this multiple of its rounding error is computed again by a method of small relative error.
+_MAX_AMPLIFIED_ROUNDING = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class NaturalModes:
+    """Modes of the undamped structure, without the coupling of modes by damping.
+
+    `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
+    """
+
+    omega: Array  # natural frequencies, increasing, rad/s; 0 for a rigid-body motion, shape (modes,)
+    shapes: Array  # column i is the shape of mode i, its largest element +1, shape (bodies, modes)
+    mass: Array
+    damping: Array
+
+    @property
+    def frequency(self) -> Array:
+        """Natural frequencies, Hz."""
+        return np.asarray(self.omega / (2.0 * np.pi))
+
+    @property
+    def decay_rate(self) -> Array:
+        """Decay rate of each mode without coupling by damping, 1/s."""
+        return np.asarray(self.damping / (2.0 * self.mass))
+
+    @property
+    def damping_ratio(self) -> Array:
+        """Damping ratio of each mode without coupling by damping."""
+        return np.asarray(self.decay_rate / np.maximum(self.omega, 1e-9))
+
+
+@dataclass(frozen=True, eq=False)
+class StructuralModel:
+    """M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
+
+    `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
+
+    `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: index of the body of each damper, from 0, shape
+    (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,).
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+    bed_mass: Array = field(default_factory=lambda: np.zeros(0))
+    bed_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    locked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+
+    @cached_property
+    def modes(self) -> NaturalModes:
+        """Natural modes without beds; raises `SceneError` if the structure is statically unstable."""
+        omega, shapes = natural_modes(self.mass, self.stiffness)
+        mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
+        return NaturalModes(omega, shapes, mass, damping)
+
+    def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
+        """Return the model with the masses of the locked and of the riding beds added to their bodies.
+
+        `riding`: numbers of the dampers that ride, from 1. Raises `SceneError` if a damper does not exist.
+        """
+        count = self.locked.size
+        numbers = list(riding)
+        missing = [number for number in numbers if not 1 <= number <= count]
+        if missing:
+            raise SceneError(f"riding: damper {missing[0]} does not exist. Give numbers of dampers from 1 to {count}.")
+        beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)})
+        if not beds:
+            return self
+        mass = self.mass.copy()
+        bodies = self.bed_body[beds]
+        np.add.at(mass, (bodies, bodies), self.bed_mass[beds])
+        return replace(self, mass=mass)
+
+    def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
+        """Return the model with a ground spring, N/m, on each of the given bodies (indices from 0)."""
+        stiffness, supported = self.stiffness.copy(), list(bodies)
+        stiffness[supported, supported] += spring
+        return replace(self, stiffness=stiffness)
+
+    def response(self, frequencies_hz: Array, force: Array) -> ComplexArray:
+        """Compute the complex displacement amplitude of each body under harmonic forces, m, (bodies, frequencies).
+
+        `frequencies_hz`: shape (frequencies,); `force`: amplitudes, N, shape (bodies,). Raises `SceneError` if a
+        frequency is exactly an undamped resonance, or 0 for a structure without support.
+        """
+        response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
+        step = max(1, _MAX_ELEMENTS // self.mass.size)
+        for first in range(0, frequencies_hz.size, step):
+            block = slice(first, first + step)
+            omega = 2.0 * np.pi * frequencies_hz[block, None, None]
+            dynamic_stiffness = self.stiffness + 1j * omega * self.damping - omega**2 * self.mass
+            try:
+                response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
+            except np.linalg.LinAlgError:
+                raise SceneError(
+                    "frequencies: the response is infinite at one of the frequencies (an undamped resonance, or 0 Hz "
+                    "without support). Add structure.damping, or choose other frequencies."
+                ) from None
+        return response
+
+
+def structural_model(scene: Scene) -> StructuralModel:
+    """Return the matrices of a scene's structure, without the coil spring, and the masses of its beds.
+
+    A damper's mass ratio is relative to the mass of its body or, if matrices are given, to the diagonal element of M.
+
+    >>> import rig
+    >>> model = structural_model(rig.load("fig9"))
+    >>> model.modes.frequency.round(2), model.bed_mass
+    (array([13.04, 34.78, 49.66]), array([0.0426]))
+    """
+    mass, damping, stiffness = structure_matrices(scene.structure)
+    body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
+    locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
+    return StructuralModel(mass, damping, stiffness, bed_masses(scene, mass), body, locked)
+
+
+def bed_masses(scene: Scene, mass: Array) -> Array:
+    """Return the mass of each damper's bed, kg, in the scene's order; `mass`: mass matrix of the structure."""
+    masses = (
+        damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[damper.body - 1, damper.body - 1]
+        for damper in scene.dampers
+    )
+    return np.fromiter(masses, dtype=np.float64)
+
+
+def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
+    """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
+
+    `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
+    to their bodies. The masses of dampers that are locked or have no clearance are always added.
+
+    Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
+    or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.
+
+    >>> import rig
+    >>> scene = rig.load("bare-structure")
+    >>> static = receptance(scene, [0.0])[0, 0]
+    >>> print(f"{static.real:.4g} m/N")  # 1 / (24.3 kN/m)
+    4.115e-05 m/N
+    """
+    frequencies = _validated(frequencies_hz)
+    model = structural_model(scene).with_bed_masses(riding)
+    force = np.zeros(len(model.mass))
+    force[driven_bodies(scene)] = 1.0
+    return model.response(frequencies, force)
+
+
+def transmissibility(scene: Scene, frequencies_hz: ArrayLike) -> ComplexArray:
+    """Compute the ratio of each body's displacement to the table's, with the coil spring between table and body.
+
+    Returns X / X_0, complex, shape (bodies, frequencies). Raises the errors of `receptance`, and `SceneError` if the
+    scene has no coil spring.
+    """
+    frequencies, driven, spring = _validated(frequencies_hz), driven_bodies(scene), coil_spring(scene)
+    model = structural_model(scene).with_bed_masses().with_ground_springs(driven, spring)
+    force = np.zeros(len(model.mass))
+    force[driven] = spring
+    return model.response(frequencies, force)
+
+
+def _validated(frequencies_hz: ArrayLike) -> Array:
+    """Return frequencies as an array; raise `SceneError` if one is negative or not finite."""
+    frequencies = np.asarray(frequencies_hz, dtype=np.float64)
+    if frequencies.ndim != 1 or not np.isfinite(frequencies).all() or (frequencies < 0.0).any():
+        raise SceneError(
+            f"frequencies: got {frequencies_hz!r:.60}; expected a list of finite frequencies of at least 0 Hz"
+        )
+    return frequencies
+
+
+def driven_bodies(scene: Scene) -> list[int]:
+    """List the indices (from 0) of the bodies on which the force of shaker or hammer acts.
+
+    Raises `SceneError` if the scene has neither, or several shakers that are not all of kind force.
+    """
+    if len(scene.shakers) > 1 and any(shaker.coil_spring is not None for shaker in scene.shakers):
+        raise SceneError(
+            f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the "
+            "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
+            "includes the coil springs."
+        )
+    if scene.driven_shaker is not None:
+        return [body - 1 for body in scene.driven_shaker.bodies]
+    if scene.hammer is not None:
+        return [scene.hammer - 1]
+    raise SceneError(
+        f"scene {scene.name!r} has neither shaker nor hammer, so the location of the force is unknown. Add a shaker."
+    )
+
+
+def coil_spring(scene: Scene) -> float:
+    """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without one."""
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
+    if spring is None:
+        raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
+    return spring
+
+
+def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
+    """Assemble the matrices of the structure without dampers and coil spring.
+
+    `structure`: a chain, or matrices. Returns `mass, damping, stiffness`, shape (bodies, bodies), M [kg], C [N s/m]
+    and K [N/m] of M x'' + C x' + K x = f.
+    """
+    mass = mass_matrix(structure)
+    if structure.matrices is not None:
+        stiffness = _symmetric(np.array(structure.matrices.stiffness))
+    else:
+        stiffness = chain_matrix(structure.springs or ())
+    return mass, _damping(structure, mass, stiffness), stiffness
+
+
+def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
+    """Return the connection of the bodies with the ground, exact for the springs and dashpots of a chain."""
+    influence = np.ones(len(model.mass))
+    stiffness, damping = model.stiffness @ influence, model.damping @ influence
+    if structure.springs is not None:
+        stiffness = np.append(structure.springs[0], np.zeros(len(influence) - 1))
+    if isinstance(structure.damping, Dashpots):
+        damping = np.append(structure.damping.dashpots[0], np.zeros(len(influence) - 1))
+    return Ground(influence, damping, stiffness)
+
+
+def mass_matrix(structure: Structure) -> Array:
+    """Return the mass matrix of the structure without beds, kg, shape (bodies, bodies)."""
+    if structure.matrices is not None:
+        return _symmetric(np.array(structure.matrices.mass))
+    return np.diag(np.array(structure.masses or ()))
+
+
+def chain_matrix(elements: tuple[float, ...]) -> Array:
+    """Return the stiffness or damping matrix of a chain: element j connects body j to body j-1, for j = 1 to ground.
+
+    >>> chain_matrix((3.0, 1.0))
+    array([[ 4., -1.],
+           [-1.,  1.]])
+    """
+    values, body = np.array(elements, dtype=np.float64), np.arange(len(elements))
+    matrix = np.zeros((body.size, body.size))
+    matrix[body, body] = values
+    matrix[body[:-1], body[:-1]] += values[1:]
+    matrix[body[:-1], body[1:]] = matrix[body[1:], body[:-1]] = -values[1:]
+    return matrix
+
+
+def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Compute natural frequencies and mode shapes of the undamped structure.
+
+    `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
+    Returns `omega`, shape (bodies,): natural frequencies, increasing, rad/s; 0 for a rigid-body motion; and `shapes`,
+    shape (bodies, bodies): column i is the shape of mode i, with largest element +1. Raises `SceneError` if the
+    modes cannot be computed, or the structure is statically unstable (a negative eigenvalue larger than rounding
+    errors).
+    """
+    # `scipy.linalg.eigh` calls the same routine, but takes six times as long for a few bodies. A fit makes 10 000
+    # calls.
+    squared_omega, shapes, info = scipy.linalg.lapack.dsygvd(stiffness, mass)
+    if info:
+        raise SceneError(
+            "structure: the natural modes cannot be computed. Check that the mass matrix is positive definite, and "
+            f"that both matrices are finite (LAPACK dsygvd: info {info})."
+        )
+    rounding = 10 * len(squared_omega) * np.finfo(float).eps * np.abs(squared_omega).max(initial=0.0)
+    if squared_omega[0] < -rounding:
+        raise SceneError(
+            "structure: the stiffness matrix is not positive semidefinite (squared natural frequency "
+            f"{squared_omega[0]:.3g} 1/s^2), so the structure is statically unstable. Add springs that stabilize it."
+        )
+    if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and is_positive_definite(stiffness):
+        squared_omega, shapes = _modes_of_extreme_masses(mass, stiffness)
+        rounding = 0.0
+    # The computed eigenvalue of a rigid-body motion is a rounding error of either sign.
+    omega = np.sqrt(np.where(np.abs(squared_omega) <= rounding, 0.0, squared_omega))
+    largest = np.take_along_axis(shapes, np.argmax(np.abs(shapes), axis=0)[None, :], axis=0)
+    return omega, shapes / largest
+
+
+def _modes_of_extreme_masses(mass: Array, stiffness: Array) -> tuple[Array, Array]:
+    """Compute squared frequencies and shapes, each with a small relative error, of a structure that has a support.
+
+    With M = R R^T and K = L L^T, the frequencies are the singular values of R^-1 L. Jacobi's method is accurate even if
+    they differ by many orders of magnitude (Z. Drmac, K. Veselic, SIAM J. Matrix Anal. Appl. 29 (2008) 1322-1362).
+    """
+    mass_factor = np.linalg.cholesky(mass)
+    reduced = scipy.linalg.solve_triangular(mass_factor, np.linalg.cholesky(stiffness), lower=True)
+    values, left, _, scale, _, _ = scipy.linalg.lapack.dgejsv(reduced, joba=2, jobv=3)
+    omega = np.sort(values * (scale[0] / scale[1]))
+    return omega**2, scipy.linalg.solve_triangular(mass_factor, left[:, np.argsort(values)], lower=True, trans="T")
+
+
+def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
+    """Return the damping matrix, N s/m, shape (bodies, bodies)."""
+    damping = structure.damping
+    if structure.matrices is not None and structure.matrices.damping is not None:
+        return np.array(structure.matrices.damping)
+    if isinstance(damping, RayleighDamping):
+        return damping.rayleigh.alpha * mass + damping.rayleigh.beta * stiffness
+    if isinstance(damping, Dashpots):
+        return chain_matrix(damping.dashpots)
+    if isinstance(damping, ModalDamping):
+        omega, shapes = natural_modes(mass, stiffness)
+        ratios = np.broadcast_to(np.array(damping.modal), omega.shape)
+        modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
+        # C = M shapes diag(2 ratio omega / modal mass) shapes^T M
+        mass_times_shapes = mass @ shapes
+        return _symmetric((mass_times_shapes * (2.0 * ratios * omega / modal_masses)) @ mass_times_shapes.T)
+    return np.zeros_like(mass)
+
+
+def _symmetric(matrix: Array) -> Array:
+    """Return the symmetric part of a matrix, which removes asymmetric rounding errors."""
+    return (matrix + matrix.T) / 2.0

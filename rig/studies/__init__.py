@@ -1,0 +1,1 @@
+"""Questions about the model: design, map, cost of accuracy."""

@@ -1,0 +1,318 @@
+"""Output of `rig design`: text summary, figures, and a scene file with a test that checks the design."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
+from rig.core.base.output_files import atomic_write, file_stem
+from rig.core.results import format_decimals, format_number, format_percent
+from rig.core.scene.damper import Damper
+from rig.core.scene.excitation import FORCE_TOLERANCE
+from rig.core.scene.scene import STANDARD_GRAVITY, Scene
+from rig.studies.design.check import Expected
+from rig.studies.design.choice import Choice, mass_unit
+from rig.studies.design.design import Design
+from rig.studies.design.overloads import overload_lines, predict_overloads
+from rig.studies.design.ranking import MIN_MACHINABLE_CLEARANCE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
+#: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
+LIMIT_TOLERANCE = 0.02
+_OTHER_MOTION = (
+    "At one frequency several steady-state motions may exist. The design assumes the one with the largest response; a "
+    "test that measures less has settled on another."
+)
+
+
+def summary(design: Design) -> str:
+    """Summarize the best dampers, their effect on every mode, and the best lighter designs."""
+    best, objective, space = design.best, design.question, design.space
+    levels = ", ".join(format_number(level) for level in objective.levels)
+    smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
+    lines = [
+        f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {objective.band[0]:.4g} to "
+        f"{objective.band[1]:.4g} Hz" + (f", {len(objective.scenes)} structures" if len(objective.scenes) > 1 else ""),
+        f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.allows_no_ceiling else ''}",
+        "",
+        str(objective.impact_law),
+        "",
+        *_verdict(design),
+        "",
+        *_tables(design),
+    ]
+    shares = [100.0 * peak.irregular_share for peak in best.peaks]
+    if any(shares):
+        percentages = ", ".join(f"{share:.0f}" for share in shares)
+        lines += [
+            "",
+            f"the motion is irregular at {percentages} % of the frequencies at {levels} N; the compliance there is an "
+            "average, accurate to a few percent",
+        ]
+    for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
+        if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
+            lines += [
+                "",
+                f"the chosen clearance is the {name} that was searched. Search a wider range with --clearance.",
+            ]
+    return "\n".join(lines)
+
+
+def _verdict(design: Design) -> list[str]:
+    """Report the dampers, their worst peak and the tolerance of the clearance, or that no dampers are effective."""
+    peak = design.best.peak
+    reduction = design.reduction(peak)
+    below_or_above = "below" if reduction > 0.0 else "above"
+    heading = (
+        "best" if design.serves else "no design reduces the largest peak at every one of these levels; best design"
+    )
+    lines = [
+        f"{heading}: {design.best.choice}",
+        f"largest peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {format_decimals(peak.frequency, 2)} Hz, "
+        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {below_or_above} the bare structure's "
+        f"{1e6 * design.bare.compliance:.4g} µm/N",
+        *design.shortfall,
+    ]
+    if design.serves:
+        lines.append(str(design.tolerance))
+    height = design.flight.height
+    if 0.0 < height < max(design.best.choice.clearances):
+        lines.append(
+            f"a ceiling at more than {format_number(1000.0 * height)} mm has no effect, because no damper reaches it "
+            "in the band"
+        )
+    if min(design.best.choice.clearances) < MIN_MACHINABLE_CLEARANCE:
+        smallest = f"{1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm"
+        lines.append(
+            f"clearances below {smallest} are hard to build. Designs with larger clearances are easier to build, but "
+            "less effective. To exclude small clearances, give --clearance."
+        )
+    return lines
+
+
+def _tables(design: Design) -> list[str]:
+    """Return two tables over the levels: reductions by the best dampers of each mass, and the peaks of each mode."""
+    factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
+    forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
+    lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{forces}  dampers"]
+    for trial in design.front:
+        reductions = "".join(f"{design.reduction(peak):9.1f}" for peak in trial.peaks)
+        lines.append(f"{format_decimals(factor * trial.choice.mass, 1):>14}{reductions}  {trial.choice}")
+    lines += ["", f"{'':14}  largest peak in µm/N", f"{'mode, Hz':>14}{'without':>10}{forces}"]
+    for mode in design.modes:
+        peaks = "".join(f"{1e6 * peak.compliance:9.4g}" for peak in mode.damped)
+        remark = "" if mode.in_band else "  outside the band"
+        lines.append(f"{format_decimals(mode.frequency, 2):>14}{1e6 * mode.undamped.compliance:10.4g}{peaks}{remark}")
+    return lines
+
+
+def write(design: Design, folder: Path) -> list[Path]:
+    """Write the scene with the best dampers and the figures into a folder that exists.
+
+    Raises `SceneError` if a file cannot be written.
+    """
+    name = folder / file_stem("design", design.scene.name)
+    scene = name.with_suffix(".yaml")
+    with atomic_write(scene) as temporary:
+        temporary.write_text(design.scene.to_yaml(), encoding="utf-8")
+    return [scene, *save_figure(_draw(design), name)]
+
+
+def describe_check(design: Design, scene: Path) -> str:
+    """Describe the test in the scene of a design, its expected results, and the commands to run it."""
+    test = design.scene.test
+    assert test is not None and test.band is not None
+    levels = ", ".join(format_number(level) for level in test.levels)
+    overloads = predict_overloads(design.scene, design.expected, design.bare)
+    remedies = "".join(f" --set {quote(change)}" for overload in overloads for change in overload.changes)
+    finite_contact = all(damper.contact is not None for damper in design.scene.dampers)
+    locations = {channel.name: channel.at for channel in design.scene.channels or ()}
+    added = ", ".join(f"{name} (at {locations[name]})" for name in design.added_channels)
+    file, with_dampers, without_dampers = (
+        quote(str(path)) for path in (scene, scene.with_suffix(".mcap"), scene.with_name(f"{scene.stem}-without.mcap"))
+    )
+    return "\n".join(
+        [
+            (
+                f"{scene}: the scene with these dampers and a test of the design, a stepped sine from "
+                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} N around the largest peaks "
+                "with and without dampers"
+            ),
+            *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
+            "",
+            "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
+            f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to "
+            f"{format_percent(FORCE_TOLERANCE)} and the motion is measured when it is steady within "
+            f"{format_percent(test.steady_state.tolerance)}.",
+            *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
+            f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
+            *map(_expected_line, design.expected),
+            *overload_lines(overloads, finite_contact),
+            "",
+            "to check the design, record and compare tests without and with dampers:",
+            f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
+            f"-o {without_dampers}",
+            f"daq record {file}{remedies} -o {with_dampers}",
+            f"analysis frf {without_dampers} {with_dampers}",
+            f"analysis compare {without_dampers} {with_dampers}",
+            "",
+            *grain_check(design.scene.dampers, design.expected, scene),
+        ]
+    )
+
+
+def _harmonics_of_force(scene: Scene) -> str:
+    """Return the first part of a sentence about the force of a test: with a coil spring it is not sinusoidal."""
+    spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
+    return "" if spring is None else "the coil spring adds harmonics to the force, "
+
+
+def _has_other_motion(expected: Expected) -> bool:
+    """Return whether the largest peak is above the range that the test should measure."""
+    return expected.compliances is not None and expected.peak.compliance > expected.compliances[2]
+
+
+def _expected_line(expected: Expected) -> str:
+    peak = expected.peak
+    in_this_test = "no steady state, so that measured values scatter"
+    if expected.compliances is not None:
+        low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
+        in_this_test = f"{nominal} ({low} to {high})"
+    operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{format_decimals(peak.frequency, 2):>9}"
+    return f"{operating_point}{1e6 * peak.compliance:15.4g}  {in_this_test}"
+
+
+def _draw(design: Design) -> Figure:
+    with new_figure(7.0, 10.0) as figure:
+        (front, chart), (reductions, backbone) = figure.subplots(2, 2)
+        design.draw(front)
+        front.legend()
+        _draw_chart(chart, design)
+        _draw_reductions(reductions, design)
+        _draw_backbone(backbone, design)
+        figure.suptitle(f"{escape_figure(design.scene.name)}: {design.best.choice}")
+        return figure
+
+
+def _draw_chart(axes: Axes, design: Design) -> None:
+    """Draw the reduction of the worst peak over force and clearance (the chart of the design)."""
+    reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
+    choice = design.charted
+    chosen = choice.clearances[choice.heaviest_index]
+    clearance = design.clearance_factors * chosen
+    borders = cell_edges(design.levels, True), cell_edges(clearance, True)
+    mesh = axes.pcolormesh(*borders, reduction, cmap="viridis", rasterized=True)
+    axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
+    levels = design.question.levels
+    label = "chosen" if design.best.choice.has_ceiling else "largest searched"
+    axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4, label=label)
+    axes.grid(False)
+    axes.set(xlabel="force / N", ylabel=clearance_label(choice))
+    set_log_scale(axes.xaxis)
+    set_log_scale(axes.yaxis, factor=1e3)
+    axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
+    # Outside the axes, because a legend inside would hide cells.
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    axes.set_title("Clearance and force")
+
+
+def clearance_label(choice: Choice) -> str:
+    """Return the label of the clearance axis, which shows the clearance of the heaviest damper."""
+    if len(choice.bodies) == 1:
+        return "clearance / mm"
+    return f"clearance in body {choice.bodies[choice.heaviest_index]} / mm\n(other clearances in proportion)"
+
+
+def _draw_reductions(axes: Axes, design: Design) -> None:
+    """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
+    # The axis is the acceleration without dampers: with dampers it jumps where another peak becomes the largest.
+    chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
+    plotted_rows = (chosen - 1, chosen, chosen + 1)
+    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
+    for row_number, color, marker in zip(plotted_rows, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
+        row = design.chart[row_number]
+        choice = design.charted
+        clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
+        axes.plot(
+            bare_acceleration, [design.bare.compliance / peak.compliance for peak in row], f"{marker}-", ms=4,
+            color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
+        )  # fmt: skip
+    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="largest peak without / with dampers")
+    set_log_scale(axes.xaxis)
+    axes.set_ylim(0.0, None)
+    axes.axhline(1.0, color="black", lw=0.8)
+    axes.legend()
+    axes.set_title("Acceleration level")
+
+
+def _draw_backbone(axes: Axes, design: Design) -> None:
+    """Draw the frequency of the largest peak over force, with and without dampers."""
+    chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
+    row = design.chart[chosen]
+    axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
+    axes.axhline(design.bare.frequency, color=GRAY, ls="--", label="without")
+    axes.set(xlabel="force / N", ylabel="frequency / Hz")
+    set_log_scale(axes.xaxis)
+    axes.legend()
+    axes.set_title("Frequency of the largest peak")
+
+
+class Agreement(NamedTuple):
+    """Number of settings in which the compliances of a single-mass bed and a bed of grains agree within 10 %."""
+
+    agreeing: int
+    settings: int
+
+
+# Agreement from the table of `analysis beds`; a test compares these figures with the table.
+WITHOUT_CEILING = Agreement(21, 36)
+BELOW_CEILING = Agreement(6, 61)
+#: Below a ceiling, the deviations of grains from one mass have this interquartile range, percent.
+INTERQUARTILE_RANGE = (-50, -16)
+#: Diameter of the shot in the grain simulation, m.
+_SHOT_DIAMETER = 2e-3
+#: Half-width of the band of the grain simulation around the peak, relative.
+_BAND_HALF_WIDTH = 0.01
+#: Number of frequencies in that band.
+_BAND_POINTS = 3
+
+
+def grain_check(dampers: Sequence[Damper], expected: Sequence[Expected], scene: Path) -> list[str]:
+    """Report how well the single-mass model agrees with grains, and the command that simulates the grains.
+
+    `dampers`: the dampers of the design; `expected`: expected results of the check; the command uses the largest peak
+    among them; `scene`: file of the check.
+    """
+    peak = max(result.peak for result in expected)
+    beds = ", ".join(_as_shot(damper) for damper in dampers)
+    low, high = (f"{peak.frequency * (1.0 + offset):.4g}Hz" for offset in (-_BAND_HALF_WIDTH, _BAND_HALF_WIDTH))
+    without, below = WITHOUT_CEILING, BELOW_CEILING
+    largest_decrease, smallest_decrease = (-deviation for deviation in INTERQUARTILE_RANGE)
+    return [
+        "these results are for beds that move as one mass. Simulated beds of grains (analysis beds) had the same",
+        f"compliance within 10 % in {without.agreeing} of {without.settings} cases without a ceiling, and in "
+        f"{below.agreeing} of {below.settings} cases with a ceiling.",
+        f"With a ceiling, the compliance with grains was typically {smallest_decrease} to {largest_decrease} % lower "
+        "(interquartile range).",
+        f"To simulate these dampers with shot of {format_number(1e3 * _SHOT_DIAMETER)} mm (which may take hours), run:",
+        f"rig grains {quote(str(scene))} --set {quote(f'dampers=[{beds}]')} "
+        f"--set test.force={format_number(peak.level)}N --from {low} --to {high} --points {_BAND_POINTS} "
+        f"-o {quote(str(scene.with_name(f'{scene.stem}-grains.csv')))}",
+    ]
+
+
+def _as_shot(damper: Damper) -> str:
+    assert damper.mass is not None  # every damper of a design has a mass
+    mass, shot = (format_number(1e3 * value) for value in (damper.mass, _SHOT_DIAMETER))
+    clearance = ".inf" if np.isinf(damper.clearance) else f"{format_number(1e3 * damper.clearance)} mm"
+    return f"{{body: {damper.body}, mass: {mass} g, clearance: {clearance}, grains: {{diameter: {shot} mm}}}}"

@@ -1,0 +1,139 @@
+"""Take-off level and flight height of dampers, and the levels at which they are effective."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.core.orbits.problem import OrbitProblem
+from rig.core.results import format_number
+from rig.core.scene.scene import Scene
+from rig.studies.design.choice import Objective, Trial
+from rig.studies.design.ranking import EQUAL_DB
+from rig.studies.design.worst_peak import Peak, response_at_level
+from rig.studies.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
+
+#: Dampers are effective if they reduce the peak by at least this, dB.
+EFFECTIVE_DB = 1.0
+#: Number of frequencies over the band, in addition to natural frequencies and peaks.
+_BAND_POINTS = 20
+#: Dampers are usually effective if the acceleration of the body exceeds this value, g. This acceleration is computed
+#: with the dampers at rest on their floors.
+_EFFECTIVE_G = 3.0
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Take-off and flight height of the dampers of a design.
+
+    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective, m; NaN
+    where part of the motion is irregular, or where the dampers reach their ceiling.
+    """
+
+    take_off: float  # lowest level at which a damper takes off in the band, N
+    body: int  # body of that damper, from 1
+    height: float
+
+    def acceleration_g(self, level: float) -> float:
+        """Return the largest acceleration of a damper's body at a level, all dampers at rest on their floors, g."""
+        return level / self.take_off
+
+
+def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: bool) -> Flight:
+    """Compute the take-off level of a trial's dampers, and their flight height if they do not reach the ceiling."""
+    scene = _damped_scene(objective, trial)
+    accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
+    # The damper that takes off first, as the level rises.
+    first = int(accelerations.argmax())
+    take_off = float(scene.gravity / accelerations[first])
+    return Flight(take_off, trial.choice.bodies[first], _height(objective, trial) if is_ceiling_unreached else np.nan)
+
+
+def _damped_scene(objective: Objective, trial: Trial) -> Scene:
+    return objective.scenes[0].replace(dampers=trial.choice.dampers(objective.impact_law))
+
+
+def _height(objective: Objective, trial: Trial) -> float:
+    """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
+    dampers = trial.choice.without_ceiling().dampers(objective.impact_law)
+    highest = 0.0
+    for scene in objective.scenes:
+        problem = OrbitProblem(scene.replace(dampers=dampers))
+        for level in objective.levels:
+            for orbit in response_at_level(problem, level, _frequencies(objective, trial)).orbits:
+                if orbit is None:
+                    return np.nan
+                gaps = [values.max() for name, values in orbit.columns().items() if name.startswith("gap")]
+                highest = max(highest, *map(float, gaps))
+    return highest
+
+
+def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
+    scene = _damped_scene(objective, trial)
+    low, high = objective.band
+    natural = natural_frequencies(scene, low, high)
+    peaks = [peak.frequency for peak in trial.peaks]
+    return np.unique(np.concatenate([select_frequencies(scene, low, high, _BAND_POINTS), natural, peaks]))
+
+
+def ineffective_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
+    """Return the levels at which the dampers do not fly, or do not reduce the peak by more than the search resolves."""
+    return sorted(
+        peak.level
+        for peak in trial.peaks
+        if peak.reduction_from(bare) <= EQUAL_DB or flight.acceleration_g(peak.level) <= 1.0
+    )
+
+
+def describe_shortfall(
+    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
+) -> list[str]:
+    """Report ineffective levels, the reason, and effective levels; empty if the dampers are effective at all levels.
+
+    `charted`: peak of these dampers at each level of the chart, N; `trials`: all designs computed.
+    """
+    ineffective = ineffective_levels(trial, bare, flight)
+    if not ineffective:
+        return []
+    reductions_db = {peak.level: peak.reduction_from(bare) for peak in trial.peaks}
+    lines = []
+    for level in ineffective:
+        acceleration = flight.acceleration_g(level)
+        state = "cannot fly" if acceleration <= 1.0 else "are not effective"
+        lines.append(
+            f"at {format_number(level)} N the dampers {state} and change the peak by {-reductions_db[level]:+.1f} dB: "
+            f"take-off needs more than 1 g, and body {flight.body} reaches {format_number(acceleration)} g"
+        )
+    largest_reductions_db = {
+        level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
+        for level in sorted(reductions_db)
+        if level > max(ineffective)
+    }
+    effective_levels = [level for level in largest_reductions_db if largest_reductions_db[level] >= EFFECTIVE_DB]
+    charted_levels = [
+        level
+        for level in charted
+        if level > max(ineffective)
+        and flight.acceleration_g(level) > 1.0
+        and charted[level].reduction_from(bare) >= EFFECTIVE_DB
+    ]
+    if effective_levels:
+        forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
+        reductions_text = ", ".join(
+            f"{largest_reductions_db[level]:.1f} dB at {format_number(level)} N" for level in effective_levels
+        )
+        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give --levels {forces}.")
+    elif charted_levels:
+        lines.append(
+            f"at levels of {format_number(min(charted_levels))} N and more, these dampers reduce the peak by "
+            f"{EFFECTIVE_DB:g} dB or more. Give such levels with --levels."
+        )
+    else:
+        suggested = format_number(_EFFECTIVE_G * flight.take_off)
+        lines.append(
+            f"dampers are usually effective if their body exceeds {_EFFECTIVE_G:g} g. Give levels above {suggested} N "
+            "with --levels."
+        )
+    return lines

@@ -1,0 +1,147 @@
+"""Arguments of `rig design`: parsed, checked, and completed with defaults from the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rig.core.base.errors import SceneError
+from rig.core.scene.body_names import body_number
+from rig.core.scene.scene import Scene
+from rig.core.settings.quantities import (
+    FORCE,
+    FREQUENCY,
+    LENGTH,
+    MASS,
+    RATIO,
+    ascending_pair,
+    count,
+    number,
+    parse,
+    positive_values,
+)
+from rig.core.system.open_loop_drive import level_of, with_ideal_force
+from rig.core.system.structural_model import structural_model
+from rig.studies.design.choice import Objective, SearchSpace, impact_law_of, variants
+from rig.studies.motion_map.grid import select_frequencies
+
+#: Default force levels of the optimization, relative to the level of the scene's test.
+DEFAULT_LEVEL_RATIOS = (0.5, 1.0, 2.0)
+#: Default smallest clearance, relative to the largest displacement without dampers at the smallest level.
+MIN_CLEARANCE_RATIO = 0.03
+#: Default largest clearance, relative to the largest displacement without dampers at the largest level. Effective
+#: dampers reduce the displacement to a tenth to a third of that, and need about twice as much clearance.
+MAX_CLEARANCE_RATIO = 1.5
+#: By default, the added mass (`budget`) is at most this fraction of the mass of the structure.
+DEFAULT_MASS_RATIO = 0.05
+#: Argument of both uncertainties in messages, with their options on the command line.
+_UNCERTAINTIES = "uncertain (--damping-off, --stiffness-off)"
+
+
+def mass_limit(budget: float | str | None, scene: Scene) -> float:
+    """Return the limit of the added mass, kg, from a mass or a share of the structure's mass; None for the default.
+
+    Raises `SceneError` if the budget is neither a mass nor a share.
+    """
+    if budget is None:
+        return DEFAULT_MASS_RATIO * total_mass(scene)
+    if not isinstance(budget, str):
+        return budget
+    try:
+        if budget.rstrip().endswith("g"):
+            return parse(budget, MASS)
+        if not budget.rstrip().endswith("%"):
+            # A bare number is ambiguous: kilograms or a share.
+            raise ValueError
+        return parse(budget, RATIO) * total_mass(scene)
+    except ValueError:
+        raise SceneError(
+            f"budget: got {budget[:60]}; expected a mass such as '50 g', or a share such as '5 %'"
+        ) from None
+
+
+def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> tuple[int, ...]:
+    """Return body numbers from numbers or names, sorted; all bodies by default. `name`: the argument."""
+    all_bodies = range(1, scene.structure.bodies + 1)
+    names = [requested] if isinstance(requested, int | str) else requested
+    try:
+        return tuple(sorted(body_number(body, scene.structure.names, len(all_bodies)) for body in names or all_bodies))
+    except SceneError as error:
+        raise SceneError(f"{name}: {error}") from None
+
+
+def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
+    """Replace a drive level of the test (V or m) with a controlled force, because the levels of a design are forces."""
+    if scene.level_key != "drive":
+        return scene
+    if levels is None:
+        raise SceneError(
+            "levels: not given, and the scene's test specifies a drive instead of a force. Give force amplitudes, such "
+            "as --levels 3N."
+        )
+    assert scene.test is not None
+    return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))
+
+
+def total_mass(scene: Scene) -> float:
+    """Return the mass of the structure without dampers, kg."""
+    return float(np.trace(structural_model(scene).mass))
+
+
+def parse_request(
+    scene: Scene,
+    *,
+    budget: float | str | None = None,
+    bodies: Sequence[int | str] | None = None,
+    dampers: int = 1,
+    clearance: Sequence[float | str] | None = None,
+    levels: Sequence[float | str] | None = None,
+    band: Sequence[float | str] | None = None,
+    watched: Sequence[int | str] | None = None,
+    uncertain: Sequence[float | str] = (0.0, 0.0),
+) -> tuple[Objective, SearchSpace]:
+    """Check the arguments of `rig.design`, and fill in their defaults.
+
+    Raises `SceneError` if an argument is invalid, or nothing drives the structure.
+    """
+    damper_bodies = _bodies(bodies, scene, "bodies")
+    evaluated_bodies = tuple(sorted({*_bodies(watched, scene, "watched")}))
+    if count(dampers, 1, "dampers") > len(damper_bodies):
+        raise SceneError(
+            f"dampers: got {dampers}; expected 1 to {len(damper_bodies)}, at most one for each body listed in bodies. "
+            "List a body twice for two dampers in it."
+        )
+    uncertainties = tuple(number(uncertainty, RATIO, _UNCERTAINTIES) for uncertainty in uncertain)
+    if len(uncertainties) != 2 or not all(0.0 <= uncertainty < 0.9 for uncertainty in uncertainties):
+        raise SceneError(
+            f"{_UNCERTAINTIES}: got {', '.join(f'{100 * value:g} %' for value in uncertainties)}; expected two "
+            "relative uncertainties, of damping and stiffness, each from 0 to below 90 %"
+        )
+    structure_mass, max_mass = total_mass(scene), mass_limit(budget, scene)
+    if not 0.0 < max_mass < structure_mass:
+        raise SceneError(
+            f"budget: got {max_mass:g} kg; expected more than 0 and less than the structure's mass, "
+            f"{structure_mass:g} kg"
+        )
+    if scene.gravity == 0.0:
+        raise SceneError(
+            "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
+        )
+    impact_law = impact_law_of(scene.dampers)
+    bare = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
+    default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]
+    forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
+    band_limits = ascending_pair(band or select_frequencies(bare, points=2), FREQUENCY, "band")
+    locations = SearchSpace.locations_of(damper_bodies, dampers)
+    objective = Objective(variants(bare, *uncertainties), forces, band_limits, evaluated_bodies, impact_law)
+    if clearance is not None:
+        return objective, SearchSpace(
+            locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), allows_no_ceiling=False
+        )
+    compliance = objective.bare_peak.compliance
+    return objective, SearchSpace(
+        locations,
+        max_mass,
+        (MIN_CLEARANCE_RATIO * compliance * forces[0], MAX_CLEARANCE_RATIO * compliance * forces[-1]),
+    )

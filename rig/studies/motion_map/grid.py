@@ -1,0 +1,172 @@
+"""The grid of a map: levels or clearances (rows), and frequencies with a finer spacing near resonances (columns)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
+from rig.core.scene.scene import Scene
+from rig.core.settings.quantities import FORCE, LENGTH, VOLTAGE, count
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import accelerations_per_level, level_of
+from rig.core.system.structural_model import structural_model
+
+#: Kind of quantity of a level or clearance, by its unit.
+KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
+#: Default number of frequencies.
+DEFAULT_POINTS = 48
+#: Default number of rows.
+DEFAULT_ROWS = 36
+#: Frequencies are finely spaced within this fraction of a natural frequency on either side.
+RESONANCE_HALF_WIDTH = 0.02
+#: The default range of levels includes these multiples of the lowest take-off level.
+LEVEL_TO_TAKE_OFF_RATIOS = (0.5, 20.0)
+#: The default range of levels includes these multiples of the level of the scene.
+LEVEL_TO_SCENE_LEVEL_RATIOS = (0.5, 4.0)
+#: The default range of clearances includes these multiples of the displacement of a damper on its floor.
+CLEARANCE_TO_DISPLACEMENT_RATIOS = (0.1, 3.0)
+#: The default range of clearances includes these multiples of the clearance in the scene.
+CLEARANCE_TO_SCENE_CLEARANCE_RATIOS = (0.1, 5.0)
+
+
+def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
+    """Return the quantity of the vertical axis, and its unit (N, V or m).
+
+    `over`: "force", "drive" or "clearance". None: the level of the scene's test. Raises `SceneError` if it is
+    neither that level nor the clearance, or the scene has no level or no moving damper.
+    """
+    level_of(scene)
+    if not assemble(scene).dampers:
+        raise SceneError(
+            f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig response."
+        )
+    level_quantity = scene.level_key
+    over = over if over is not None else level_quantity
+    if over not in (level_quantity, "clearance"):
+        raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
+    if over == "drive":
+        assert scene.driven_shaker is not None
+        return over, scene.driven_shaker.drive_unit
+    return over, "N" if over == "force" else "m"
+
+
+def select_frequencies(
+    scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS
+) -> Array:
+    """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
+
+    `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
+    `SceneError` if the ends are not a valid range.
+    """
+    if low is None or high is None:
+        default = _test_range(scene)
+        low, high = default[0] if low is None else low, default[1] if high is None else high
+    points = count(points, 2, "points")
+    if not 0.0 < low < high:
+        raise SceneError(f"frequencies: got {low:g} to {high:g} Hz; expected an ascending range above 0")
+    natural = natural_frequencies(scene, low, high)
+    grid = np.linspace(low, high, 20_001)
+    # Uniform density plus a Lorentzian at each natural frequency.
+    density = np.full(grid.shape, 1.0 / (high - low))
+    for center in natural:
+        half_width = RESONANCE_HALF_WIDTH * center
+        density += 1.0 / (len(natural) * np.pi * half_width * (1.0 + ((grid - center) / half_width) ** 2))
+    cumulative_density = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    frequencies = np.interp(np.linspace(0.0, cumulative_density[-1], points), cumulative_density, grid)
+    frequencies[0], frequencies[-1] = low, high
+    return np.asarray(frequencies)
+
+
+def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
+    """Compute the natural frequencies in a range, Hz, without the moving dampers and with these at rest on floors.
+
+    With dampers in motion, each resonance is between these two values.
+    """
+    model = structural_model(scene)
+    models = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
+    natural = np.concatenate([loaded_model.modes.frequency for loaded_model in models])
+    return np.asarray(natural[(natural > low) & (natural < high)])
+
+
+def _test_range(scene: Scene) -> tuple[float, float]:
+    band = None if scene.test is None else scene.test.band
+    if band is None:
+        raise SceneError("test: has no frequency. Give a range with --from and --to.")
+    low, high = band
+    return band if low < high else (0.8 * low, 1.2 * low)
+
+
+def take_off_levels(scene: Scene, frequency: Array) -> Array:
+    """Compute the level at which a damper reaches 1 g in the linear structure with all dampers on their floors.
+
+    `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
+    """
+    return assemble(scene).gravity / damper_accelerations(scene, frequency).max(axis=0)
+
+
+def damper_accelerations(scene: Scene, frequency: Array) -> Array:
+    """Compute the acceleration of each damper that moves per unit of level, m/s^2; shape (dampers, frequencies).
+
+    All dampers are on their floors. `frequency`: Hz.
+    """
+    system = assemble(scene)
+    return np.stack(
+        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[system.damper_coordinate] for f in frequency], axis=1
+    )
+
+
+def select_row_values(
+    scene: Scene,
+    over: str,
+    frequency: Array,
+    lowest: float | None = None,
+    highest: float | None = None,
+    rows: int = DEFAULT_ROWS,
+) -> Array:
+    """Select levels or clearances, evenly spaced in the logarithm.
+
+    `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
+    range of levels contains the lowest take-off level. In the default range of clearances, a damper hardly moves at the
+    smallest and hardly reaches its ceiling at the largest. Unless both ends are given, one row is the scene's value.
+    Raises `SceneError` if the ends are not a valid range.
+    """
+    scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
+    low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
+    rows = count(rows, 2, "rows")
+    if not 0.0 < low < high:
+        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected an ascending range above 0 (--least, --most)")
+    step = np.log(high / low) / (rows - 1)
+    if lowest is not None and highest is not None:
+        return np.geomspace(low, high, rows)
+    # Shift by less than half a row, so that one row is the scene's own value.
+    shift = (np.log(scene_value / low) / step + 0.5) % 1.0 - 0.5
+    return np.asarray(low * np.exp(step * (np.arange(rows) + shift)))
+
+
+def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
+    """Return the scene's own level and the ends of the default range."""
+    level = level_of(scene)
+    lowest_take_off = float(take_off_levels(scene, frequency).min()) or level
+    return level, _range_around(lowest_take_off, LEVEL_TO_TAKE_OFF_RATIOS, level, LEVEL_TO_SCENE_LEVEL_RATIOS)
+
+
+def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
+    """Return the scene's own clearance (geometric mean of several) and the ends of the default range, m."""
+    accelerations = damper_accelerations(scene, frequency).max(axis=0)
+    peak = int(np.argmax(accelerations))
+    displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
+    clearances = assemble(scene).clearance
+    clearances = clearances[np.isfinite(clearances)]
+    scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
+    return scene_clearance, _range_around(
+        displacement, CLEARANCE_TO_DISPLACEMENT_RATIOS, scene_clearance, CLEARANCE_TO_SCENE_CLEARANCE_RATIOS
+    )
+
+
+def _range_around(
+    first: float, first_ratios: tuple[float, float], second: float, second_ratios: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the smallest range that contains both values times their ratios."""
+    (first_low, first_high), (second_low, second_high) = first_ratios, second_ratios
+    return min(first_low * first, second_low * second), max(first_high * first, second_high * second)

@@ -1,0 +1,277 @@
+"""`analysis report`: the page's summary, sections and charts, without a network and in a browser."""
+
+from __future__ import annotations
+
+import csv
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from analysis.commands.presentation.comparison import describe_changes
+from analysis.commands.presentation.damper_findings import describe_motions
+from analysis.commands.presentation.frf_findings import describe_frfs
+from analysis.commands.presentation.mode_findings import describe_modes
+from analysis.commands.presentation.tables import modes_table
+from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
+from analysis.commands.report_page.drawing import rig_drawing
+from analysis.commands.report_page.measurements import Measurements, highest_peak
+from analysis.commands.report_page.report import write_report
+from analysis.commands.report_page.responses import response_chart
+from analysis.commands.report_page.summary import summarize
+from analysis.commands.report_page.tables import peak_height
+from analysis.core.damper_motion.comparison import Peak, PeakChange
+from rig.core.results import format_interval
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import SENSITIVITY, expand
+from tests.analysis.responses import synthetic
+
+FREQUENCIES = np.linspace(8.0, 60.0, 53)
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chrome")
+in_browser = pytest.mark.skipif(BROWSER is None, reason="needs chromium or chrome")
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("recordings")
+    synthetic.stepped_sine(folder / "sweep.mcap", FREQUENCIES, noise=1e-6, name="first scene")
+    synthetic.impulses(folder / "hit.mcap", interval=3.0, name="hit scene")
+    return [folder / "sweep.mcap", folder / "hit.mcap"]
+
+
+@pytest.fixture(scope="module")
+def page(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    [page] = write_report(recordings, tmp_path_factory.mktemp("page")).files
+    return page
+
+
+def browse(page: Path, tmp_path: Path, *options: str) -> str:
+    """Open a page in a headless browser and return its standard output; fail if the page logs an error."""
+    assert BROWSER is not None
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+        f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--enable-logging=stderr", *options,
+        page.as_uri(),
+    ]  # fmt: skip
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert "CONSOLE" not in run.stderr
+    return run.stdout
+
+
+def test_page_needs_no_network(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert not re.search(r"(src|href)=\"(?!#)|url\(|@import", text)
+    assert page.stat().st_size < 2e6
+
+
+def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
+    text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
+    answer = text[text.index('<section class="answer">') : text.index("<nav>")]
+    assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
+    for part in ("Uncertainty budget", "sensitivity", "Spectrogram of body1", "analysis report", "Scene file"):
+        assert part in text
+    assert "sine: frequency 10 Hz, force 1 N" in answer and "daq record sweep.yaml -o" in text
+
+
+def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    highest = highest_peak(list(responses.curves()), [None])
+    assert highest is not None
+    # First natural frequency 13.04 Hz; the points are 1 Hz apart.
+    assert highest[1].frequency == pytest.approx(13.0, abs=0.1)
+
+
+def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    # Without the first mode, whose half-power width has too few points for an upper bound of its peak.
+    curve = responses.curves()[0].band(20.0, 60.0)
+    value = abs(curve.value)
+    # The tolerances of several reference channels have the largest effect at the resonance.
+    curve = curve.with_limits({SENSITIVITY: np.where(value > 0.5 * value.max(), 5.0, 0.1) * value})
+    highest = highest_peak([curve], [None])
+    assert highest is not None
+    [text] = [line for line in describe_frfs([curve]) if "the peak between the points" in line]
+    assert f"({peak_height(highest[1])}) µm/N" in text
+
+
+def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> None:
+    [responses] = analysis.frf(recordings[0])
+    curve = responses.curves()[0]
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        [sweep] = measurement.sweeps
+        peak = Peak(1e-3, 2e-3, 13.0, 12.9, 13.1)
+        [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, highest=(curve, peak)),))], [])
+    assert "is not determined" in sentence and "µm/N" not in sentence
+
+
+def test_modes_have_equal_digits_in_all_outputs(recordings: list[Path], tmp_path: Path) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        modes = measurement.sweeps[0].modes
+        assert modes is not None
+        headline = " ".join(summarize([measurement], []))
+    rows = csv.DictReader(modes_table(tmp_path / "modes.csv", [modes]).read_text("utf-8").splitlines())
+    lines = describe_modes(modes)[2:]
+    for k, (row, line) in enumerate(zip(rows, lines, strict=True)):
+        bounds = expand(np.array([modes.frequency_error[k], 100.0 * modes.damping_error[k]]))
+        values = float(row["frequency_Hz"]), 100.0 * float(row["damping_ratio"])
+        texts = [format_interval(*pair) for pair in zip(values, bounds.tolist(), strict=True)]
+        assert all(text in headline and text in line for text in texts)
+
+
+@pytest.mark.thorough
+def test_answer_states_detection_limits_of_impacts() -> None:
+    recording = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
+    with Measurements([recording]) as measurements:
+        [measurement] = measurements.results
+        [sentence] = [text for text in summarize([measurement], []) if "damper impacts" in text]
+        [dampers] = measurement.dampers
+        limits = describe_motions(dampers.bodies)[-1].removesuffix(" are not detected.").partition("below ")[2]
+    assert f"below {limits} are not detectable" in sentence and "mm/s (body1)" in limits
+
+
+def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "figs" / "report.html"
+    result = write_report(recordings[1:], page)
+    assert result.files == (page,)
+    assert [each.name for each in page.parent.iterdir()] == ["report.html"]
+    text = page.read_text("utf-8")
+    assert ">Frequency responses</h2>" in text and ">Free decays</h2>" in text
+    assert "below 1 g" in result.lines[0]
+
+
+def test_missing_result_is_a_warning(tmp_path: Path) -> None:
+    path = synthetic.stepped_sine(tmp_path / "few.mcap", [20.0, 21.0, 22.0], name="few")
+    result = write_report([path], tmp_path)
+    assert any("not available" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("curve", "logarithmic", "data"),
+    [
+        (Curve("a", [1.0, 2.0], [0.0, 3.0]), True, '"y":[null,3.0]'),
+        (Curve("a", EvenlySpaced(0.0, 0.5, 3), [1.0, 2.0, 3.0]), False, '"x":{"start":0.0,"step":0.5,"size":3}'),
+        (Curve("</script><b>", [1.0], [1.0]), False, '"label":"\\u003c/script>\\u003cb>"'),
+    ],
+)
+def test_chart_data_suit_axis_and_page(curve: Curve, logarithmic: bool, data: str) -> None:
+    panel = Panel("size", "m", [curve], logarithmic=logarithmic)
+    assert data in ChartWriter().write(Chart("caption", "alternative", [panel]))
+
+
+def test_answer_names_each_sweep(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    scene = rig.load("bare-structure", {"test.points": 30, "test.from": "45 Hz", "test.force": ["1 N", "2 N"]})
+    daq.record(scene, path)
+    answer = write_report([path], tmp_path).lines
+    assert "1 N" in answer[0] and "2 N" in answer[1]
+
+
+def test_phase_has_a_gap_where_it_wraps() -> None:
+    f = np.linspace(1.0, 10.0, 10)
+    curve = Response.curve(f, np.exp(1j * np.radians(np.linspace(60.0, -300.0, 10) + 1.0)), "body1")
+    phase = response_chart([curve], ["body1"]).panels[1]
+    assert phase.label == "phase" and np.isnan(phase.curves[0].y).sum() == 1
+    assert np.isfinite(phase.curves[0].x).all() and np.nanmax(abs(np.diff(phase.curves[0].y))) < 41.0
+
+
+def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tmp_path: Path) -> None:
+    infos = [replace(info, at="body 2" if info.at == "body 3" else info.at) for info in synthetic.channels()]
+    infos = [replace(info, name="other") if info.name == "body2" else info for info in infos]
+    other = synthetic.stepped_sine(tmp_path / "other.mcap", FREQUENCIES, noise=1e-6, infos=infos)
+    result = write_report([recordings[0], other], tmp_path)
+    assert any("other.mcap: Comparison: not available." in warning for warning in result.warnings)
+
+
+def test_modes_of_equal_scenes_are_named_once(tmp_path: Path) -> None:
+    paths = [synthetic.stepped_sine(tmp_path / f"{name}.mcap", FREQUENCIES, noise=1e-6) for name in ("one", "other")]
+    text = write_report(paths, tmp_path).files[0].read_text("utf-8")
+    table = text[text.index("Resonances, with 95 % intervals") :]
+    assert re.findall(r'class="group"[^>]*>([^<]*)<', table)[:2] == ["one", "other"]
+
+
+def test_change_has_the_digits_of_its_interval() -> None:
+    peaks = (Peak(1e-4, 1e-7, 13.0, 12.99, 13.01), Peak(0.5e-4, 0.5e-7, 13.0, 12.99, 13.01))
+    assert describe_changes([PeakChange("body1", 13.0, 0.01, *peaks)])[1].split()[4:8] == [
+        "-6.021", "-6.033", "to", "-6.008",
+    ]  # fmt: skip
+
+
+def test_drawing_names_bodies_and_sensors() -> None:
+    drawing = rig_drawing(rig.load("fig8-three-dampers"))
+    assert "6.6 kN/m" in drawing and "body 3" in drawing and ">body3<" in drawing
+
+
+@in_browser
+@pytest.mark.thorough
+def test_browser_draws_every_chart(page: Path, tmp_path: Path) -> None:
+    document = browse(page, tmp_path, "--dump-dom")
+    charts = document.count('data-source="')
+    assert charts > 5 and len(re.findall(r'data-drawn="[1-9]', document)) == charts
+
+
+@pytest.mark.thorough
+def test_page_is_two_megabytes_at_most(tmp_path: Path) -> None:
+    recordings = sorted((Path(__file__).parents[3] / "recordings").glob("demo-*.mcap"))
+    [page] = write_report(recordings, tmp_path).files
+    assert len(recordings) == 4 and page.stat().st_size < 2e6
+
+
+def test_contents_link_to_every_section(page: Path) -> None:
+    text = page.read_text("utf-8")
+    links, sections = re.findall('href="#([^"]*)"', text), re.findall('<h2 id="([^"]*)"', text)
+    assert links == sections and len(sections) > 5
+
+
+@in_browser
+@pytest.mark.thorough
+def test_readout_names_curves_and_units(page: Path, tmp_path: Path) -> None:
+    document = browse(page, tmp_path, "--dump-dom")
+    readout = document[document.index('<table class="readout">') :].partition("</table>")[0]
+    assert "hit scene" in readout and "|compliance| / (µm/N)" in readout and "frequency: –" in readout
+
+
+@in_browser
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([11.5, 14.0], ["10", "12", "14", "16"]),
+        ([22.0, 22.0], ["20", "22", "24"]),
+        ([1.0, 500.0], ["1", "10", "100"]),
+    ],
+)
+def test_logarithmic_axis_has_labels(values: list[float], expected: list[str], tmp_path: Path) -> None:
+    panel = Panel("bound", "%", [Curve("curve", [1.0, 2.0], values)], logarithmic=True)
+    templates, scripts = files("analysis.commands.report_page") / "browser", ("uPlot.iife.min.js", "charts.js")
+    # The title of the page collects the texts that are drawn.
+    page = tmp_path / "page.html"
+    page.write_text(
+        "<!DOCTYPE html><meta charset='utf-8'><title></title><body style='width: 600px'>"
+        + ChartWriter().write(Chart("caption", "alternative", [panel]))
+        + "<script>const fill = CanvasRenderingContext2D.prototype.fillText;"
+        "CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {"
+        " document.title += `|${text}`; fill.call(this, text, ...rest); };</script>"
+        + "".join(f"<script>{(templates / name).read_text('utf-8')}</script>" for name in scripts),
+        "utf-8",
+    )
+    [title] = re.findall("<title>(.*)</title>", browse(page, tmp_path, "--dump-dom"))
+    labels = title.partition("|bound / %|")[2].split("|")
+    assert [label for label in labels if label] == expected
+
+
+@in_browser
+@pytest.mark.thorough
+def test_page_prints_to_pdf(page: Path, tmp_path: Path) -> None:
+    browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    pdf = (tmp_path / "page.pdf").read_bytes()
+    assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 4

@@ -1,0 +1,242 @@
+"""`daq.foresee` predicts a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import daq
+import rig
+from daq.core.prediction import rehearsal_plan
+from daq.core.prediction.linear import channel_readings
+from daq.core.virtual_bench.bench import Bench
+from rig.core.base.errors import SceneError
+from rig.core.system.structural_model import receptance
+from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
+from tests.gauntlet.scenes import draw
+
+TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}
+VOLTS_PER_UNIT = 0.1 / 9.80665  # sensitivity of the accelerometer, V per m/s^2
+STEPS = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 150, "force": "1 N"}
+
+
+def one_body(test: dict[str, Any], **changes: Any) -> rig.Scene:
+    """Return a body of 1 kg at 20 Hz with 2 % damping and ideal sensors, excited by a force."""
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [15.79 kN/m], damping: {modal: 2 %}}\n"
+        "shaker: {kind: force, body: 1}\nconverter: {rate: 1024 Hz}"
+    )
+    return scene.replace(test=test, **changes)
+
+
+def accelerometer(**changes: Any) -> list[dict[str, Any]]:
+    """Return the channels of a scene with one accelerometer, a1 on body 1."""
+    return [{"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g"}, **changes}]
+
+
+def steady_acceleration(scene: rig.Scene, frequencies: np.ndarray) -> float:
+    """Return the largest steady acceleration of body 1 for 1 N in m/s^2, in closed form."""
+    return float(np.max((2 * np.pi * frequencies) ** 2 * abs(receptance(scene, frequencies)[0])))
+
+
+@pytest.fixture
+def short_rehearsals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limit rehearsals to a quarter of their usual length."""
+    monkeypatch.setattr(rehearsal_plan, "_CPU_BUDGET_S", rehearsal_plan._CPU_BUDGET_S / 4)
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("short_rehearsals")
+def test_long_stepped_test_has_steady_maximum() -> None:
+    scene = one_body(STEPS, channels=accelerometer())
+    foresight = daq.foresee(scene.replace(test={**STEPS, "points": 300, "measure": {"periods": 60}}))
+    assert foresight.rehearsed
+    expected = steady_acceleration(scene, np.linspace(10.0, 40.0, 300))
+    assert foresight["a1"].largest == pytest.approx(expected, rel=0.03)
+    assert foresight["a1"].frequency == pytest.approx(20.0, abs=0.2)  # the resonance
+
+
+@pytest.mark.parametrize(("seed", "number"), [(3601, 1), (3601, 2), (3601, 5), (3602, 7), (3601, 9)])
+def test_random_scene_confirms_prediction(seed: int, number: int, tmp_path: Path) -> None:
+    kind = KINDS[number]
+    comparison = compare(draw(seed, number, kind), kind, tmp_path)
+    assert comparison.is_accurate, comparison
+    assert abs(comparison.duration_error) < (1e-3 if comparison.fully_rehearsed else 0.1)
+
+
+@pytest.mark.thorough
+@pytest.mark.usefixtures("short_rehearsals")
+@pytest.mark.parametrize(("seed", "number"), [(3602, 3), (3604, 6)])
+def test_long_random_scene_confirms_prediction(seed: int, number: int, tmp_path: Path) -> None:
+    kind = KINDS[number]
+    scene = with_long_test(draw(seed, number, kind))
+    comparison = compare(scene.replace(test=scene.test.replace(points=20)), kind, tmp_path)
+    assert comparison.is_accurate and not comparison.fully_rehearsed, comparison
+
+
+def test_peaks_with_dampers_are_ranked_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    # For each scene, the response with dampers is computed first, then the response without dampers.
+    has_dampers = []
+
+    def constant_readings(scene: rig.Scene, channels: Any, rising: np.ndarray) -> np.ndarray:
+        has_dampers.append(len(scene.dampers) > 0)
+        return np.ones((1, rising.size))
+
+    monkeypatch.setattr(rehearsal_plan, "channel_readings", constant_readings)
+    names = ("fig5-single-damper", "fig5-three-dampers", "fig8-two-dampers", "fig8-three-dampers", "fig9", "fig10a")
+    for scene in map(rig.load, names):
+        rehearsal_plan.plan_about_peaks(scene, (), 10.0)
+    assert has_dampers == [True, False] * len(names)
+
+
+@pytest.mark.parametrize(("direction", "frequency"), [("up", 10.0), ("up", 40.0), ("down", 40.0), ("down", 10.0)])
+def test_shortened_test_keeps_its_direction(direction: str, frequency: float) -> None:
+    scene = one_body(STEPS | {"direction": direction})
+    part, _ = rehearsal_plan.shorten_to_tone(scene, frequency, 1.0)
+    assert part is not None and part.test is not None and part.test.direction == direction
+
+
+def test_largest_level_is_the_limit() -> None:
+    scene = one_body(STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"})
+    level = daq.foresee(scene).largest_level
+    below, above = (
+        daq.foresee(scene.replace(test={**STEPS, "points": 12, "force": factor * level})) for factor in (0.99, 1.01)
+    )
+    assert below.fits
+    assert not above.fits
+    assert "input range 0.1 V" in above.summary()
+
+
+def test_overloaded_input_has_true_maximum() -> None:
+    scene = one_body(TONE, channels=accelerometer())
+    maximum = daq.foresee(scene)["a1"].largest
+    clipped = daq.foresee(scene.replace(converter={"rate": 1024, "range": maximum * VOLTS_PER_UNIT / 2}))["a1"]
+    assert clipped.overloaded
+    assert clipped.largest == pytest.approx(maximum, rel=1e-6)
+    assert clipped.recorded == pytest.approx(maximum / 2, rel=1e-6)
+
+
+def test_sensor_limit_is_compared_with_acceleration() -> None:
+    scene = one_body(TONE)
+    maximum = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest
+    sensor = {"sensitivity": "100 mV/g", "saturation": 2 * maximum}
+    foresight = daq.foresee(
+        scene.replace(channels=accelerometer(accelerometer=sensor, integrator={"order": 2, "corner": "1 Hz"}))
+    )
+    assert foresight["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
+
+
+def test_required_drive_exceeds_weak_amplifier() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [30.0, 34.7], "force": "2.6 N"}
+    scene = rig.load("fig8-no-damper").replace(test=test)
+    required = daq.foresee(scene)["amplifier"].largest
+    with_weak_amplifier = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": required / 2})))
+    assert with_weak_amplifier["amplifier"].share == pytest.approx(2.0, rel=0.05)
+    assert with_weak_amplifier.largest_level == pytest.approx(2.6 / 2, rel=0.05)
+
+
+def test_damper_flies_where_its_body_exceeds_gravity() -> None:
+    damper = {"body": 1, "mass_ratio": "5 %", "clearance": ".inf"}
+    test = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 16, "force": "3 N"}
+    scene = one_body(test, dampers=[damper])
+    frequencies = np.array(scene.test.order)
+    response = abs(receptance(scene, frequencies, riding=[1])[0])
+    above_gravity = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
+    (line,) = daq.foresee(scene).flights
+    assert line == f"damper 1 (body 1) flies at {above_gravity[0]:g} to {above_gravity[-1]:g} Hz"
+    (line,) = daq.foresee(scene.replace(structure=scene.structure.replace(names=["arm"]))).flights
+    assert line.startswith("damper 1 (arm) flies at")
+    (line,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
+    assert "stays on its floor" in line
+
+
+@pytest.mark.thorough
+def test_largest_level_is_correct_with_flying_damper() -> None:
+    damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
+    test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}
+    scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))
+    input_range = 0.6 * daq.foresee(scene)["a1"].largest  # m/s^2
+    foresight = daq.foresee(scene.replace(converter={"rate": 1024, "range": input_range * VOLTS_PER_UNIT}))
+    assert foresight.nonlinear
+    at_largest_level = daq.foresee(scene.replace(test={**test, "force": foresight.largest_level}))["a1"]
+    assert at_largest_level.largest == pytest.approx(input_range, rel=0.1)
+
+
+def test_smallest_signal_is_that_of_weakest_tone() -> None:
+    sensor = {"sensitivity": "100 mV/g", "noise": "1 mg/sqrt(Hz)"}
+    test = {"kind": "stepped_sine", "frequencies": [5.0, 20.0], "force": "1 N", "measure": {"periods": 20}}
+    scene = one_body(test, channels=accelerometer(accelerometer=sensor))
+    signal = daq.foresee(scene).signals["a1"]
+    density = 1e-3 * 9.80665  # m/s^2/sqrt(Hz)
+    noise = density * np.sqrt(2.0 / 4.0)  # of an amplitude that is measured for 4 s, 20 periods at 5 Hz
+    assert signal.frequency == 5.0
+    assert signal.ratio == pytest.approx(steady_acceleration(scene, np.array([5.0])) / noise, rel=0.02)
+
+
+def test_channel_below_its_noise_is_named() -> None:
+    noisy = accelerometer(accelerometer={"sensitivity": "100 mV/g", "noise": "1 g/sqrt(Hz)"})
+    (line,) = daq.foresee(one_body(TONE | {"force": "0.1 N"}, channels=noisy)).unread
+    assert line.startswith("a1: at 30 Hz, the signal is")
+    assert daq.foresee(one_body(TONE | {"force": "1 kN"}, channels=noisy)).unread == ()
+
+
+def test_channel_below_two_counts_is_named() -> None:
+    converter = {"rate": 1024, "bits": 8, "range": "10 V"}
+    (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread
+    assert line.startswith("a1: the largest reading is below two counts")
+    with_24_bits = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
+    assert with_24_bits.unread == ()
+
+
+def test_modes_outside_the_band_are_listed() -> None:
+    scene = rig.load("bare-structure")
+    test = {"kind": "random", "from": "20 Hz", "to": "60 Hz", "duration": "2 s", "force": "1 N"}
+    (line,) = daq.foresee(scene.replace(test=test)).outside
+    assert "mode 1 at 13.04 Hz" in line
+
+
+def test_scene_without_test_is_rejected() -> None:
+    with pytest.raises(SceneError, match="has no test"):
+        daq.foresee(rig.load("bare-structure").replace(test=None))
+
+
+def test_table_has_a_row_for_each_maximum() -> None:
+    foresight = daq.foresee(one_body(TONE, channels=accelerometer()))
+    table = foresight.columns()
+    assert table["name"].tolist() == ["a1", "ao0"]
+    assert {len(column) for column in table.values()} == {2}
+    assert str(foresight).splitlines()[0] == foresight.summary()
+
+
+@pytest.mark.parametrize("truth", [False, True])
+@pytest.mark.parametrize("name", ["fig10b-three-dampers", "reference-B"])
+def test_size_of_recording_is_predicted(name, truth, tmp_path):
+    scene = rig.load(name, {"recording.truth": truth})
+    path = daq.record(scene, tmp_path / "a.mcap")
+    assert daq.foresee(scene).disk == pytest.approx(path.stat().st_size, rel=0.2)
+
+
+@pytest.mark.parametrize(("kind", "volts"), [("table", 2.0), ("electrodynamic", 2e-3)])
+def test_linear_reading_of_the_drive_is_its_voltage(kind: str, volts: float) -> None:
+    # The drive is 2 mm or 2 mV. 1 V at the output moves the table by 1 mm, or drives the coil's amplifier with 1 V.
+    shaker = {"kind": "table", "body": 1, "spring": "6.6 kN/m", "bandwidth": "100 kHz"}
+    scene = rig.load("fig9").replace(
+        shaker=shaker if kind == "table" else rig.load("fig9").shaker,
+        test={"kind": "sine", "frequency": "30 Hz", "drive": 2e-3, "duration": "3 s"},
+        channels=[{"name": "output", "at": "drive"}],
+        converter={"rate": "5120 Hz", "sampling": "point"},
+    )
+    readings = channel_readings(scene, Bench(scene).channels, np.array([30.0]))
+    assert 2e-3 * readings[0, 0] == pytest.approx(volts, rel=1e-6)
+
+
+def test_power_on_transient_does_not_limit_the_level() -> None:
+    hit = {"kind": "impulse", "body": 1, "peak": "10 N", "width": "5 ms", "repeats": 1, "interval": "2 s"}
+    scene = one_body(hit, channels=accelerometer(accelerometer={"preset": "PCB 352C33"}), shaker=None)
+    prediction = daq.foresee(scene.replace(converter={"preset": "NI 9234", "rate": "2048 Hz"}))
+    assert prediction["a1"].place.endswith("bias settling") and prediction["a1"].largest > 50.0
+    # The acceleration of the hit is at most 10 N / 1 kg, 1.02 g, and the limit of the sensor 50 g.
+    assert 400.0 < prediction.largest_level < 600.0

@@ -13,12 +13,17 @@ from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_d
 
 # Kinds: exact curves without a recording, and two kinds of recorded tests.
 CURVES, MULTISINE, STEPPED = "curves_close_modes", "multisine_close_modes", "stepped_sine_close_modes"
+# Two shakers separate modes at a fraction of their half-power bandwidths.
+TWO_SHAKERS = "two_shakers_close_modes"
 # Exact curves: smallest relative distance of the two natural frequencies, and damping ratio of all modes.
 _EXACT_DISTANCE = 0.004
 _EXACT_DAMPING_RATIO = 0.002
 # The same for recorded tests, whose curves have noise.
 _NOISY_DISTANCE = 0.01
 _NOISY_DAMPING_RATIO = 0.005
+# The same for tests with two shakers; the damping ratio is drawn from a range.
+_TWO_SHAKERS_DISTANCE = 0.004
+_TWO_SHAKERS_DAMPING_RATIOS = (0.002, 0.012)
 # The contributions of the two modes to a response have at least this ratio: a smaller ratio would hide a mode.
 _MIN_CONTRIBUTION_RATIO = 0.25
 
@@ -29,6 +34,8 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
     distance, damping_ratio = (
         (_EXACT_DISTANCE, _EXACT_DAMPING_RATIO) if kind == CURVES else (_NOISY_DISTANCE, _NOISY_DAMPING_RATIO)
     )
+    if kind == TWO_SHAKERS:
+        distance, damping_ratio = _TWO_SHAKERS_DISTANCE, random.log_uniform(*_TWO_SHAKERS_DAMPING_RATIOS)
     bodies = random.integer(2, 4)
     first = random.uniform(20.0, 40.0)
     natural_frequencies = [first, first * (1.0 + distance * random.uniform(1.0, 1.5)), 1.7 * first, 2.9 * first][
@@ -41,7 +48,20 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
     tests: dict[str, Settings] = {
         MULTISINE: {"kind": "multisine", "period": round(5.0 / bandwidth, 2), "periods": 3},
         STEPPED: {"kind": "stepped_sine", "points": 40},
+        TWO_SHAKERS: {
+            "kind": "multisine", "period": round(4.0 / bandwidth, 2), "periods": 3, "realisations": 2, "shaker": 1,
+            "also": [2],
+        },
+    }  # fmt: skip
+    excitation: Settings = {
+        "shaker": {"kind": "force", "body": 1},
+        "forces": [{"name": "force", "at": "shaker"}],
     }
+    if kind == TWO_SHAKERS:
+        excitation = {
+            "shaker": [{"kind": "force", "body": 1}, {"kind": "force", "body": 2}],
+            "forces": [{"name": "f1", "at": "shaker 1"}, {"name": "f2", "at": "shaker 2"}],
+        }
     band = {"from": round(0.94 * first, 3), "to": round(1.08 * first, 3)}
     sensor = {
         "accelerometer": {"sensitivity": "100 mV/g", "noise": f"{random.log_uniform(30.0, 1000.0):.3g} ug/sqrt(Hz)"}
@@ -52,11 +72,11 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
             "matrices": {"mass": np.diag(masses).tolist(), "stiffness": (0.5 * (stiffness + stiffness.T)).tolist()},
             "damping": {"modal": damping_ratio},
         },
-        "shaker": {"kind": "force", "body": 1},
+        "shaker": excitation["shaker"],
         "test": {**tests.get(kind, tests[STEPPED]), **band, "force": random.log_uniform(0.5, 3.0)},
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)),
-            {"name": "force", "at": "shaker"},
+            *excitation["forces"],
         ],
         "converter": {"rate": instrument_random.choice([1024.0, 2048.0]), "bits": 24, "range": 10.0},
         "recording": {"display": False},

@@ -39,6 +39,7 @@ KINDS = (
     "curves_close_modes",
     "multisine_close_modes",
     "stepped_sine_close_modes",
+    "two_shakers_close_modes",
     "random_two_shakers",
     "multisine_two_shakers",
 )

@@ -28,6 +28,7 @@ SCENE_NUMBERS = {
     "curves_close_modes": 0,
     "multisine_close_modes": 2,
     "stepped_sine_close_modes": 0,
+    "two_shakers_close_modes": 0,
     "random_two_shakers": 23,
     "multisine_two_shakers": 0,
 }

@@ -231,7 +231,8 @@ def _measured(curves: Sequence[Response]) -> tuple[Curves, Array]:
     sigma = sigma[:, valid]
     shared = max(curve.uncertainty.shared for curve in curves)
     resolution = max(curve.resolution for curve in curves)
-    return Curves(frequency[valid], value[:, valid], 1.0 / sigma, shared, resolution), sigma
+    references = len({curve.inputs for curve in curves})
+    return Curves(frequency[valid], value[:, valid], 1.0 / sigma, shared, resolution, references), sigma
 
 
 def _best_model(

@@ -24,7 +24,8 @@ MAX_MODES = 12
 _MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# Two poles are resolved if their distance is at least this, in mean half-power bandwidths.
+# A single reference resolves two poles if their distance is at least this, in mean half-power bandwidths. Several
+# references distinguish closer poles by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
 # Two poles are close up to this distance, in the same unit. Close poles are accepted only if their local misfit is at
 # noise level, because two close poles can fit the skewed peak of a nonlinear structure.
@@ -183,7 +184,7 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
         mean_width = width[low] + width[high]
         # The window broadens a narrow peak to less than twice the frequency resolution.
         is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RATIO * curves.resolution
-        is_unresolved = distance < _MIN_DISTANCE_WIDTHS * mean_width
+        is_unresolved = curves.references == 1 and distance < _MIN_DISTANCE_WIDTHS * mean_width
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (
             is_same_peak

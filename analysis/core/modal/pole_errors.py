@@ -61,8 +61,12 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
 
 def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
     """Return the standard deviations as in `pole_errors`, from the covariance of the parameters, (2 modes, 2 modes)."""
-    eigenvalues, axes = np.linalg.eigh(covariance)
-    return _add_min_uncertainty(poles, *propagate(poles, [axes * np.sqrt(np.maximum(eigenvalues, 0.0))]))
+    # The decay rate of a pole far outside the band may be undetermined. Its variance would dominate the rounding errors
+    # of a factorization of the covariance, but not of the correlation.
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    eigenvalues, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    factor = scale[:, None] * axes * np.sqrt(np.maximum(eigenvalues, 0.0))
+    return _add_min_uncertainty(poles, *propagate(poles, [factor]))
 
 
 def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_error: Array) -> tuple[Array, Array]:

@@ -35,6 +35,7 @@ class Curves:
     weight: Array  # inverse standard deviations of either quadrature component, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error
     resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
+    references: int = 1  # number of inputs of the responses
 
     @property
     def n_values(self) -> int:

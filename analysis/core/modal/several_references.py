@@ -2,7 +2,8 @@
 
 All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
 participation factors, one for each input. The residue of a repeated pole is a sum of such products; their number is the
-rank of the residue matrix [1]_.
+rank of the residue matrix [1]_. A pole is reported as repeated only if a second pole next to it would not improve the
+fit significantly, because identification would have added that pole.
 
 References
 ----------
@@ -32,6 +33,8 @@ def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], pl
     outputs. Returns modes with the residues of one input: that whose smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)
+    # A model error may resemble a second shape.
+    min_ratio = max(_MIN_RATIO, _DETECTION_SIGMAS * modes.model_error)
     pole_of_mode: list[int] = []
     vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation factors of each mode
     for k in range(modes.frequency.size):
@@ -39,7 +42,7 @@ def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], pl
         noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
         left, singular, right = np.linalg.svd(residue, full_matrices=False)
         for r in range(singular.size):
-            if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, _MIN_RATIO * singular[0]):
+            if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, min_ratio * singular[0]):
                 pole_of_mode.append(k)
                 vectors.append((left[:, r] * singular[r], right[r]))
     shapes, participation = (np.stack(columns, axis=1) for columns in zip(*vectors, strict=True))

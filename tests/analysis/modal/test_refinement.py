@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from analysis.core.modal import refinement
+from analysis.core.modal.pole_errors import refined_pole_errors
 from analysis.core.modal.pole_residue import Curves, Projection, fit
 from analysis.core.modal.refinement import Likelihood, take_step
 from rig.core.results.uncertainty import LineCovariance
@@ -74,6 +75,18 @@ def test_fit_from_conjugate_poles_returns_the_same_modes(curves: Curves) -> None
     expected, model = fit(curves, start), fit(curves, start.conj())
     np.testing.assert_allclose(model.poles, expected.poles, rtol=1e-6)
     np.testing.assert_allclose(model.residue, expected.residue, rtol=1e-4)
+
+
+def test_undetermined_pole_does_not_affect_other_uncertainties() -> None:
+    poles = 2 * np.pi * np.array([20.0, 90.0]) * (-0.01 + 1j)
+    # Decay rates of both poles, then their frequencies; the decay rate of the second pole is undetermined.
+    correlation = np.eye(4) + 0.5 * (np.ones((4, 4)) - np.eye(4))
+    deviation = np.array([1e-3, 1.0, 1e-3, 1e-3])
+    errors = [
+        refined_pole_errors(poles, correlation * np.outer(scale, scale))
+        for scale in (deviation, deviation * [1.0, 1e12, 1.0, 1.0])
+    ]
+    np.testing.assert_allclose([error[0] for error in errors[0]], [error[0] for error in errors[1]], rtol=1e-6)
 
 
 def test_fit_with_unknowns_for_every_value_is_exact() -> None:

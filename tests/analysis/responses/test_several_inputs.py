@@ -158,6 +158,18 @@ def test_shapes_use_the_input_that_excites_every_mode():
     np.testing.assert_allclose(separated.residue, shapes * participation[1], atol=1e-12)
 
 
+@pytest.mark.parametrize(("model_error", "count"), [(0.0, 2), (0.1, 1)])
+def test_model_error_is_no_second_shape(model_error, count):
+    residue = np.array([[1.0, 0.5], [0.5, 0.4]]).reshape(4, 1) + 0j
+    zero = np.zeros(1)
+    modes = Modes(
+        frequency=np.array([10.0]), frequency_error=zero, damping=zero, damping_error=zero,
+        shape_error=np.zeros((4, 1)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
+        lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=model_error, label="", warnings=(),
+    )  # fmt: skip
+    assert separate(modes, ("a", "b"), ("f1", "f3"), ("body 1", "body 3")).frequency.size == count
+
+
 @pytest.mark.thorough
 def test_bounds_contain_truth_for_random_structures(tmp_path):
     random = np.random.default_rng(20)
@@ -244,9 +256,10 @@ def test_element_is_selected_by_output_and_input(random_response):
     assert "a2 / force at body 3" in str(response.budget("a2", 20.0, "f3"))
 
 
-@pytest.mark.parametrize(("coupling", "noise"), [(180.0, 20), (0.0, 200)])
+@pytest.mark.parametrize(("coupling", "noise"), [(180.0, 20), (70.0, 20), (0.0, 200)])
 def test_close_modes_are_separated_by_two_references(coupling, noise, tmp_path):
-    # Two equal oscillators. With weak coupling the modes are 0.2 Hz apart, each 0.36 Hz wide; uncoupled, they coincide.
+    # Two equal oscillators, each 0.36 Hz wide. With weak coupling the modes are 0.2 or 0.08 Hz apart; uncoupled, they
+    # coincide.
     stiffness = [[20e3 + coupling, 0.0, -coupling], [0.0, 4e4, 0.0], [-coupling, 0.0, 20e3 + coupling]]
     matrices = f"{{mass: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], stiffness: {stiffness}}}"
     text = SCENE.format(test=RANDOM.replace("10 s", "15 s"), seed=1, noise=noise, masses=[], springs=[]).splitlines()

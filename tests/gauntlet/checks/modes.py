@@ -15,7 +15,7 @@ from rig.core.base.arrays import Array
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import COVERAGE_FACTOR
 from rig.core.system.structural_model import structure_matrices
-from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED
+from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, TWO_SHAKERS
 from tests.gauntlet.result import Case, CheckResult, Outcome
 
 # An error is plausible up to this number of standard uncertainties.
@@ -24,7 +24,7 @@ MAX_ERROR_SIGMAS = 4.5
 _EXTRAPOLATED = "the damping is extrapolated from the flanks"
 # Relative rounding error.
 _ROUNDING = 1e-9
-_CLOSE_MODES = (CURVES, MULTISINE, STEPPED)
+_CLOSE_MODES = (CURVES, MULTISINE, STEPPED, TWO_SHAKERS)
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss, legval
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
@@ -40,6 +42,45 @@ class Offset:
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V."""
         _fill_settling(samples, self._level, self._decay, self._deviation)
+
+
+class OffsetPolynomial:
+    """A Legendre coefficient of an `Offset` over the interval before each sample, V; 0 before sample 0.
+
+    `degree`: 0 to 2. The coefficients of these degrees give the rise with an error of at most
+    (interval / time constant)^3 / 100 of the level; its mean over an interval has no error.
+
+    >>> samples = np.empty(4)
+    >>> OffsetPolynomial(10.0, 2.0, 1.0, 0).fill(samples)
+    >>> samples.round(3).tolist()  # means over the intervals before each sample
+    [0.0, 2.131, 5.227, 7.105]
+    """
+
+    def __init__(self, level: float, time_constant: float | None, rate: float, degree: int) -> None:
+        self._has_started, self._level = False, level if degree == 0 else 0.0
+        self._decay, self._deviation = 1.0, np.zeros(1)
+        if time_constant is not None:
+            interval = 1.0 / (time_constant * rate)
+            self._decay = float(-np.expm1(-interval))
+            self._deviation[0] = level * _legendre_coefficient(interval, degree)
+
+    def fill(self, samples: Array) -> None:
+        """Fill in the next coefficients, V."""
+        first = 0 if self._has_started else min(1, samples.size)
+        self._has_started |= first > 0
+        samples[:first] = 0.0
+        _fill_settling(samples[first:], self._level, self._decay, self._deviation)
+
+
+def _legendre_coefficient(interval: float, degree: int) -> float:
+    """Return the Legendre coefficient of ``exp(-t)`` over an interval that begins at t = 0.
+
+    >>> round(_legendre_coefficient(1.0, 0), 6)  # 1 - exp(-1)
+    0.632121
+    """
+    nodes, weights = leggauss(64)
+    values = np.exp(-0.5 * interval * (1.0 + nodes)) * legval(nodes, [0.0] * degree + [degree + 0.5])
+    return math.fsum((weights * values).tolist())
 
 
 @unfused_kernel

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.core.dsp.block_buffers import SharedScratch
 from daq.core.dsp.circuit import INTEGRATION, RECOVERY, Circuit
 from daq.core.dsp.discretization import DiscreteCircuit, Entry, discretize
-from daq.core.dsp.disturbances import Disturbance, Disturbances, Offset
+from daq.core.dsp.disturbances import Disturbance, Disturbances, Offset, OffsetPolynomial
 from daq.core.dsp.interpolation import CubicInput
 from daq.core.dsp.limiting import tabulate_limits
 from daq.core.dsp.noise import FastNoise, Noise, generator
@@ -69,7 +69,14 @@ class SignalPath:
             self._sampler = PointSampler(circuit, gain, oversampling, delay_intervals)
         entries, sources = _disturbances(stages, name, sample_rate, seed, has_filter)
         self.noise_states = sum(source.states for source in sources if isinstance(source, Noise))
-        direct = np.array([0.0 if has_filter else circuit.d[entry.section] for entry in entries])
+        direct = np.array(
+            [
+                0.0 if has_filter or isinstance(source, OffsetPolynomial) else circuit.d[entry.section]
+                for entry, source in zip(entries, sources, strict=True)
+            ]
+        )
+        # Without a filter, a sample contains the offset at its own instant, not a mean over the interval before it.
+        self._direct_offsets = [] if has_filter else _direct_offsets(stages, circuit, sample_rate)
         self._disturbances = Disturbances(sources, direct, [entry.degree for entry in entries], oversampling)
         self._discrete = _discretized(circuit, gain, rate, self._sampler.moments, entries)
         state_limits: list[float] = []  # V
@@ -123,6 +130,10 @@ class SignalPath:
         volts = self._sampler.read(outputs, sample_ends)
         if self._disturbances.has_direct:
             self._disturbances.add_direct(disturbances[:, sample_ends], volts)
+        for weight, offset in self._direct_offsets:
+            offsets = np.empty(volts.size)
+            offset.fill(offsets)
+            volts += weight * offsets
         if self._jitter is not None and timing_error is not None:
             volts += self._jitter.error(outputs[-1, sample_ends], timing_error)
         if self._noise is not None:
@@ -187,6 +198,16 @@ def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entri
     return _CIRCUIT_CACHE[key]
 
 
+def _direct_offsets(stages: Sequence[Stage], circuit: Circuit, rate: float) -> list[tuple[float, Offset]]:
+    """Return the offsets of the stages with their direct feedthrough to the output, where it is not 0."""
+    offsets, section = [], 0
+    for stage in stages:
+        section += len(stage.sections)
+        if stage.offset is not None and circuit.d[section]:
+            offsets.append((float(circuit.d[section]), Offset(stage.offset, stage.settling, rate)))
+    return offsets
+
+
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int, has_filter: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
@@ -208,6 +229,8 @@ def _disturbances(
                 sources.append(FastNoise(noise, corner, rate, noise_generator, degree))
             entries += [Entry(section, degree, has_filter) for degree in range(n_terms)]
         if stage.offset is not None:
-            sources.append(Offset(stage.offset, stage.settling, rate))
-            entries.append(Entry(section, 0, has_filter))
+            # A constant has no higher degrees.
+            for degree in range(1 if stage.settling is None else NOISE_TERMS):
+                sources.append(OffsetPolynomial(stage.offset, stage.settling, rate, degree))
+                entries.append(Entry(section, degree, has_filter))
     return entries, sources

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.polynomial.legendre import legval
 
-from daq.core.dsp.disturbances import Disturbances, Offset
+from daq.core.dsp.disturbances import Disturbances, Offset, OffsetPolynomial
 from daq.core.dsp.noise import LOWEST, FastNoise, Noise, flicker_filter, generator
 
 
@@ -60,6 +60,24 @@ def test_settling_offset_is_exponential():
     for start, stop in ((0, 1), (1, 1), (1, 60), (60, 200)):
         source.fill(samples[start:stop])
     np.testing.assert_allclose(samples, level * (1.0 - np.exp(-np.arange(200) / rate / time_constant)), atol=1e-12)
+
+
+@pytest.mark.parametrize("time_constant", [0.25, None])
+def test_offset_polynomials_equal_offset_within_intervals(time_constant):
+    level, rate, n_intervals = -3.0, 100.0, 30
+    coefficients = np.empty((3, 1 + n_intervals))
+    for degree, row in enumerate(coefficients):
+        source = OffsetPolynomial(level, time_constant, rate, degree)
+        # Blocks of 1, 0, 9 and 21 samples.
+        for start, stop in ((0, 1), (1, 1), (1, 10), (10, 31)):
+            source.fill(row[start:stop])
+    # The interval before sample 0 precedes power-on.
+    assert not coefficients[:, 0].any()
+    position = np.linspace(-1.0, 1.0, 5)  # in an interval, from -1 to 1
+    time = (np.arange(n_intervals)[:, None] + 0.5 * (1.0 + position)) / rate
+    rise = np.ones_like(time) if time_constant is None else 1.0 - np.exp(-time / time_constant)
+    error = legval(position, coefficients[:, 1:]) - level * rise
+    assert abs(error).max() <= (0.0 if time_constant is None else -level * (1.0 / rate / time_constant) ** 3 / 100.0)
 
 
 @pytest.mark.parametrize(

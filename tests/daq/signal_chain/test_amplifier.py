@@ -29,6 +29,21 @@ def test_gain_at_zero_frequency_follows_from_corner():
     assert volts[-1] == pytest.approx(0.5 * 10 / (2 * np.pi * 3.0), rel=1e-6)
 
 
+@pytest.mark.parametrize("time_constant", [0.05, None])
+def test_integrated_bias_has_closed_form(time_constant):
+    settling = "" if time_constant is None else f", bias_settling: {time_constant} s"
+    chain, rate = chain_of(
+        scene_of(f", accelerometer: {{bias: 0.5 V{settling}}}, integrator: {{order: 1, corner: 3 Hz, gain: 10}}")
+    )
+    volts = chain.measure(at_rest(1, rate, 2000))[0]
+    time, decay = np.arange(2000) / rate, 2 * np.pi * 3.0
+    step_response = (1.0 - np.exp(-decay * time)) / decay
+    if time_constant is not None:
+        step_response -= (np.exp(-time / time_constant) - np.exp(-decay * time)) / (decay - 1.0 / time_constant)
+    expected = 0.5 * 10 * step_response
+    assert volts == pytest.approx(expected, abs=1e-10 * expected.max())
+
+
 def test_low_cutoff_removes_bias():
     channel_keys = ", accelerometer: {bias: 0.5 V}, integrator: {order: 2, corner: 5 Hz, low_cutoff: 5 Hz, gain: 10}"
     chain, rate = chain_of(scene_of(channel_keys))

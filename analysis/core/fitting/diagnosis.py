@@ -1,16 +1,14 @@
 """Search for the cause of a misfit between a scene and recordings.
 
 Each trial corrects the curves for one supposed mistake, such as a reversed sign, and fits the structure again. The
-mistake whose correction makes the scene fit is reported. The *misfit variance* is the mean square of the residuals in
-standard deviations (reduced chi-square) or, if larger, the largest squared deviation of a sensor or clock from its
-prior. Points that a fit omits are listed with their reasons.
+most likely mistake whose correction makes the scene fit is reported. Points that a fit omits are listed with their
+reasons.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations, islice
 from typing import Any, NamedTuple
 
@@ -21,22 +19,19 @@ from numpy.typing import NDArray
 from analysis.core.fitting.estimate import mean_square, solve
 from analysis.core.fitting.measured import Curves, Sensor, inverse_root
 from analysis.core.fitting.parameters import free_parameters
-from analysis.core.fitting.predicted import linear_response, scene_of_test
 from analysis.core.fitting.problem import Problem
 from analysis.core.fitting.start import initial_unknowns
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
-from rig.core.scene.scene import Scene
 from rig.core.scene.structure import Dashpots, ModalDamping
 from rig.core.system.structural_model import structural_model
 
-# A correction explains the misfit if it reduces the misfit variance below this fraction.
-_EXPLAINED_RATIO = 0.02
-# The stated errors explain the residuals up to this misfit variance.
+# The stated errors explain the residuals up to this factor, because they may be too small by a factor of 2, ...
 _MAX_NOISE_VARIANCE = 4.0
-# Common errors of a sensor: the ratio of its reading to the true value, and the cause.
-_UNIT_ERRORS = {
-    -1.0: "its sign is reversed",
+# ... times the reduced chi-square that noise exceeds with this probability.
+_NOISE_PROBABILITY = 1e-4
+# Common mistakes in a channel: the ratio of its reading to the true value, and the cause.
+_SCALE_MISTAKES = {
     9.80665: "m/s² read as g",
     1.0 / 9.80665: "g read as m/s²",
     1000.0: "a factor of 1000, such as mV instead of V or mm instead of m",
@@ -47,25 +42,31 @@ _UNIT_ERRORS = {
     1.0 / 25.4: "inches instead of millimetres",
     2.0: "peak-to-peak value instead of amplitude, or a factor of 2 in the sensitivity",
     0.5: "amplitude instead of peak-to-peak value, or a factor of 1/2 in the sensitivity",
-    2.0**0.5: "amplitude instead of rms value",
-    0.5**0.5: "rms value instead of amplitude",
+    np.sqrt(2.0): "amplitude instead of rms value",
+    np.sqrt(0.5): "rms value instead of amplitude",
 }
-# Number of integrations of a reading that a scene states wrongly, and the cause.
-_WRONG_QUANTITIES = {
-    -2: "it is the second derivative of the stated quantity, such as acceleration instead of displacement",
-    -1: "it is the derivative of the stated quantity, such as acceleration instead of velocity",
-    1: "it is the integral of the stated quantity, such as velocity instead of acceleration",
-    2: "it is the second integral of the stated quantity, such as displacement instead of acceleration",
-}
-# Common errors of a force sensor: the ratio of its reading to the true value, and the cause.
-_FORCE_UNIT_ERRORS = {
+# Common mistakes in a force channel: the ratio of its reading to the true value, and the cause.
+_FORCE_MISTAKES = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",
 }
-# Another mistake is nearly as probable as the best if its misfit variance is at most this multiple.
-_CLOSE_RATIO = 1.5
-# Number of known errors of a sensor with which the structure is fitted, the best agreement first.
-_MAX_KNOWN_ERRORS = 2
+# Number of derivatives in a reading that the scene does not state, and the cause.
+_DERIVATIVE_MISTAKES = {
+    1: "it is the derivative of the stated quantity, such as acceleration instead of velocity",
+    -1: "it is the integral of the stated quantity, such as velocity instead of acceleration",
+    2: "it is the second derivative of the stated quantity, such as acceleration instead of displacement",
+    -2: "it is the second integral of the stated quantity, such as displacement instead of acceleration",
+}
+# Of the mistakes of a sensor and of the swapped pairs, this number with the smallest initial cost are fitted.
+_MAX_FITTED_MISTAKES = 4
+# In the initial cost, the model error is this fraction of the local peak, and the squared residuals have this limit.
+_MODEL_ERROR = 0.1
+_MAX_SQUARE = 900.0
+# The structure is fitted several times, with these model errors in turn.
+_MODEL_ERRORS = (0.1, 0.01, 0.0)
+# An explanation is nearly as likely as the best one if its sum of squares exceeds the smallest by at most this number
+# of mean squares: a likelihood ratio of 90. A free factor, an additional unknown, must be better by this.
+_CLOSE_SQUARE = 9.0
 # A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
@@ -87,40 +88,35 @@ _MAX_PAIRS = 15
 _MIN_RESPONSES = 2
 
 
-def find_cause(problem: Problem) -> tuple[bool, str]:
+def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
     """Return whether a single mistake explains the misfit, and a text with the mistake or else with the next steps.
 
-    Only the recordings without moving dampers are searched.
+    Only the recordings without moving dampers are searched. `x`: the fitted unknowns.
     """
     linear_curves = [group.curves for group in problem.groups if group.orbits is None]
     if not linear_curves:
         return False, (
             "All recordings have moving dampers. Add a recording without dampers, which determines the structure."
         )
-    uncorrected = _fit_structure(problem, linear_curves)
-    if uncorrected.variance < _MAX_NOISE_VARIANCE:
+    uncorrected = _Refit(problem, x).moved(linear_curves).solved((0.0,))
+    if uncorrected.fits:
         return False, (
             "The recordings without moving dampers fit, so the dampers of the scene differ from those of the rig. "
             "Correct the bodies and initial values of the dampers in the scene."
         )
-    limit = max(_MAX_NOISE_VARIANCE, _EXPLAINED_RATIO * uncorrected.variance)
     explanations: list[_Explanation] = []
-    try_delays = partial(_try_delays, undelayed=uncorrected)
-    for trials in (_try_reversed_signs, _try_known_errors, _try_swaps, _try_factors, _try_damping, try_delays):
-        explanations += [explanation for explanation in trials(problem, linear_curves) if explanation.variance < limit]
-        if any(item.variance < _MAX_NOISE_VARIANCE and item.is_known_mistake for item in explanations):
+    for trials in (_try_swaps, _try_channels, _try_damping, _try_delays):
+        explanations += trials(uncorrected, linear_curves)
+        is_complete = trials is not _try_swaps  # swapped channels and scale mistakes are compared
+        if is_complete and any(item.is_known_mistake and item.refit.fits for item in explanations):
             break
-    if explanations:
-        best, *others = sorted(explanations)
-        text = f"{best.text}. If this is corrected, the scene fits."
-        close = [other for other in others if other.is_known_mistake and other.variance < _CLOSE_RATIO * best.variance]
-        if close:
-            text += f" Nearly as probable: {close[0].text}."
-        return best.is_known_mistake, text
+    if explaining := [item for item in explanations if item.refit.fits]:
+        return _most_likely(explaining)
     contradicting = [
         sensor.name
         for sensor in _sensors(linear_curves)
-        if (remaining := _omit_sensor(linear_curves, sensor)) and _fit_structure(problem, remaining).variance < limit
+        if _has_enough_responses(remaining := _omit_sensor(linear_curves, sensor))
+        and _start(uncorrected, remaining).solved().fits
     ]
     if len(contradicting) == 1:
         return True, (
@@ -143,37 +139,71 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     if 1.0 / _MAX_MASS_RATIO < factor < _MAX_MASS_RATIO:
         return ""
     # Receptances are displacements over forces: such masses need lower motion or higher force by the factor.
-    unit_error = _unit_error(1.0 / factor) or _unit_error(factor, _FORCE_UNIT_ERRORS)
+    unit_error = _unit_error(1.0 / factor, _SCALE_MISTAKES) or _unit_error(factor, _FORCE_MISTAKES)
     return (
         f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "
         "differs from that in the recording, or the masses of the scene are wrong. Correct the unit or the masses."
     )
 
 
-class _Explanation(NamedTuple):
+@dataclass(frozen=True)
+class _Explanation:
     """A supposed mistake whose correction was tried."""
 
-    variance: float  # misfit variance with the correction
+    refit: _Refit
     text: str
-    is_known_mistake: bool
+    is_known_mistake: bool = True
+
+    @property
+    def square(self) -> float:
+        """Sum of squares of the residuals, -2 times the logarithm of the likelihood, with a penalty for an unknown."""
+        return self.refit.square + (0.0 if self.is_known_mistake else self.margin)
+
+    @property
+    def margin(self) -> float:
+        """Difference of the sums of squares up to which another explanation is nearly as likely."""
+        return _CLOSE_SQUARE * max(self.refit.mean_square, 1.0)
 
 
 _Explanations = Iterator[_Explanation]
 
 
-def _try_reversed_signs(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    references = dict.fromkeys(curves.reference_sensor for curves in linear_curves)
-    for sensor in (*references, *_sensors(linear_curves)):
-        reversed_sign = []
-        for curves in linear_curves:
-            signs = np.array([-1.0 if channel_sensor == sensor else 1.0 for channel_sensor in curves.sensors])[:, None]
-            reversed_sign.append(_multiply(curves, -signs if curves.reference_sensor == sensor else signs))
-        variance = _fit_structure(problem, reversed_sign).variance
-        yield _Explanation(variance, f"The sign of {sensor.name} is reversed", True)
+class _Mistake(NamedTuple):
+    """A mistake in a channel, which multiplies its reading by ``factor (j omega)^derivatives``."""
+
+    factor: float
+    derivatives: int
+    text: str  # with a field for the name of the channel
+
+    def gain(self, frequency: Array) -> ComplexArray:
+        """Return the ratio of the reading to the true value, shape (n,)."""
+        return np.asarray(self.factor * (2j * np.pi * frequency) ** self.derivatives)
 
 
-def _try_swaps(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+def _most_likely(explanations: list[_Explanation]) -> tuple[bool, str]:
+    """Return whether the most likely explanation is a known mistake, and a text with it and the second if close."""
+    best, *others = sorted(explanations, key=_square)
+    text = f"{best.text}. If this is corrected, the scene fits."
+    limit = best.square + best.margin
+    close = [other.text for other in others if other.is_known_mistake and other.square < limit]
+    if close:
+        text += f" Nearly as probable: {close[0]}."
+    return best.is_known_mistake, text
+
+
+def _square(explanation: _Explanation) -> float:
+    return explanation.square
+
+
+def _fit_best(starts: list[_Explanation]) -> _Explanations:
+    """Fit the supposed mistakes with the smallest initial cost."""
+    for start in sorted(starts, key=lambda start: start.refit.cost)[:_MAX_FITTED_MISTAKES]:
+        yield replace(start, refit=start.refit.solved())
+
+
+def _try_swaps(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanations:
     names = dict.fromkeys(sensor.name for curves in linear_curves for sensor in curves.sensors)
+    starts = []
     for pair in islice(combinations(names, 2), _MAX_PAIRS):
         partner = dict(zip(pair, reversed(pair), strict=True))
         swapped = []
@@ -183,104 +213,72 @@ def _try_swaps(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
             has_both = body.keys() >= partner.keys()
             swapped_names = [partner.get(name, name) if has_both else name for name in sensors]
             swapped.append(replace(curves, bodies=tuple(body[name] for name in swapped_names)))
-        yield _Explanation(_fit_structure(problem, swapped).variance, f"{pair[0]} and {pair[1]} are swapped", True)
+        starts.append(_Explanation(_start(uncorrected, swapped), f"{pair[0]} and {pair[1]} are swapped"))
+    return _fit_best(starts)
 
 
-def _try_factors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    """Yield the best-fitting factor of each sensor; without a matching unit error the structure may also differ."""
-    references = [curves.reference_sensor for curves in linear_curves]
-    force_sensors = [curves.reference_sensor for curves in linear_curves if curves.reference == "force"]
-    for sensor in dict.fromkeys((*_sensors(linear_curves), *references)):
-        freed_sensor = replace(sensor, tolerance=_FREE_TOLERANCE)
-        refit = _fit_structure(
-            problem,
-            [
-                replace(
-                    curves,
-                    sensors=tuple(freed_sensor if other == sensor else other for other in curves.sensors),
-                    reference_sensor=freed_sensor if curves.reference_sensor == sensor else curves.reference_sensor,
-                )
-                for curves in linear_curves
-            ],
-        )
-        factor = 1.0 + refit.problem.deviation(refit.x, freed_sensor)
-        force_errors = _FORCE_UNIT_ERRORS if sensor in force_sensors else {}
-        unit_error = _unit_error(factor, _UNIT_ERRORS | force_errors)
-        text = f"{sensor.name} reads {factor:.4g} times the value that fits{unit_error or _NO_UNIT_ERROR}"
-        yield _Explanation(refit.variance, text, bool(unit_error))
+def _try_channels(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanations:
+    """Yield the common mistakes in each sensor, and its best-fitting factor.
 
-
-def _try_known_errors(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
-    """Yield the known errors of each response sensor that agree best with its readings.
-
-    A structure fitted to the other sensors predicts the readings, from which the errors to be fitted are chosen.
+    The structure starts from its fit to the other responses if there are enough, otherwise from its modes.
     """
-    for sensor in _sensors(linear_curves):
-        others = _omit_sensor(linear_curves, sensor)
-        if not others:
-            continue
-        refit = _fit_structure(problem, others)
-        predicted = _predict_sensor(refit, linear_curves, sensor)
-        errors = sorted(_KNOWN_ERRORS, key=lambda error: _misfit(error, linear_curves, sensor, predicted))
-        for error in errors[:_MAX_KNOWN_ERRORS]:
-            corrected = [_correct(curves, sensor, error) for curves in linear_curves]
-            yield _Explanation(_fit_structure(problem, corrected).variance, f"{sensor.name}: {error.text}", True)
+    references = dict.fromkeys(curves.reference_sensor for curves in linear_curves)
+    force_sensors = {curves.reference_sensor for curves in linear_curves if curves.reference == "force"}
+    for sensor in (*references, *_sensors(linear_curves)):
+        remaining = [] if sensor in references else _omit_sensor(linear_curves, sensor)
+        others = _start(uncorrected, remaining).solved() if _has_enough_responses(remaining) else None
+        starts = []
+        for mistake in _mistakes(sensor in force_sensors):
+            corrected = _corrected(linear_curves, sensor, mistake)
+            start = others.moved(corrected) if others else _start(uncorrected, corrected)
+            starts.append((start.cost, mistake.factor, _Explanation(start, mistake.text.format(sensor.name))))
+        yield from _fit_best([explanation for _, _, explanation in starts])
+        _, factor, nearest = min(starts, key=lambda start: start[0])
+        yield _free_factor(nearest.refit, linear_curves, sensor, factor)
 
 
-class _KnownError(NamedTuple):
-    """An error that multiplies the readings of a sensor by `factor` (2 pi i f) ** -`integrations`."""
-
-    text: str
-    factor: float
-    integrations: int
-
-    def ratio(self, frequency: Array) -> ComplexArray:
-        """Return the ratio of the reading to the true value at frequencies, Hz; shape (n,)."""
-        return np.asarray(self.factor * (2j * np.pi * frequency) ** -self.integrations)
-
-
-#: The known errors of a response sensor.
-_KNOWN_ERRORS = (
-    *(
-        _KnownError(f"it reads {factor:.4g} times the true value ({text})", factor, 0)
-        for factor, text in _UNIT_ERRORS.items()
-    ),
-    *(_KnownError(text, 1.0, order) for order, text in _WRONG_QUANTITIES.items()),
-)
+def _mistakes(is_force: bool) -> list[_Mistake]:
+    """List the common mistakes in a channel."""
+    factors = _SCALE_MISTAKES | (_FORCE_MISTAKES if is_force else {})
+    return [
+        _Mistake(-1.0, 0, "The sign of {} is reversed"),
+        *(
+            _Mistake(factor, 0, f"{{}} reads {factor:.4g} times the value that fits ({cause})")
+            for factor, cause in factors.items()
+        ),
+        *(_Mistake(1.0, order, f"{{}}: {cause}") for order, cause in _DERIVATIVE_MISTAKES.items()),
+    ]
 
 
-def _predict_sensor(refit: _Refit, linear_curves: list[Curves], sensor: Sensor) -> list[ComplexArray]:
-    """Predict the responses of a sensor by a structure that was fitted without it; shapes (rows of the sensor, n)."""
-    scene = refit.problem.scene(refit.x)
-    predicted = []
+def _corrected(linear_curves: list[Curves], sensor: Sensor, mistake: _Mistake) -> list[Curves]:
+    """Return the curves with the readings of a sensor corrected for a mistake."""
+    corrected = []
     for curves in linear_curves:
-        bodies = [body for body, other in zip(curves.bodies, curves.sensors, strict=True) if other == sensor]
-        predicted.append(linear_response(scene_of_test(scene, curves), curves, curves.frequency)[0][bodies])
-    return predicted
+        gain = mistake.gain(curves.frequency)
+        factors = np.array([1.0 / gain if other == sensor else np.ones_like(gain) for other in curves.sensors])
+        corrected.append(_multiply(curves, factors * gain if curves.reference_sensor == sensor else factors))
+    return corrected
 
 
-def _misfit(error: _KnownError, linear_curves: list[Curves], sensor: Sensor, predicted: list[ComplexArray]) -> float:
-    """Return the median deviation between the logarithms of the readings and of the predictions with an error.
-
-    Neither the noise nor the resonances, where a structure fitted without the sensor is least accurate, dominate it.
-    """
-    deviations = []
-    for curves, values in zip(linear_curves, predicted, strict=True):
-        rows = [k for k, other in enumerate(curves.sensors) if other == sensor]
-        ratio = curves.value[rows] / (values * error.ratio(curves.frequency))
-        deviations.append(abs(np.log(ratio)).ravel())
-    return float(np.nanmedian(np.concatenate(deviations)))
-
-
-def _correct(curves: Curves, sensor: Sensor, error: _KnownError) -> Curves:
-    """Remove an error from the readings of a sensor."""
-    factors = np.ones(curves.value.shape, dtype=complex)
-    factors[[other == sensor for other in curves.sensors]] = 1.0 / error.ratio(curves.frequency)
-    return _multiply(curves, factors)
+def _free_factor(start: _Refit, linear_curves: list[Curves], sensor: Sensor, factor: float) -> _Explanation:
+    """Fit the factor of a sensor from an initial value; the structure may also differ from the scene."""
+    freed_sensor = replace(sensor, tolerance=_FREE_TOLERANCE)
+    freed = [
+        replace(
+            curves,
+            sensors=tuple(freed_sensor if other == sensor else other for other in curves.sensors),
+            reference_sensor=freed_sensor if curves.reference_sensor == sensor else curves.reference_sensor,
+        )
+        for curves in _corrected(linear_curves, sensor, _Mistake(factor, 0, ""))
+    ]
+    refit = start.moved(freed).solved()
+    factor *= 1.0 + refit.problem.deviation(refit.x, freed_sensor)
+    return _Explanation(refit, f"{sensor.name} reads {factor:.4g} times the value that fits{_NO_UNIT_ERROR}", False)
 
 
-def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations:
+def _try_damping(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanations:
     """Try dashpots instead of modal damping, or the reverse, on a chain of masses and springs."""
+    problem = uncorrected.problem
     structure = problem.model.structure
     if structure.masses is None or structure.springs is None:
         return
@@ -294,31 +292,38 @@ def _try_damping(problem: Problem, linear_curves: list[Curves]) -> _Explanations
         form = ModalDamping(modal=tuple(float(max(ratio, 1e-4)) for ratio in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
     model = problem.model.replace(structure=structure.replace(damping=form))
-    variance = _fit_structure(problem, linear_curves, model).variance
-    yield _Explanation(variance, f"The damping is not of the scene's form; {text}", True)
+    # The values of the new form of damping are free too.
+    free_keys = {parameter.key for parameter in problem.parameters}
+    parameters = [
+        parameter
+        for parameter in free_parameters(model)
+        if parameter.key in free_keys or parameter.key_path[:2] == ("structure", "damping")
+    ]
+    refit = _start_from_modes(Problem(model, parameters, linear_curves)).solved()
+    yield _Explanation(refit, f"The damping is not of the scene's form; {text}")
 
 
-def _try_delays(problem: Problem, linear_curves: list[Curves], undelayed: _Refit) -> _Explanations:
+def _try_delays(undelayed: _Refit, linear_curves: list[Curves]) -> _Explanations:
     """Yield the best-fitting delay of each sensor; `undelayed`: the fit without a correction."""
     for sensor in dict.fromkeys((*_sensors(linear_curves), *(curves.reference_sensor for curves in linear_curves))):
         initial_delay, trial = _estimate_delay(linear_curves, sensor), undelayed
         if initial_delay:
-            trial = _fit_structure(
-                problem, [_compensate_delay(curves, sensor, initial_delay) for curves in linear_curves]
-            )
-        if trial.variance > undelayed.variance:
+            advanced = [_compensate_delay(curves, sensor, initial_delay) for curves in linear_curves]
+            trial = _start(undelayed, advanced).solved()
+        if trial.square > undelayed.square:
             trial, initial_delay = undelayed, 0.0
 
-        def variance(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
-            return trial.refit([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).variance
+        def square(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
+            return trial.refit([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).square
 
         bounds = (initial_delay - _MAX_DELAY_ERROR, initial_delay + _MAX_DELAY_ERROR)
-        best = scipy.optimize.minimize_scalar(variance, bounds=bounds, options={"xatol": 1e-6})
+        best = scipy.optimize.minimize_scalar(square, bounds=bounds, options={"xatol": 1e-6})
         delay = float(best.x)
         if abs(delay) > _MIN_DELAY:
             direction = "late" if delay > 0.0 else "early"
             text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {direction} (delay in the table)"
-            yield _Explanation(float(best.fun), text, True)
+            corrected = [_compensate_delay(curves, sensor, delay) for curves in linear_curves]
+            yield _Explanation(trial.refit(corrected), text)
 
 
 def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
@@ -327,7 +332,10 @@ def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
 
 
 def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
-    """Multiply responses by factors, shape (responses, n) or broadcastable to it."""
+    """Multiply responses and their errors by factors, shape (responses, n) or broadcastable to it.
+
+    The covariance `errors`, which affects intervals but no fit, is unchanged.
+    """
     factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
         curves,
@@ -335,7 +343,7 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
         whitening=curves.whitening / factors.T[:, None],
         line_bound=curves.line_bound * abs(factors),
         correlated_bound=curves.correlated_bound * abs(factors),
-        frfs=tuple(frf.scaled(row) for frf, row in zip(curves.frfs, factors, strict=True)),
+        correction=curves.correction * factors,
     )
 
 
@@ -366,22 +374,27 @@ def _compensate_delay(curves: Curves, sensor: Sensor, delay: float) -> Curves:
 
 
 def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
-    """Return the curves without the responses of a sensor; empty if fewer than two responses would remain."""
+    """Return the curves without the responses of a sensor; empty if no response of a curve would remain."""
     without_sensor = []
     for curves in linear_curves:
         rows = [k for k, channel_sensor in enumerate(curves.sensors) if channel_sensor != sensor]
-        if len(rows) < _MIN_RESPONSES:
+        if not rows:
             return []
         root = np.linalg.inv(curves.whitening)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
         remaining: dict[str, Any] = {
-            name: getattr(curves, name)[rows] for name in ("value", "line_bound", "correlated_bound")
+            name: getattr(curves, name)[rows] for name in ("value", "line_bound", "correlated_bound", "correction")
         }
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
         errors = curves.errors.select(rows)
         without_sensor.append(replace(curves, whitening=inverse_root(covariance), errors=errors, **remaining))
     return without_sensor
+
+
+def _has_enough_responses(linear_curves: list[Curves]) -> bool:
+    """Return whether a fit to these curves can fail."""
+    return bool(linear_curves) and min(len(curves.sensors) for curves in linear_curves) >= _MIN_RESPONSES
 
 
 def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
@@ -412,37 +425,64 @@ class _Refit:
     x: Array  # unknowns
 
     @property
-    def variance(self) -> float:
-        """Misfit variance."""
-        problem = self.problem
-        normalized_deviation = ((self.x - problem.start) / problem.prior_sd)[len(problem.parameters) :]
-        return max(mean_square(problem, self.x, problem.groups), *(normalized_deviation**2), 0.0)
+    def residual(self) -> Array:
+        """Residuals, then deviations from the priors, in standard deviations."""
+        return self.problem.residual(self.x, self.problem.groups)
+
+    @property
+    def square(self) -> float:
+        """Sum of squares of the residuals."""
+        return float(np.sum(self.residual**2))
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares with a model error, each limited: it ranks initial values."""
+        residual = self.problem.residual(self.x, self.problem.groups, _MODEL_ERROR)
+        return float(np.sum(np.minimum(residual**2, _MAX_SQUARE)))
+
+    @property
+    def mean_square(self) -> float:
+        """Mean square of the residuals without the priors (reduced chi-square)."""
+        return mean_square(self.problem, self.x, self.problem.groups)
+
+    @property
+    def fits(self) -> bool:
+        """Whether the stated errors explain the residuals, by a chi-squared test, and tolerances those of sensors."""
+        problem, count = self.problem, self.residual.size - self.problem.size
+        limit = _MAX_NOISE_VARIANCE * float(scipy.stats.chi2.isf(_NOISE_PROBABILITY, count)) / count
+        return self.mean_square < limit and not problem.implausible_sensors(self.x)
+
+    def moved(self, curves: list[Curves]) -> _Refit:
+        """Return the same structure, errors of sensors and clock, as initial values for other curves."""
+        parameters = {k: value for k, value in enumerate(self.problem.parameters) if value.key_path[0] != "dampers"}
+        moved = Problem(self.problem.model, list(parameters.values()), curves)
+        deviations = [self.problem.deviation(self.x, sensor) for sensor in moved.sensors]
+        clock = self.x[self.x.size - (moved.clock_tolerance > 0.0) :]
+        return _Refit(moved, np.concatenate([self.x[list(parameters)], deviations, clock]))
 
     def refit(self, curves: list[Curves]) -> _Refit:
         """Fit slightly different curves, starting from these values."""
-        trial = Problem(self.problem.model, self.problem.parameters, curves)
-        return _Refit(trial, solve(trial, self.x, trial.groups, 0.0, max_evaluations=5))
+        return self.moved(curves).solved((0.0,), max_evaluations=5)
+
+    def solved(self, model_errors: tuple[float, ...] = _MODEL_ERRORS, max_evaluations: int = 15) -> _Refit:
+        """Fit the structure from these initial values, with these model errors in turn."""
+        problem, x = self.problem, self.x
+        for model_error in model_errors:
+            x = solve(problem, x, problem.groups, model_error, max_evaluations=max_evaluations)
+        return _Refit(problem, x)
 
 
-def _fit_structure(problem: Problem, curves: list[Curves], model: Scene | None = None) -> _Refit:
-    """Fit the structure of a scene (by default the problem's) to curves."""
-    parameters = [parameter for parameter in problem.parameters if parameter.key_path[0] != "dampers"]
-    if model is not None:
-        # The values of the new form of damping are free too.
-        free_keys = {parameter.key for parameter in parameters}
-        parameters = [
-            parameter
-            for parameter in free_parameters(model)
-            if parameter.key in free_keys or parameter.key_path[:2] == ("structure", "damping")
-        ]
-    trial = Problem(model or problem.model, parameters, curves)
-    x = initial_unknowns(trial, trial.groups)
-    for model_error in (0.1, 0.01, 0.0):
-        x = solve(trial, x, trial.groups, model_error, max_evaluations=15)
-    return _Refit(trial, x)
+def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
+    """Return initial values for the structure: from the modes of curves, or those of the uncorrected fit if better."""
+    moved = uncorrected.moved(curves)
+    return min(_start_from_modes(moved.problem), moved, key=lambda start: start.cost)
 
 
-def _unit_error(factor: float, unit_errors: Mapping[float, str] = _UNIT_ERRORS) -> str:
+def _start_from_modes(problem: Problem) -> _Refit:
+    return _Refit(problem, initial_unknowns(problem, problem.groups))
+
+
+def _unit_error(factor: float, unit_errors: Mapping[float, str]) -> str:
     for unit_factor, text in unit_errors.items():
         if abs(factor / unit_factor - 1.0) < _UNIT_TOLERANCE:
             return f" ({text})"

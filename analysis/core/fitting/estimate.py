@@ -97,7 +97,7 @@ def estimate(problem: Problem, report: Report) -> Estimate:
     """Estimate the unknowns: first of the structure from linear recordings, then of the dampers, then all together."""
     linear_groups = [group for group in problem.groups if group.orbits is None]
     report("fitting the structure")
-    x = _estimate_structure(problem, linear_groups) if linear_groups else problem.start.copy()
+    x = estimate_structure(problem, linear_groups) if linear_groups else problem.start.copy()
     damper_groups = [group for group in problem.groups if group.orbits is not None]
     if damper_groups:
         report("fitting the dampers")
@@ -174,7 +174,7 @@ def _robust_cost(problem: Problem, x: Array, damper_groups: Sequence[Group]) -> 
     return float(np.mean(np.concatenate(costs)))
 
 
-def _estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Array:
+def estimate_structure(problem: Problem, linear_groups: Sequence[Group]) -> Array:
     """Estimate the unknowns from linear recordings, from their modes first, then from random initial values."""
     best = initial_unknowns(problem, linear_groups)
     for model_error in _MODEL_ERRORS:

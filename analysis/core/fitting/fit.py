@@ -44,8 +44,6 @@ _UNREACHED_RATIO = 1.2
 _MAX_NOISE_VARIANCE = 4.0
 # The scene does not describe the measured structure if the relative residual exceeds this.
 _MAX_RESIDUAL_RATIO = 0.02
-# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
-_MAX_SENSOR_DEVIATION = 2.0
 # A fit may omit at most this fraction of the points at which the model has a steady-state motion.
 _MAX_OMITTED_SHARE = 0.25
 # At most this fraction of the points may have no steady-state motion in the model. Dampers without a ceiling move
@@ -256,7 +254,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     misfit = _misfit(estimated, compared) or _implausible_sensors(problem, x)
     if misfit:
         report("searching for the cause of the misfit")
-        is_explained, text = find_cause(problem)
+        is_explained, text = find_cause(problem, x)
         misfit = text if is_explained else f"{misfit} {text}"
     else:
         misfit = mass_scale_error(problem, x)
@@ -367,8 +365,7 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
     sensors = [
         f"{sensor.name} would need an error of {100.0 * error:.3g} %, but its tolerance is "
         f"{100.0 * sensor.tolerance:.3g} %"
-        for sensor in problem.sensors
-        if abs(error := problem.deviation(x, sensor)) > _MAX_SENSOR_DEVIATION * sensor.tolerance
+        for sensor, error in problem.implausible_sensors(x).items()
     ]
     return f"The curves fit only with sensors outside their tolerance: {', and '.join(sensors)}." if sensors else ""
 

@@ -76,7 +76,8 @@ class Curves:
     reference: str  # 'force' or 'table'
     level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
     clock_tolerance: float  # largest relative deviation of the sample clock
-    frfs: tuple[Response, ...]
+    frfs: tuple[Response, ...]  # as measured
+    correction: ComplexArray  # ratio of `value` to the measured responses, of a supposed mistake; shape (responses, n)
     warnings: tuple[str, ...]  # warnings of the estimation
 
     @property
@@ -181,6 +182,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         level=frfs[0].amplitude,
         clock_tolerance=abs(rec.scene.converter.clock_error or 0.0),
         frfs=tuple(frfs),
+        correction=np.ones((len(frfs), frfs[0].frequency.size), dtype=complex),
         warnings=(*notes, *frfs[0].warnings),
     )
 

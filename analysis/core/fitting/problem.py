@@ -38,6 +38,8 @@ _PARAMETER_STEP = 1e-6
 _FAILED_RESIDUAL = 30.0
 # A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
+# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
+_MAX_SENSOR_DEVIATION = 2.0
 # Points are neighbors up to this ratio of their frequencies.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 
@@ -170,6 +172,13 @@ class Problem:
         """Return the relative deviation of a sensor's sensitivity."""
         first = len(self.parameters)
         return float(x[first + self.sensors.index(sensor)]) if sensor in self.sensors else 0.0
+
+    def implausible_sensors(self, x: Array) -> dict[Sensor, float]:
+        """Return the relative errors of the sensors that far exceed the tolerances of their data sheets."""
+        errors = {sensor: self.deviation(x, sensor) for sensor in self.sensors}
+        return {
+            sensor: error for sensor, error in errors.items() if abs(error) > _MAX_SENSOR_DEVIATION * sensor.tolerance
+        }
 
     def gains(self, x: Array, curves: Curves) -> tuple[Array, float]:
         """Return the relative gains of the response sensors, shape (responses,), and of the reference sensor."""

@@ -6,6 +6,7 @@ A test band may contain only some of the model's modes, so the identified modes 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations
 from math import comb
@@ -13,6 +14,7 @@ from math import comb
 import numpy as np
 import scipy
 
+from analysis.core.fitting.measured import Curves
 from analysis.core.fitting.predicted import scene_of_test
 from analysis.core.fitting.problem import Group, Problem
 from analysis.core.modal.identification import identify
@@ -40,8 +42,9 @@ _MAX_RESIDUAL = 30.0
 _LOG_FREQUENCY_SCALE = 0.1
 # In the squared distance, 1 - MAC (modal assurance criterion, `mac`) has this weight.
 _MAC_WEIGHT = 4.0
-# Maximum number of evaluations of the model in the fit to the modes.
+# Maximum number of evaluations of the model in the fit to the modes, and the relative decrease of the cost at its end.
 _MAX_EVALUATIONS = 60
+_COST_TOLERANCE = 1e-3
 
 
 def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
@@ -49,8 +52,7 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
 
     The k-th fit uses the k-th most likely assignment of every group; the fit with the smallest residual is returned.
     """
-    identified = [(group, _identify(group.curves.frfs, group.curves.scene.structure.bodies)) for group in groups]
-    modal_groups = [(group, modes) for group, modes in identified if modes is not None]
+    modal_groups = [(group, modes) for group in groups if (modes := _identify(group.curves)) is not None]
     x = problem.start.copy()
     active = [k for k, parameter in enumerate(problem.parameters) if parameter.key_path[0] == "structure"]
     if not modal_groups or not active:
@@ -67,9 +69,19 @@ def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
     return best
 
 
+def _identify(curves: Curves) -> Modes | None:
+    """Identify the modes of the measured responses and correct their residues, or return None."""
+    modes = _identify_measured(curves.frfs, curves.scene.structure.bodies)
+    if modes is None:
+        return None
+    order = np.argsort(curves.frequency, kind="stable")
+    correction = [np.interp(modes.frequency, curves.frequency[order], row[order]) for row in curves.correction]
+    return replace(modes, residue=modes.residue * np.array(correction))
+
+
 @lru_cache(maxsize=16)
-def _identify(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
-    """Identify the modes of curves, or return None; cached, because most trials of `diagnosis` use equal curves."""
+def _identify_measured(frfs: tuple[Response, ...], bodies: int) -> Modes | None:
+    """Identify the modes of responses, or return None; cached, because most trials of `diagnosis` use the same."""
     try:
         return identify(frfs, bodies)
     except (RecordingError, SceneError, np.linalg.LinAlgError):
@@ -105,7 +117,7 @@ def _fit_modes(
             ]
         return np.concatenate(residuals)
 
-    solution = scipy.optimize.least_squares(residual, x[active], max_nfev=_MAX_EVALUATIONS)
+    solution = scipy.optimize.least_squares(residual, x[active], max_nfev=_MAX_EVALUATIONS, ftol=_COST_TOLERANCE)
     fitted = x.copy()
     fitted[active] = solution.x
     return fitted

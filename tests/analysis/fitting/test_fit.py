@@ -15,8 +15,8 @@ import daq
 import rig
 from analysis.commands.figures.fit_figure import fit_figure
 from analysis.commands.presentation.fit_findings import describe
-from analysis.core.fitting.diagnosis import _try_factors, find_cause
-from analysis.core.fitting.estimate import Estimate
+from analysis.core.fitting.diagnosis import _start_from_modes, _try_channels, find_cause
+from analysis.core.fitting.estimate import Estimate, estimate_structure
 from analysis.core.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
 from analysis.core.fitting.identifiability import LevelDamping, coupled_values
 from analysis.core.fitting.measured import measured_curves
@@ -153,9 +153,9 @@ def test_error_above_tolerance_gives_misfit(noisy_sweep):
     [
         ("0", {"body2": {"at": "body 3"}, "body3": {"at": "body 2"}}, ["body2 and body3 are swapped"]),
         # The analysis divides by the gain, so that the signal becomes too small by this factor.
-        ("0.02", {"body2": {"gain": 9.80665}}, ["body2: it reads 0.102 times", "(g read as m/s²)"]),
-        ("0.02", {"body3": {"gain": 1 / 9.80665}}, ["body3: it reads 9.807 times", "(m/s² read as g)"]),
-        ("0", {"body1": {"gain": 2**0.5}}, ["body1: it reads 0.7071 times", "(rms value instead of amplitude)"]),
+        ("0.02", {"body2": {"gain": 9.80665}}, ["body2 reads 0.102 times", "(g read as m/s²)"]),
+        ("0.02", {"body3": {"gain": 1 / 9.80665}}, ["body3 reads 9.807 times", "(m/s² read as g)"]),
+        ("0", {"body1": {"gain": 2**0.5}}, ["body1 reads 0.7071 times", "(rms value instead of amplitude)"]),
         ("0.02", {"body2": {"quantity": "velocity"}}, ["body2: it is the integral of the stated quantity"]),
         ("0.02", {"body2": {"delay": 4e-3}}, ["body2 contradicts the other channels"]),
     ],
@@ -167,10 +167,25 @@ def test_faulty_channel_is_named(tolerance, faults, causes, noisy_sweep):
             recording.channels[name] = replace(recording.channels[name], **fault)
         curves = measured_curves(recording, "a")
     model = scene_with_wrong_masses()
-    is_explained, text = find_cause(Problem(model, free_parameters(model, ["structure.masses"]), curves))
+    problem = Problem(model, free_parameters(model, ["structure.masses"]), curves)
+    is_explained, text = find_cause(problem, estimate_structure(problem, problem.groups))
     assert is_explained
     for cause in causes:
         assert cause in text
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["body1", "body2"])
+def test_factor_is_named_among_two_responses(name, noisy_sweep):
+    # Neither response alone determines the structure, so that no other sensors predict the readings of one.
+    with daq.open(noisy_sweep("0.02")) as recording:
+        del recording.channels["body3"]
+        recording.channels[name] = replace(recording.channels[name], gain=1 / 9.80665)
+        curves = measured_curves(recording, "a")
+    model = initial_scene()
+    problem = Problem(model, free_parameters(model), curves)
+    _, text = find_cause(problem, estimate_structure(problem, problem.groups))
+    assert f"{name} reads 9.807 times the value that fits (m/s² read as g)" in text
 
 
 def test_unit_of_force_is_named(tmp_path):
@@ -180,7 +195,7 @@ def test_unit_of_force_is_named(tmp_path):
         curves = measured_curves(recording, "a")
     model = with_ratio_per_mode(synthetic.scene().replace(shaker=None, test=None))
     problem = Problem(model, free_parameters(model, ["structure.springs", "structure.damping"]), curves)
-    explained = min(_try_factors(problem, curves))
+    explained = min(_try_channels(_start_from_modes(problem), curves), key=lambda explanation: explanation.square)
     assert explained.text == "hammer reads 0.2248 times the value that fits (pounds instead of newtons)"
 
 

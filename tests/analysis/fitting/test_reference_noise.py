@@ -13,6 +13,7 @@ import analysis
 import daq
 import rig
 from analysis.core.fitting.diagnosis import find_cause
+from analysis.core.fitting.estimate import estimate_structure
 from analysis.core.fitting.measured import measured_curves
 from analysis.core.fitting.parameters import free_parameters
 from analysis.core.fitting.problem import Problem
@@ -79,7 +80,8 @@ def test_delayed_channel_is_named_with_its_delay(bench):
         curves = measured_curves(recording, "a")
     known = {"springs": chain.springs.tolist(), "damping": {"modal": chain.damping.tolist()}}
     model = scene.replace(structure=scene.structure.replace(**known))
-    is_explained, text = find_cause(Problem(model, free_parameters(model, ["structure.masses"]), curves))
+    problem = Problem(model, free_parameters(model, ["structure.masses"]), curves)
+    is_explained, text = find_cause(problem, estimate_structure(problem, problem.groups))
     # An advance of the other channel explains the curves nearly as well.
     delay_text = re.search(r"a2 reads ([\d.]+) µs late", text)
     assert is_explained and delay_text is not None

@@ -189,14 +189,14 @@ class _Explorer:
             segments.append(0)
         if abs(offset[-1]) < END_DISTANCE * abs(branch.value[-1]):
             segments.append(len(offset) - 2)
-        responses = branch.compliance
-        magnitude = np.abs(orbit.compliance).max()
+        responses = branch.frf
+        magnitude = np.abs(orbit.frf).max()
         for i in segments:
             if i < 0 or len(offset) < 2:
-                return bool(np.abs(responses[:, 0] - orbit.compliance).max() < SAME_POINT_RESPONSE * magnitude)
+                return bool(np.abs(responses[:, 0] - orbit.frf).max() < SAME_POINT_RESPONSE * magnitude)
             ratio = offset[i] / (offset[i] - offset[i + 1]) if offset[i] != offset[i + 1] else 0.0
             interpolated = responses[:, i] + ratio * (responses[:, i + 1] - responses[:, i])
-            if np.abs(interpolated - orbit.compliance).max() < SAME_RESPONSE * magnitude:
+            if np.abs(interpolated - orbit.frf).max() < SAME_RESPONSE * magnitude:
                 return True
         return False
 
@@ -235,10 +235,7 @@ class _Explorer:
                     candidate = refine_orbit(self.problem, setting, propagator, steps, orbit.repetition)
                 except RunError:
                     continue
-                is_close = (
-                    np.abs(candidate.compliance - orbit.compliance).max()
-                    < NEIGHBOR_RESPONSE * np.abs(orbit.compliance).max()
-                )
+                is_close = np.abs(candidate.frf - orbit.frf).max() < NEIGHBOR_RESPONSE * np.abs(orbit.frf).max()
                 if is_close and not candidate.flaw and not candidate.plan.has_same_cycle(orbit.plan):
                     return candidate
         # Close to the border, the new event may be too weak to be detected in a motion that has settled to 1e-7.

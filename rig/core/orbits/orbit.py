@@ -27,6 +27,7 @@ from rig.core.orbits.problem import OperatingPoint, OrbitProblem, Parameter, var
 from rig.core.orbits.shooting import ShootingResult, shoot
 from rig.core.orbits.track import track_orbit
 from rig.core.results import Result, complete_style
+from rig.core.results.ratio_names import per_force
 from rig.core.steady_response.motion_type import combined_type, type_of
 
 if TYPE_CHECKING:
@@ -60,8 +61,10 @@ class Orbit(Result):
         Operating point: frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
     repetition : int
         Length in periods of the drive.
-    compliance : ndarray of complex, shape (bodies,)
-        First harmonic of each displacement, divided by the first harmonic of the force [m/N].
+    frf : ndarray of complex, shape (bodies,)
+        First harmonic of each displacement, divided by that of the reference [m/N, or m/m].
+    reference_amplitude : float
+        Amplitude of the reference's first harmonic [N, or m].
     peak : ndarray, shape (bodies,)
         Half the peak-to-peak value of each displacement [m].
     margin : float
@@ -86,7 +89,8 @@ class Orbit(Result):
 
     setting: OperatingPoint
     repetition: int
-    compliance: NDArray[np.complex128]
+    frf: NDArray[np.complex128]
+    reference_amplitude: float
     peak: Array
     margin: float
     border_index: int
@@ -133,6 +137,16 @@ class Orbit(Result):
             line_style = "--" if name.startswith("gap") else "-"
             ax.plot(1e3 * time, 1e3 * column, line_style, **complete_style(style, label=name.removesuffix("_m")))
         ax.set(xlabel="time / ms", ylabel="displacement, gap / mm")
+
+    @property
+    def reference(self) -> str:
+        """Reference of `frf`: "force" on the structure, or "table", its displacement."""
+        return self.problem.reference.name
+
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """`frf` with the force as reference [m/N]; raises `SceneError` with another reference."""
+        return per_force(self.frf, self.reference)
 
     @property
     def frequency(self) -> float:
@@ -295,10 +309,12 @@ class OrbitFamily:
         nearest_border = int(distances.argmin())
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
+        amplitude = problem.reference.amplitude(setting.force, harmonic)
         return Orbit(
             setting=setting,
             repetition=plan.repetition,
-            compliance=harmonic[:bodies] / problem.force_amplitude(setting, harmonic),
+            frf=harmonic[:bodies] / amplitude,
+            reference_amplitude=abs(amplitude),
             peak=0.5 * (extremes[:bodies, 1] - extremes[:bodies, 0]),
             margin=float(distances[nearest_border]),
             border_index=nearest_border,

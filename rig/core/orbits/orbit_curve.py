@@ -14,6 +14,8 @@ from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.orbit import Orbit
 from rig.core.orbits.problem import AXES, PARAMETERS, Parameter, column_name
 from rig.core.results import Result, complete_style, format_percent, join_columns
+from rig.core.results.ratio_names import frf_display, per_force
+from rig.core.steady_response.frequency_response import frf_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,9 +52,19 @@ class OrbitBranch(Result):
         return np.array([orbit.stable for orbit in self.orbits])
 
     @property
+    def reference(self) -> str:
+        """Reference of `frf`: "force" on the structure, or "table", its displacement."""
+        return self.orbits[0].reference
+
+    @property
+    def frf(self) -> NDArray[np.complex128]:
+        """First harmonics of displacements, divided by that of the reference [m/N, or m/m]; (bodies, points)."""
+        return np.array([orbit.frf for orbit in self.orbits]).T
+
+    @property
     def compliance(self) -> NDArray[np.complex128]:
-        """First harmonics of displacements, divided by the first harmonic of the force [m/N]; (bodies, points)."""
-        return np.array([orbit.compliance for orbit in self.orbits]).T
+        """`frf` with the force as reference [m/N]; raises `SceneError` with another reference."""
+        return per_force(self.frf, self.reference)
 
     @property
     def peak(self) -> Array:
@@ -73,18 +85,19 @@ class OrbitBranch(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return parameter, compliance of each body, type of motion, and stability."""
+        """Return parameter, response of each body, type of motion, and stability."""
         return {
             column_name(self.parameter): self.value,
-            **{f"{name}_m/N": row for name, row in zip(self._labels, self.compliance, strict=True)},
+            **frf_columns(self._labels, self.frf, self.reference),
             "motion_type": np.full(self.value.size, self.motion_type),
             "stable": self.stable,
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the compliance of the body with the largest motion; unstable orbits are dashed."""
+        """Draw the response of the body with the largest motion; unstable orbits are dashed."""
         label, factor = AXES[self.parameter]
-        magnitude = 1e6 * abs(self.compliance)
+        name, unit, unit_factor = frf_display(self.reference)
+        magnitude = unit_factor * abs(self.frf)
         body = int(magnitude.max(axis=1).argmax())
         (line,) = ax.loglog(
             factor * self.value,
@@ -92,7 +105,7 @@ class OrbitBranch(Result):
             **complete_style(style, label=self.motion_type),
         )
         ax.plot(factor * self.value, magnitude[body], "--", color=line.get_color(), lw=0.6 * line.get_linewidth())
-        ax.set(xlabel=label, ylabel=f"|compliance| of {self._labels[body]} / (µm/N)")
+        ax.set(xlabel=label, ylabel=f"|{name}| of {self._labels[body]} / ({unit})")
 
 
 @dataclass(frozen=True, repr=False)

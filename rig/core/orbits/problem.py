@@ -22,9 +22,10 @@ from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
-from rig.core.system.assembly import assemble, force_row
+from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
+from rig.core.system.reference import reference_of
 
 Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
 #: Continuation parameters, with their kinds of quantity.
@@ -119,7 +120,7 @@ class OrbitProblem:
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
         self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
-        self._force_row = force_row(self.scene, self.system)
+        self.reference = reference_of(self.scene, self.system)
         shaker = self.scene.driven_shaker
         self._is_driven_by_force = shaker is not None and shaker.drive_is_force
         self._damper_zeros, self._wall_zeros = np.zeros(self.system.dampers), np.zeros((self.system.dampers, 2))
@@ -164,12 +165,6 @@ class OrbitProblem:
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
         amplitudes[self._driven_input] = -1j * setting.force * gain
         return amplitudes
-
-    def force_amplitude(self, setting: OperatingPoint, harmonic: NDArray[np.complex128]) -> complex:
-        """Return the complex amplitude of the force, N; `harmonic`: first harmonic of the states."""
-        if self._is_driven_by_force:
-            return -1j * setting.force  # of a sine
-        return complex(self._force_row @ harmonic)
 
     def equations(
         self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"

@@ -36,8 +36,9 @@ from rig.core.orbits.problem import (
     vary,
 )
 from rig.core.results import Result
+from rig.core.results.ratio_names import frf_display, per_force
 from rig.core.scene.loading import SceneLike, scene_of
-from rig.core.steady_response.frequency_response import compliance_response, draw_compliance
+from rig.core.steady_response.frequency_response import as_response, draw_frf, frf_columns
 from rig.core.steady_response.motion_type import combined_type
 from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, sample_periods
 
@@ -79,8 +80,8 @@ class OrbitResponse(Result):
         Varied parameter: frequency, force, clearance or mass_ratio.
     value : ndarray, shape (values,)
         Values of the parameter (Hz, N, m, or factor on the mass ratios).
-    compliance : complex ndarray, shape (bodies, values)
-        First harmonic of each displacement, divided by the first harmonic of the force [m/N].
+    frf : complex ndarray, shape (bodies, values)
+        First harmonic of each displacement, divided by that of the reference [m/N, or m/m].
     peak : ndarray, shape (bodies, values)
         Half the peak-to-peak value of each displacement [m].
     orbits : tuple of Orbit or None, length values
@@ -91,18 +92,26 @@ class OrbitResponse(Result):
         Display names of the bodies: their names, or body 1, body 2, ...
     dampers : int
         Number of dampers that move.
+    reference : {"force", "table"}
+        Force on the structure, or displacement of the table.
     """
 
     parameter: Parameter
     value: Array
-    compliance: NDArray[np.complex128]
+    frf: NDArray[np.complex128]
     peak: Array
     orbits: tuple[Orbit | None, ...]
     reasons: tuple[str, ...]
     labels: tuple[str, ...]
     dampers: int
+    reference: str = "force"
 
-    # A search for peaks needs only the compliance, so further quantities are computed when first used.
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """`frf` with the force as reference [m/N]; raises `SceneError` with another reference."""
+        return per_force(self.frf, self.reference)
+
+    # A search for peaks needs only the response, so further quantities are computed when first used.
     @cached_property
     def damper_motion(self) -> NDArray[np.str_]:
         """Type of motion of each damper that moves, shape (dampers, values)."""
@@ -132,7 +141,7 @@ class OrbitResponse(Result):
 
     @property
     def response(self) -> Response:
-        """Return the compliance of all bodies over frequency as a `rig.Response`, for plots with measured responses.
+        """Return the responses of all bodies over frequency as a `rig.Response`, for plots with measured responses.
 
         Raises
         ------
@@ -144,34 +153,34 @@ class OrbitResponse(Result):
                 f"response: requires a sweep over frequency, but this sweep varied the {self.parameter}. Vary the "
                 "frequency."
             )
-        return compliance_response(self.value, self.labels, self.compliance, unsteady=self.simulated, label="orbits")
+        return as_response(self.value, self.labels, self.frf, self.reference, unsteady=self.simulated, label="orbits")
 
     def summary(self) -> str:
         """Return the range of the parameter, the peaks and the types of motion in words."""
-        body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
         unit = PARAMETERS[self.parameter].si
+        frf_unit, factor = frf_display(self.reference)[1:]
         return (
             f"{self.value.size} steady-state motions, "
             f"{self.parameter} {self.value.min():.4g} to {self.value.max():.4g} {unit}, "
-            f"highest {1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.value[k]:.4g} {unit} "
+            f"highest {factor * abs(self.frf[body, k]):.4g} {frf_unit} at {self.value[k]:.4g} {unit} "
             f"({self.labels[body]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return parameter, compliance of each body, type of motion, and largest Floquet multiplier."""
+        """Return parameter, response of each body, type of motion, and largest Floquet multiplier."""
         return {
             column_name(self.parameter): self.value,
-            **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
+            **frf_columns(self.labels, self.frf, self.reference),
             "motion_type": self.motion_type,
             "multiplier": self.multiplier,
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the compliance of each body."""
+        """Draw the response of each body."""
         label, factor = AXES[self.parameter]
-        draw_compliance(
-            ax, factor * self.value, self.labels, self.compliance, self.simulated, "irregular, averaged", **style
-        )
+        abscissa = factor * self.value
+        draw_frf(ax, abscissa, self.labels, self.frf, self.reference, self.simulated, "irregular, averaged", **style)
         ax.set(xlabel=label)
 
 
@@ -239,12 +248,13 @@ def sweep(
     return OrbitResponse(
         parameter=parameter,
         value=values,
-        compliance=np.array([p.compliance for p in points]).T,
+        frf=np.array([p.frf for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
         orbits=tuple(p.orbit for p in points),
         reasons=tuple(p.reason for p in points),
         labels=problem.scene.structure.labels,
         dampers=problem.system.dampers,
+        reference=problem.reference.name,
     )
 
 
@@ -252,7 +262,7 @@ def sweep(
 class _Point:
     """Steady-state motion at one value of the parameter; fields as in `OrbitResponse`."""
 
-    compliance: NDArray[np.complex128]
+    frf: NDArray[np.complex128]
     peak: Array
     orbit: Orbit | None
     reason: str
@@ -378,7 +388,7 @@ class _Continuation:
 
 def _orbit_point(orbit: Orbit) -> _Point:
     """Return the point of an admissible stable orbit."""
-    return _Point(orbit.compliance, orbit.peak, orbit, "")
+    return _Point(orbit.frf, orbit.peak, orbit, "")
 
 
 @cached_njit
@@ -413,5 +423,5 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
     phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
     phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
     harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
-    force = problem.force_amplitude(setting, harmonic[: problem.system.states])
-    return _Point(compliance=harmonic[:bodies] / force, peak=half_ranges, orbit=None, reason=reason)
+    amplitude = problem.reference.amplitude(setting.force, harmonic[: problem.system.states])
+    return _Point(frf=harmonic[:bodies] / amplitude, peak=half_ranges, orbit=None, reason=reason)

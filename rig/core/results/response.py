@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError, suggestion
 from rig.core.results.interpolation import interpolate_curve, nearest_lines
+from rig.core.results.ratio_names import display_unit, ratio_name
 from rig.core.results.result import Result, complete_style, missing_package
 from rig.core.results.text import format_frequencies, format_percent, format_quantity
 from rig.core.results.uncertainty import (
@@ -38,19 +39,8 @@ if TYPE_CHECKING:
 # Curves with more points than this are drawn without markers.
 MAX_MARKERS = 120
 MOTIONS = ("displacement", "velocity", "acceleration")
-_NAMES = {
-    ("displacement", "force"): ("compliance", "m/N"),
-    ("velocity", "force"): ("mobility", "m/(N s)"),
-    ("acceleration", "force"): ("accelerance", "m/(N s²)"),
-    ("displacement", "table"): ("transmissibility", "m/m"),
-    ("velocity", "table"): ("velocity per table displacement", "1/s"),
-    ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
-}
-_RATIO = ("ratio", "1")
 # The highest value counts as the peak if its expanded uncertainty is at most this fraction of it.
 _MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# By SI unit: the unit in which curves are drawn and printed, and the factor to it.
-_DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 
 
 @dataclass(frozen=True)
@@ -224,17 +214,17 @@ class Response(Result, Sequence["Response"]):
     @property
     def name(self) -> str:
         """Name of the ratio: compliance, mobility, accelerance, transmissibility."""
-        return _NAMES.get((self.motion, self.reference), _RATIO)[0]
+        return ratio_name(self.motion, self.reference)[0]
 
     @property
     def unit(self) -> str:
         """Unit of `value`."""
-        return _NAMES.get((self.motion, self.reference), _RATIO)[1]
+        return ratio_name(self.motion, self.reference)[1]
 
     @property
     def shown_in(self) -> tuple[str, float]:
         """Unit in which values are drawn and printed, and the factor from `unit` to it."""
-        return _DISPLAY_UNITS.get(self.unit, (self.unit, 1.0))
+        return display_unit(self.unit)
 
     @property
     def error(self) -> Array:

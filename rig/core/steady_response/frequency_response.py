@@ -19,15 +19,16 @@ from rig.core.engine.propagator import Propagator, tone_propagator
 from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CONTACT_EVENTS
 from rig.core.results import Result, complete_style
+from rig.core.results.ratio_names import frf_display, per_force, ratio_name
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, positive_values
 from rig.core.simulation.energy import fourier_integral
 from rig.core.steady_response.motion_type import combined_type, motion_types
 from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle
-from rig.core.system.assembly import assemble, force_row
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, tone_drive
+from rig.core.system.reference import reference_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,7 @@ LEVEL_TOLERANCE = 1e-6
 MAX_LEVEL_TRIALS = 25
 #: Number of periods over which a motion without repetition is averaged.
 IRREGULAR_PERIODS = 16
-#: Two computations have the same motion if their compliances differ by at most this fraction of the largest compliance.
+#: Two computations have the same motion if their responses differ by at most this fraction of the largest response.
 SAME_MOTION_TOLERANCE = 1e-5
 
 
@@ -52,12 +53,12 @@ class SteadyResponse(Result):
     ----------
     frequency : ndarray, shape (frequencies,)
         Hz.
-    compliance : complex ndarray, shape (bodies, frequencies)
-        First harmonic of each displacement, divided by the first harmonic of the force, m/N; x(t) = Re(X e^{i w t}).
+    frf : complex ndarray, shape (bodies, frequencies)
+        First harmonic of each displacement, divided by that of the reference, m/N or m/m; x(t) = Re(X e^{i w t}).
     peak : ndarray, shape (bodies, frequencies)
         Half the peak-to-peak displacement, m.
-    force : ndarray, shape (frequencies,)
-        Amplitude of the force's first harmonic, N.
+    reference_amplitude : ndarray, shape (frequencies,)
+        Amplitude of the reference's first harmonic, N or m.
     motion_type : ndarray of str, shape (frequencies,)
         "linear" (no damper moves in its cavity), "riding" (at rest on the floor), "I", "II", "III" (see
         `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
@@ -75,12 +76,14 @@ class SteadyResponse(Result):
         1 to 8 periods.
     bodies : tuple of str
         Names of the bodies; empty if they have numbers only.
+    reference : {"force", "table"}
+        Force on the structure, or displacement of the table.
     """
 
     frequency: Array
-    compliance: NDArray[np.complex128]
+    frf: NDArray[np.complex128]
     peak: Array
-    force: Array
+    reference_amplitude: Array
     motion_type: NDArray[np.str_]
     damper_motion: NDArray[np.str_]
     impacts: Array
@@ -89,77 +92,103 @@ class SteadyResponse(Result):
     repetition: NDArray[np.int64]
     residual: Array
     bodies: tuple[str, ...] = ()
+    reference: str = "force"
+
+    @property
+    def compliance(self) -> NDArray[np.complex128]:
+        """`frf` with the force as reference, m/N; raises `SceneError` with another reference."""
+        return per_force(self.frf, self.reference)
+
+    @property
+    def force(self) -> Array:
+        """`reference_amplitude` of a force, N; raises `SceneError` with another reference."""
+        return per_force(self.reference_amplitude, self.reference)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the bodies: their names, or body 1, body 2, ..."""
-        return self.bodies or tuple(f"body {number}" for number in range(1, len(self.compliance) + 1))
+        return self.bodies or tuple(f"body {number}" for number in range(1, len(self.frf) + 1))
 
     @property
     def response(self) -> Response:
-        """Return the compliance of all bodies as a `rig.Response`, for plots with measured responses."""
-        return compliance_response(self.frequency, self.labels, self.compliance, self.force, ~self.converged)
+        """Return the responses of all bodies as a `rig.Response`, for plots with measured responses."""
+        return as_response(
+            self.frequency, self.labels, self.frf, self.reference, self.reference_amplitude, ~self.converged
+        )
 
     def summary(self) -> str:
         """Summarize frequency range, peak and motion types."""
-        body, k = np.unravel_index(int(np.argmax(abs(self.compliance))), self.compliance.shape)
+        body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
+        unit, factor = frf_display(self.reference)[1:]
         return (
             f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
-            f"{1e6 * abs(self.compliance[body, k]):.4g} µm/N at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
+            f"{factor * abs(self.frf[body, k]):.4g} {unit} at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
             f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return frequency, compliance of each body, and motion type."""
+        """Return frequency, response of each body, and motion type."""
         return {
             "frequency_Hz": self.frequency,
-            **{f"{name}_m/N": row for name, row in zip(self.labels, self.compliance, strict=True)},
+            **frf_columns(self.labels, self.frf, self.reference),
             "motion_type": self.motion_type,
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the compliance of each body."""
-        draw_compliance(ax, self.frequency, self.labels, self.compliance, ~self.converged, "not steady", **style)
+        """Draw the response of each body."""
+        draw_frf(ax, self.frequency, self.labels, self.frf, self.reference, ~self.converged, "not steady", **style)
         ax.set(xlabel="frequency / Hz")
 
 
-def compliance_response(
+def frf_columns(
+    labels: Sequence[str], frf: NDArray[np.complex128], reference: str
+) -> dict[str, NDArray[np.complex128]]:
+    """Return the responses of the bodies as columns of a table."""
+    unit = ratio_name("displacement", reference)[1]
+    return {f"{label}_{unit}": row for label, row in zip(labels, frf, strict=True)}
+
+
+def as_response(
     frequency: Array,
     labels: Sequence[str],
-    compliance: NDArray[np.complex128],
-    force: Array | None = None,
+    frf: NDArray[np.complex128],
+    reference: str,
+    amplitude: Array | None = None,
     unsteady: NDArray[np.bool_] | None = None,
     label: str = "computed",
 ) -> Response:
-    """Create a `rig.Response` from the compliance of bodies, (bodies, frequencies)."""
+    """Create a `rig.Response` from the responses of bodies to a reference, (bodies, frequencies)."""
     from rig.core.results.response import Point, Response
 
     return Response(
         frequency,
-        np.ascontiguousarray(compliance.T[:, :, None]),
+        np.ascontiguousarray(frf.T[:, :, None]),
         tuple(Point(name, "displacement", name) for name in labels),
-        amplitude=force,
+        (Point(reference, reference),),
+        amplitude=amplitude,
         unsteady=unsteady,
         label=label,
     )
 
 
-def draw_compliance(
+def draw_frf(
     ax: Axes,
     abscissa: Array,
     labels: Sequence[str],
-    compliance: NDArray[np.complex128],
+    frf: NDArray[np.complex128],
+    reference: str,
     is_marked: NDArray[np.bool_],
     marker_label: str,
     **style: Any,
 ) -> None:
-    """Draw the compliance of each body, (bodies, points), in the order of the points, with optional markers."""
-    for label, row in zip(labels, 1e6 * abs(compliance), strict=True):
+    """Draw the response of each body, (bodies, points), in the order of the points, with optional markers."""
+    name, unit, factor = frf_display(reference)
+    for label, row in zip(labels, factor * abs(frf), strict=True):
         (line,) = ax.loglog(abscissa, row, **complete_style(style, label=label))
         ax.plot(abscissa[is_marked], row[is_marked], "o", mfc="white", mec=line.get_color(), ms=4)
     if is_marked.any():
         ax.plot([], [], "o", mfc="white", mec="black", ms=4, label=marker_label)
-    ax.set(ylabel="|compliance| / (µm/N)")
+    ax.set(ylabel=f"|{name}| / ({unit})")
 
 
 @dataclass(frozen=True)
@@ -190,9 +219,9 @@ class SteadyPoint:
     """
 
     frequency: float
-    compliance: NDArray[np.complex128]
+    frf: NDArray[np.complex128]
     peak: Array
-    force: float
+    reference_amplitude: float
     types: list[str]
     impacts: Array
     closing_speed: Array
@@ -273,7 +302,7 @@ def frequency_response(
             # Leaving the pool waits for the other section, so stop it first.
             continuation.stopped.set()
             raise
-    return _join_points(points, continuation.system, scene.structure.names)
+    return _join_points(points, continuation, scene.structure.names)
 
 
 def _compute_in_two_sections(
@@ -302,8 +331,8 @@ def _compute_in_two_sections(
 
 
 def _same_motion(first: SteadyPoint, second: SteadyPoint) -> bool:
-    magnitude = np.abs(second.compliance).max()
-    difference = np.abs(first.compliance - second.compliance).max()
+    magnitude = np.abs(second.frf).max()
+    difference = np.abs(first.frf - second.frf).max()
     return first.types == second.types and bool(difference < SAME_MOTION_TOLERANCE * magnitude)
 
 
@@ -316,8 +345,8 @@ class SteadyContinuation:
         #: Set when no more points are required.
         self.stopped = Event()
         shaker = scene.driven_shaker
-        self.drive_is_force = shaker is not None and shaker.drive_is_force
-        self.controls_spring_force = scene.level_key == "force" and not self.drive_is_force
+        self.reference = reference_of(scene, self.system)
+        self.controls_spring_force = scene.level_key == "force" and not (shaker is not None and shaker.drive_is_force)
 
     def points(self, order: Sequence[float] | Array) -> Iterator[SteadyPoint]:
         """Yield points at the given frequencies, each from the previous point; the first from rest."""
@@ -369,7 +398,8 @@ class SteadyContinuation:
             # Far from the required force, a coarse steady state is sufficient and faster.
             tolerance = max(self.tolerance, min(1e-4, 1e-2 * error))
             point = self._measure(propagator, steps, frequency, level, tolerance)
-            log_error = float(np.log(point.force / target_force)) if point.force > 0.0 else -1.0
+            reached_force = point.reference_amplitude
+            log_error = float(np.log(reached_force / target_force)) if reached_force > 0.0 else -1.0
             trials.append((float(np.log(level)), log_error))
             if abs(log_error) < LEVEL_TOLERANCE and tolerance <= self.tolerance * 1.001:
                 break
@@ -412,17 +442,13 @@ class SteadyContinuation:
             np.pi * repetition / omega
         )
         positions = trajectory.state[:, :n]
-        if self.drive_is_force:
-            # The force is a sine: Re(-i F e^{i w t}) = F sin(w t).
-            force = -1j * level_of(self.scene) * level
-        else:
-            force = complex(force_row(self.scene, system) @ harmonic[: system.states])
+        amplitude = self.reference.amplitude(level_of(self.scene) * level, harmonic[: system.states])
         bodies = self.scene.structure.bodies
         return SteadyPoint(
             frequency=frequency,
-            compliance=harmonic[:bodies] / force if force else np.full(bodies, np.nan + 0j),
+            frf=harmonic[:bodies] / amplitude if amplitude else np.full(bodies, np.nan + 0j),
             peak=0.5 * np.ptp(positions[:, :bodies], axis=0),
-            force=abs(force),
+            reference_amplitude=abs(amplitude),
             types=motion.types,
             impacts=motion.impacts,
             closing_speed=motion.closing_speed,
@@ -446,13 +472,15 @@ def _next_level(trials: list[tuple[float, float]]) -> float:
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))
 
 
-def _join_points(points: list[SteadyPoint], system: HybridSystem, names: Sequence[str] | None) -> SteadyResponse:
-    types = [point.types for point in points]
+def _join_points(
+    points: list[SteadyPoint], continuation: SteadyContinuation, names: Sequence[str] | None
+) -> SteadyResponse:
+    system, types = continuation.system, [point.types for point in points]
     return SteadyResponse(
         frequency=np.array([p.frequency for p in points]),
-        compliance=np.array([p.compliance for p in points]).T,
+        frf=np.array([p.frf for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
-        force=np.array([p.force for p in points]),
+        reference_amplitude=np.array([p.reference_amplitude for p in points]),
         motion_type=np.array([combined_type(t) for t in types]),
         damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
         impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
@@ -461,4 +489,5 @@ def _join_points(points: list[SteadyPoint], system: HybridSystem, names: Sequenc
         repetition=np.array([p.steady.repetition for p in points]),
         residual=np.array([p.steady.residual for p in points]),
         bodies=tuple(names or ()),
+        reference=continuation.reference.name,
     )

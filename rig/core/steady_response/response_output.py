@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.errors import SceneError
 from rig.core.base.output_files import atomic_write, csv_text
+from rig.core.results.ratio_names import REFERENCE_UNITS, frf_display, ratio_name
 from rig.core.results.text import format_decimals, format_frequencies, format_interval, table_lines
 from rig.core.scene.excitation import spaced_frequencies
 from rig.core.scene.scene import Scene
@@ -46,20 +47,23 @@ def sweep_frequencies(
 
 def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
     """Return column names and rows of a response, with all digits."""
-    bodies, dampers = len(response.compliance), len(response.impacts)
+    bodies, dampers = len(response.frf), len(response.impacts)
+    name, unit = ratio_name("displacement", response.reference)
+    frf_name = f"{name}_{unit.replace('/', '_per_').lower()}"
     header = ["frequency_hz"]
     for body in range(1, bodies + 1):
-        header += [f"body{body}_compliance_m_per_n", f"body{body}_phase_deg", f"body{body}_peak_m"]
-    header += ["force_n", "motion_type", *(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
+        header += [f"body{body}_{frf_name}", f"body{body}_phase_deg", f"body{body}_peak_m"]
+    header += [f"{response.reference}_{REFERENCE_UNITS[response.reference].lower()}", "motion_type"]
+    header += [*(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
     header += ["repetition_periods", "converged", "residual", "direction"]
     table, sweep_directions = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         row = [repr(float(frequency))]
         for body in range(bodies):
-            value = response.compliance[body, k]
+            value = response.frf[body, k]
             body_values = (abs(value), np.degrees(np.angle(value)), response.peak[body, k])
             row += [repr(float(number)) for number in body_values]
-        row += [repr(float(response.force[k])), str(response.motion_type[k])]
+        row += [repr(float(response.reference_amplitude[k])), str(response.motion_type[k])]
         row += [repr(float(impacts)) for impacts in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
         row += [repr(float(response.residual[k])), sweep_directions[k]]
@@ -119,10 +123,11 @@ def _motion_labels(response: SteadyResponse) -> list[str]:
 
 
 def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return a table of the peaks of each body's compliance, refined between the frequencies, with notes on spacing."""
+    """Return a table of the peaks of each body's response, refined between the frequencies, with notes on spacing."""
     from rig.core.results.resonances import MIN_LINES, find_resonances
 
-    rows, coarse = [("body", "frequency / Hz", "peak / (µm/N)", "motion")], []
+    unit, factor = frf_display(response.reference)[1:]
+    rows, coarse = [("body", "frequency / Hz", f"peak / ({unit})", "motion")], []
     sweep_directions = np.array(directions(response.frequency))
     for curve in response.response.curves():
         for direction in dict.fromkeys(sweep_directions):
@@ -133,9 +138,9 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
                 # Between two frequencies at which dampers are at rest, they may move.
                 if response.motion_type[k] == "linear" and peak.is_interpolated:
                     error = peak.expanded if peak.expanded > _NEGLIGIBLE_ERROR * peak.value else 0.0
-                    row = format_decimals(peak.frequency, 4), format_interval(1e6 * peak.value, 1e6 * error)
+                    row = format_decimals(peak.frequency, 4), format_interval(factor * peak.value, factor * error)
                 else:
-                    height = f"{1e6 * abs(curve.value[k]):.4g}"
+                    height = f"{factor * abs(curve.value[k]):.4g}"
                     is_coarse = peak.lines < MIN_LINES or not peak.is_interpolated
                     row = format_decimals(curve.frequency[k], 4), f"at least {height}" if is_coarse else height
                     coarse += [peak] * is_coarse
@@ -143,7 +148,12 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
         if rows[-1][0] != curve.response:
             k = int(np.argmax(abs(curve.value)))
             rows.append(
-                (curve.response, format_decimals(curve.frequency[k], 4), f"{1e6 * abs(curve.value[k]):.4g}", motion[k])
+                (
+                    curve.response,
+                    format_decimals(curve.frequency[k], 4),
+                    f"{factor * abs(curve.value[k]):.4g}",
+                    motion[k],
+                )
             )
     lines = table_lines(rows, "<>><")
     if coarse:
@@ -159,11 +169,12 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return a table of compliance, impacts per period and motion type at each frequency."""
-    headers = [f"{label} / (µm/N)" for label in response.labels]
+    """Return a table of responses, impacts per period and motion type at each frequency."""
+    unit, factor = frf_display(response.reference)[1:]
+    headers = [f"{label} / ({unit})" for label in response.labels]
     lines = [f"{'frequency / Hz':>14}" + "".join(f"{header:>18}" for header in headers) + "  impacts  motion"]
     for k, frequency in enumerate(response.frequency):
-        columns = "".join(f"{1e6 * abs(value):18.4g}" for value in response.compliance[:, k])
+        columns = "".join(f"{factor * abs(value):18.4g}" for value in response.frf[:, k])
         remark = "" if response.converged[k] else f"  not steady (residual {response.residual[k]:.1g})"
         impacts = float(response.impacts[:, k].sum())
         lines.append(f"{format_decimals(frequency, 4):>14}{columns}  {impacts:7.3g}  {motion[k]}{remark}")

@@ -24,9 +24,9 @@ def response() -> SteadyResponse:
     motion = np.array(["riding"] * 6 + ["I"] * 2 + ["irregular", "riding"])
     return SteadyResponse(
         frequency=frequency,
-        compliance=compliance,
+        frf=compliance,
         peak=abs(compliance),
-        force=np.ones(10),
+        reference_amplitude=np.ones(10),
         motion_type=motion,
         damper_motion=motion[np.newaxis],
         impacts=np.zeros((1, 10)),
@@ -52,10 +52,10 @@ def test_every_peak_has_a_row(response: SteadyResponse) -> None:
 def test_linear_peak_between_frequencies_is_computed(response: SteadyResponse) -> None:
     frequency, natural, ratio = np.arange(20.0, 40.0, 0.84), 30.49, 0.005
     row = 1.0 / (1.0 - (frequency / natural) ** 2 + 2j * ratio * frequency / natural)
-    names = ("peak", "force", "converged", "repetition", "residual")
+    names = ("peak", "reference_amplitude", "converged", "repetition", "residual")
     count = {name: np.resize(getattr(response, name), frequency.size) for name in names}
     linear = replace(
-        response, **count, frequency=frequency, compliance=1e-6 * row[np.newaxis], bodies=("base",),
+        response, **count, frequency=frequency, frf=1e-6 * row[np.newaxis], bodies=("base",),
         motion_type=np.full(frequency.size, "linear"),
     )  # fmt: skip
     [line] = [line.split() for line in format_response(linear).splitlines() if line.startswith("base")]

@@ -1,0 +1,42 @@
+"""The reference of a scene's steady responses: the first harmonic by which those of the displacements are divided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.scene.scene import Scene
+from rig.core.system.assembly import force_row
+from rig.core.system.hybrid_system import HybridSystem
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Force on the structure [N], or displacement of the table [m].
+
+    `row`: row whose product with the state is the reference; None for a drive that is the force itself.
+    """
+
+    name: Literal["force", "table"]
+    row: Array | None
+
+    def amplitude(self, level: float, harmonic: ComplexArray) -> complex:
+        """Return its complex amplitude at a level, N or m; `harmonic`: first harmonic of the states."""
+        if self.row is None:
+            return -1j * level  # of a sine: Re(-i F e^{i w t}) = F sin(w t)
+        return complex(self.row @ harmonic)
+
+
+def reference_of(scene: Scene, system: HybridSystem) -> Reference:
+    """Return the force if the test gives its level, otherwise the first reference of the driven shaker."""
+    shaker = scene.driven_shaker
+    if shaker is None or shaker.drive_is_force:
+        return Reference("force", None)
+    if scene.level_key == "force" or shaker.references[0] == "force":
+        return Reference("force", force_row(scene, system))
+    row = np.zeros(system.states)
+    row[system.points.index(scene.at_driven("table"))] = 1.0
+    return Reference("table", row)

@@ -212,7 +212,7 @@ def report(
         Whether an existing page may be replaced.
     """
     from analysis.commands.report_page.report import write_report
-    from rig.core.base.provenance import allow_overwriting
+    from rig.core.base.output_files import allow_overwriting
 
     with allow_overwriting(overwrite):
         return write_report(_paths(recordings), None if output is None else Path(output), progress).files[0]
@@ -295,7 +295,7 @@ def paper(
         Called with lines of text.
     """
     from analysis.studies.paper.reproduce import reproduce
-    from rig.core.base.provenance import allow_overwriting
+    from rig.core.base.output_files import allow_overwriting
 
     with allow_overwriting(overwrite):
         return reproduce(Path(output), progress or (lambda _: None), fresh, cluster)

@@ -11,7 +11,7 @@ import typer
 from rig.commands.arguments import Changes, Cluster, Overwrite, SceneName, load_scene
 from rig.commands.command_line import create_application, run_command
 from rig.core.base.console import count_progress, report_written, resumable
-from rig.core.base.provenance import allow_overwriting
+from rig.core.base.output_files import allow_overwriting
 
 if TYPE_CHECKING:
     from analysis.commands.presentation.outputs import CommandOutput
@@ -241,8 +241,7 @@ def demo(
     """
     from analysis.commands.presentation.demo import demonstrate
 
-    with allow_overwriting(overwrite):
-        demonstrate(output, _print_line)
+    demonstrate(output, _print_line, overwrite=overwrite)
 
 
 @app.command(example="analysis export sweep.mcap -o sweep.uff")
@@ -330,10 +329,9 @@ def cost(
     from analysis.studies.cost.figure import output_files, table, write
     from analysis.studies.cost.study import chain_study
     from rig.core.base.output_files import prepare_outputs
-    from rig.core.base.provenance import output_source
 
     loaded_scene = load_scene(scene, changes)
-    with allow_overwriting(overwrite), output_source("chain-cost", loaded_scene.to_yaml()):
+    with allow_overwriting(overwrite):
         prepare_outputs(*output_files(loaded_scene, output))
         with count_progress("recording and analyzing") as progress:
             study = chain_study(loaded_scene, frequency, progress)

@@ -14,6 +14,7 @@ from rig.commands.arguments import Changes, Overwrite, SceneNames, load_scene
 from rig.commands.command_line import create_application, run_command
 from rig.core.base.console import pause_reports, progress, user_terminal
 from rig.core.base.errors import RecordingError
+from rig.core.base.output_files import allow_overwriting, prepare_outputs
 
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
@@ -86,19 +87,17 @@ def record(
     complete = [path for _, scene_settings, path in tests if not overwrite and is_recorded(scene_settings, path)]
     for path in complete:
         print(f"{path}: already contains the complete test of this scene. Use --overwrite to record it again.")
-    tests = [
-        (scene, scene_settings, _prepare_recording(path, overwrite))
-        for scene, scene_settings, path in tests
-        if path not in complete
-    ]
-    for scene, scene_settings, path in tests:
-        check_resources(estimate(scene_settings), path)
-        foresight = foresee(scene_settings)
-        print(f"{foresight}\n", file=sys.stderr)
-        if not anyway:
-            reject_certain_abort(scene, foresight)
-        if code := record_and_report(scene, scene_settings, path, overwrite, block):
-            raise typer.Exit(code)
+    tests = [test for test in tests if test[2] not in complete]
+    with allow_overwriting(overwrite):
+        _prepare_recordings(*(path for _, _, path in tests))
+        for scene, scene_settings, path in tests:
+            check_resources(estimate(scene_settings), path)
+            foresight = foresee(scene_settings)
+            print(f"{foresight}\n", file=sys.stderr)
+            if not anyway:
+                reject_certain_abort(scene, foresight)
+            if code := record_and_report(scene, scene_settings, path, block):
+                raise typer.Exit(code)
 
 
 @app.command("import", example="daq import bench.csv --table channels.yaml -o bench.mcap")
@@ -288,9 +287,11 @@ def serve_a_rig(
         certificates = Certificates(certificate, key, client_ca)
     limits = Limits(disconnect_timeout=session_timeout)
     bench = _load_bench_scene(scene, changes)
-    path = None if output is None else _prepare_recording(output, overwrite)
+    if output is not None:
+        with allow_overwriting(overwrite):
+            _prepare_recordings(output)
     with pause_reports():
-        serve(bench, clock, address, port, certificates, limits, path, overwrite, proto_folder)
+        serve(bench, clock, address, port, certificates, limits, output, output is not None, proto_folder)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")
@@ -321,9 +322,11 @@ def bench_in_the_browser(
     path = Path("recordings") / f"{Path(scene_name).stem}-bench.mcap"
     settings = _load_bench_scene(scene, changes)
     if output is not None:
-        path = _prepare_recording(output, overwrite)
+        path = output
+        with allow_overwriting(overwrite):
+            _prepare_recordings(path)
     with pause_reports():
-        bench(settings, address, port, device_port, path, overwrite, browser)
+        bench(settings, address, port, device_port, path, output is not None, browser)
 
 
 def _check_port(option: str, port: int) -> None:
@@ -359,13 +362,11 @@ def _is_file_name(path: Path) -> bool:
     return path.suffix == ".mcap" or path.is_file() or (path.suffix != "" and not path.is_dir())
 
 
-def _prepare_recording(path: Path, overwrite: bool) -> Path:
-    """Check the path of a new recording before the bench is switched on; the recorder would check it only later."""
-    from rig.core.base.output_files import resolve_output
-
-    _reject_other_suffix(path)
-    resolve_output(path, overwrite, RecordingError)
-    return path
+def _prepare_recordings(*paths: Path) -> None:
+    """Check the paths of new recordings before the bench is switched on; the recorder would check them only later."""
+    for path in paths:
+        _reject_other_suffix(path)
+    prepare_outputs(*paths, error_type=RecordingError)
 
 
 def _reject_other_suffix(path: Path) -> None:

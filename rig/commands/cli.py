@@ -170,7 +170,7 @@ def simulate(
 
     The drive acts in open loop: sensors and controller are not simulated.
     """
-    from rig.core.base.provenance import allow_overwriting, output_source
+    from rig.core.base.output_files import allow_overwriting
     from rig.core.settings.quantities import FREQUENCY, TIME
     from rig.core.simulation.run_output import simulate_to_file, summary
 
@@ -179,7 +179,6 @@ def simulate(
     sample_rate = _quantity(rate, FREQUENCY, "--rate") or 0.0
     with (
         allow_overwriting(overwrite),
-        output_source("simulate", loaded_scene.to_yaml()),
         count_progress("computing the motion") as progress,
     ):
         run = simulate_to_file(output, loaded_scene, duration_s, sample_rate, tone_hz, progress)
@@ -216,14 +215,13 @@ def response(
     The amplitude of the sine is the force or drive of the scene's test.
     """
     import rig
-    from rig.core.base.output_files import prepare_outputs
-    from rig.core.base.provenance import allow_overwriting, output_source
+    from rig.core.base.output_files import allow_overwriting, prepare_outputs
     from rig.core.settings.quantities import FREQUENCY
     from rig.core.steady_response.response_output import format_response, write_csv
 
     loaded_scene = load_scene(scene, changes)
     band = (_quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to"))
-    with allow_overwriting(overwrite), output_source("response", loaded_scene.to_yaml()):
+    with allow_overwriting(overwrite):
         if output is not None:
             prepare_outputs(output)
         with count_progress("computing the motion") as progress:
@@ -305,12 +303,11 @@ def cost(
     finite-duration contact, and softer grains.
     """
     import rig
-    from rig.core.base.output_files import file_stem, prepare_outputs
-    from rig.core.base.provenance import allow_overwriting, output_source
+    from rig.core.base.output_files import allow_overwriting, file_stem, prepare_outputs
     from rig.core.settings.quantities import FREQUENCY
 
     loaded_scene = load_scene(scene, changes)
-    with allow_overwriting(overwrite), output_source("cost", loaded_scene.to_yaml()), show_activity() as report:
+    with allow_overwriting(overwrite), show_activity() as report:
         prepare_outputs(*_figure_and_table(output / file_stem("cost", loaded_scene.name)))
         tone_hz = _quantity(frequency, FREQUENCY, "--frequency")
         result = rig.cost(loaded_scene, tone_hz, periods, report)
@@ -363,8 +360,7 @@ def map_(
     To continue an interrupted run, give the same command again.
     """
     import rig
-    from rig.core.base.output_files import prepare_outputs
-    from rig.core.base.provenance import allow_overwriting, output_source
+    from rig.core.base.output_files import allow_overwriting, prepare_outputs
     from rig.core.settings.quantities import FREQUENCY
     from rig.studies.motion_map.grid import KIND_OF_UNIT, vertical_axis
     from rig.studies.motion_map.motion_map import output_stem, summarize_map, write_map
@@ -376,7 +372,7 @@ def map_(
     limits = _quantity(lowest, kind, "--least"), _quantity(highest, kind, "--most")
     stem = output_stem(loaded_scene, over, output)
     finished_points = stem.with_suffix(".csv.kept")
-    with resumable(), allow_overwriting(overwrite), output_source("map", loaded_scene.to_yaml()):
+    with resumable(), allow_overwriting(overwrite):
         prepare_outputs(*_figure_and_table(stem))
         with count_progress("computing the motion") as progress:
             result = rig.map(loaded_scene, over, *limits, rows, *band, points, cluster, finished_points, progress)
@@ -478,8 +474,7 @@ def design(
     New dampers have the restitution and contact of the scene's first damper.
     """
     from rig.core.base.extensions import test_predictions
-    from rig.core.base.output_files import file_stem, prepare_outputs
-    from rig.core.base.provenance import allow_overwriting, output_source
+    from rig.core.base.output_files import allow_overwriting, file_stem, prepare_outputs
     from rig.studies.design.design import design as choose_dampers
     from rig.studies.design.figure import describe_check, summary, write
 
@@ -489,7 +484,6 @@ def design(
     with (
         resumable(),
         allow_overwriting(overwrite),
-        output_source("design", loaded_scene.to_yaml()),
         progress("evaluating designs") as report_progress,
     ):
         prepare_outputs(*(stem.with_suffix(suffix) for suffix in (".yaml", ".png", ".svg")))

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from rig.core.base import console
 from rig.core.base.ending_signals import TERMINATION_SIGNALS, received_signals
 from rig.core.base.errors import RunError, ShotrigError
+from rig.core.base.output_files import ask_before_replacing
 from rig.core.base.shadowing import shadowing_files
 from rig.core.base.unexpected import describe_unexpected, version
 from rig.extras.grains.ranks import join
@@ -85,6 +86,7 @@ def run_command(module: str) -> NoReturn:
             _replace_hooks(cleanup)
             join()
             console.report_activity(cleanup)
+            ask_before_replacing(console.ask_to_replace)
             code = _execute(module, arguments[debug:])
             sys.stdout.flush()
             # From here on, also after an error, a signal ends the process immediately.

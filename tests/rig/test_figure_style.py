@@ -48,9 +48,9 @@ def drawn(path: Path) -> bytes:
 
 
 def test_user_settings_do_not_affect_figures(tmp_path: Path) -> None:
-    expected = drawn(tmp_path)
+    expected = drawn(tmp_path / "own")
     with matplotlib.rc_context({"text.usetex": True, "lines.linewidth": 9.0, "axes.facecolor": "red"}):
-        assert drawn(tmp_path) == expected
+        assert drawn(tmp_path / "user") == expected
 
 
 def test_unknown_backend_does_not_prevent_figures() -> None:

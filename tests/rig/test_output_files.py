@@ -1,7 +1,9 @@
-"""An output file is written completely or not at all, and protected files stay intact."""
+"""An output file is written completely or not at all, and existing files are replaced only if that is allowed."""
 
 from __future__ import annotations
 
+import contextvars
+import io
 import os
 import subprocess
 import sys
@@ -9,14 +11,22 @@ from pathlib import Path
 
 import pytest
 
+from rig.core.base import console
 from rig.core.base.errors import RunError, SceneError
-from rig.core.base.output_files import atomic_write, create_folder, csv_text, file_stem, prepare_outputs
+from rig.core.base.output_files import (
+    ask_before_replacing,
+    atomic_write,
+    create_folder,
+    csv_text,
+    file_stem,
+    prepare_outputs,
+)
 
 
 def test_failed_write_keeps_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("old")
-    with pytest.raises(ZeroDivisionError), atomic_write(path) as temporary:
+    with pytest.raises(ZeroDivisionError), atomic_write(path, overwrite=True) as temporary:
         temporary.write_text("half")
         raise ZeroDivisionError
     assert path.read_text(encoding="utf-8") == "old" and list(tmp_path.iterdir()) == [path]
@@ -97,7 +107,7 @@ def test_missing_folder_of_output_is_created(tmp_path: Path) -> None:
         ("a-folder", "is a folder or a device"),
         ("a-file/out.csv", "a file has this name"),
         ("a-file/below/out.csv", "a file has this name"),
-        ("a-file", "written by another program"),
+        ("a-file", r"a-file exists\. .*--overwrite"),
         (f"{'long' * 100}.csv", "too long"),
         pytest.param(
             "/proc/out.csv",
@@ -142,3 +152,43 @@ def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
         # The files of running processes stay.
         assert temporary.exists() and other.exists() and not left.exists()
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("answer", [True, False])
+def test_one_question_allows_all_files(tmp_path: Path, answer: bool) -> None:
+    paths, questions = [tmp_path / name for name in ("a.csv", "a.png", "new.svg")], []
+    for path in paths[:2]:
+        path.write_text("old")
+
+    def write() -> None:
+        ask_before_replacing(lambda files: questions.append(list(files)) or answer)
+        prepare_outputs(*paths)
+        for path in paths:
+            with atomic_write(path) as temporary:
+                temporary.write_text("new")
+
+    if answer:
+        contextvars.copy_context().run(write)
+    else:
+        with pytest.raises(SceneError, match=r"a\.csv, .*a\.png exist\. "):
+            contextvars.copy_context().run(write)
+    assert questions == [paths[:2]]
+    assert paths[0].read_text(encoding="utf-8") == ("new" if answer else "old")
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("answer", "expected"), [("y\n", True), ("\n", False), ("", False)])
+def test_question_is_asked_on_terminal(monkeypatch: pytest.MonkeyPatch, answer: str, expected: bool) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal(answer))
+    monkeypatch.setattr("sys.stderr", Terminal())
+    assert console.ask_to_replace([Path("a.csv")]) is expected
+    assert sys.stderr.getvalue() == "a.csv exists. Replace it? [y/N] "
+
+
+def test_no_question_without_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
+    assert not console.ask_to_replace([Path("a.csv")])

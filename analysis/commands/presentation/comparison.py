@@ -221,8 +221,8 @@ def present_compare(
     """Print and tabulate the results of `compare_peaks`; the default is the folder of the first recording."""
     check_outputs(paths, output, "compare", "csv")
     comparison = compare_peaks(paths, progress)
-    with output_stem(paths, output, "compare", "csv") as stem:
-        table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes))
+    stem = output_stem(paths, output, "compare")
+    table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes))
     return CommandOutput((table,), comparison.lines, comparison.warnings)
 
 

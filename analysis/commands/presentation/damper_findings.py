@@ -11,8 +11,7 @@ import numpy as np
 from analysis.commands.presentation.inputs import check_recording
 from analysis.commands.presentation.outputs import (
     CommandOutput,
-    check_outputs,
-    output_stem,
+    separate_stems,
     with_ending,
     with_recording_name,
 )
@@ -20,7 +19,8 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
-from analysis.core.recordings.names import open_existing, scene_labels
+from analysis.core.recordings.names import open_existing, require_file, scene_labels
+from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_interval, format_number
 from rig.core.results.text import table_lines
@@ -59,20 +59,21 @@ def present_dampers(
     lines: list[str] = []
     warnings: list[str] = []
     for path in paths:
-        check_outputs([path], output, "dampers", "csv")
-    for path, label in zip(paths, scene_labels(paths), strict=True):
+        require_file(path)
+    stems = separate_stems(paths, output, "dampers")
+    prepare_outputs(*(with_ending(stem, "csv") for stem in stems))
+    for path, stem, label in zip(paths, stems, scene_labels(paths), strict=True):
         with open_existing(path) as rec:
             check_recording(rec, path, "dampers")
             results = dampers_in(rec, label, progress)
         warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
-        with output_stem([path], output, "dampers", "csv") as stem:
-            for number, dampers in enumerate(results, 1):
-                numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
-                if dampers.bodies:
-                    files += save_figure(dampers_figure(dampers), numbered)
-            rows = chain.from_iterable(map(_rows, results))
-            files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
+        for number, dampers in enumerate(results, 1):
+            numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
+            if dampers.bodies:
+                files += save_figure(dampers_figure(dampers), numbered)
+        rows = chain.from_iterable(map(_rows, results))
+        files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
 
 

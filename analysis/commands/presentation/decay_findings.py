@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.commands.presentation.inputs import check_recording, duplicate_warnings
-from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_recording_name
+from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending, with_recording_name
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
-from analysis.core.recordings.names import open_existing, relabel, scene_labels
+from analysis.core.recordings.names import open_existing, relabel, require_file, scene_labels
+from rig.core.base.output_files import prepare_outputs
 from rig.core.results.text import format_interval, table_lines
 from rig.core.results.uncertainty import expand
 
@@ -45,7 +46,11 @@ def present_decay(
 
     decays: list[Decay] = []
     warnings = duplicate_warnings(paths)
-    check_outputs(paths, output, "decay", "png", "svg")
+    for path in paths:
+        require_file(path)
+    stem = output_stem(paths, output, "decay")
+    envelopes, dampings = (stem.with_name(f"{stem.name}-{table}.csv") for table in ("envelope", "damping"))
+    prepare_outputs(with_ending(stem, "png"), with_ending(stem, "svg"), envelopes, dampings)
     for path, label in zip(paths, scene_labels(paths), strict=True):
         with open_existing(path) as rec:
             check_recording(rec, path, "decay")
@@ -54,10 +59,8 @@ def present_decay(
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"
-    with output_stem(paths, output, "decay", "png", "svg") as stem:
-        files = save_figure(decay_figure(decays, title), stem)
-        files.append(envelope_table(stem.with_name(stem.name + "-envelope.csv"), decays))
-        files.append(damping_table(stem.with_name(stem.name + "-damping.csv"), decays))
+    files = save_figure(decay_figure(decays, title), stem)
+    files += [envelope_table(envelopes, decays), damping_table(dampings, decays)]
     return CommandOutput(
         tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(warnings)
     )

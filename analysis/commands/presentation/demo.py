@@ -14,8 +14,7 @@ from analysis.commands.presentation.frf_findings import present_frf
 from analysis.commands.presentation.mode_findings import present_modes
 from daq.core.measurement.run_report import is_recorded
 from rig.core.base.errors import SceneError
-from rig.core.base.output_files import create_folder
-from rig.core.base.provenance import may_overwrite
+from rig.core.base.output_files import allow_overwriting, create_folder
 from rig.core.base.workers import Workers
 
 if TYPE_CHECKING:
@@ -40,11 +39,16 @@ def frequencies() -> list[float]:
     return [float(f) for f in np.unique(np.round(np.concatenate([_COARSE_HZ, *_FINE_HZ]), 3))]
 
 
-def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Sequence[float] | None = None) -> list[Path]:
+def demonstrate(
+    folder: Path, print_line: Callable[[str], None], sweep_hz: Sequence[float] | None = None, overwrite: bool = False
+) -> list[Path]:
     """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
 
+    Figures and tables of an earlier demonstration are replaced.
+
     `folder`: output folder for recordings, figures and tables; `print_line`: called with each line of text; `sweep_hz`:
-    frequencies of the stepped sines, Hz; default: `frequencies`. Returns all files written.
+    frequencies of the stepped sines, Hz; default: `frequencies`; `overwrite`: whether other recordings may be replaced.
+    Returns all files written.
     """
     start = time.monotonic()
     create_folder(folder)
@@ -53,7 +57,7 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     # The long sweeps are first, so that the short impulse tests use the cores that become free.
     jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
     for name, path, frequencies_hz in jobs:
-        if path.exists() and not (may_overwrite() or is_recorded(_scene(name, frequencies_hz), path)):
+        if path.exists() and not (overwrite or is_recorded(_scene(name, frequencies_hz), path)):
             raise SceneError(
                 f"{path}: exists and is not a recording of the demonstration. Choose another folder with --output, or "
                 "pass --overwrite."
@@ -65,11 +69,13 @@ def demonstrate(folder: Path, print_line: Callable[[str], None], sweep_hz: Seque
     files = list(recordings.values())
     print_line("Estimating compliance, decay and modes from the recordings alone ...")
     sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
-    for result in (
-        present_frf(sweeps, folder, theory=True),
-        present_decay(hits, folder, "body3"),
-        present_modes(sweeps[:1], folder),
-    ):
+    with allow_overwriting(True):
+        results = (
+            present_frf(sweeps, folder, theory=True),
+            present_decay(hits, folder, "body3"),
+            present_modes(sweeps[:1], folder),
+        )
+    for result in results:
         for line in result.lines:
             print_line(f"  {line}")
         for warning in result.warnings:

@@ -12,8 +12,7 @@ from analysis.core.fitting.fit import STATUS_TEXTS, Fit, fit
 from rig.core.base.console import show_activity
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.figure_style import save_figure
-from rig.core.base.output_files import atomic_write, prepare_outputs
-from rig.core.base.provenance import allow_overwriting, output_source, relative_paths
+from rig.core.base.output_files import allow_overwriting, atomic_write, prepare_outputs
 from rig.core.results.text import format_interval, format_number, table_lines
 from rig.core.scene.scene import Scene
 
@@ -33,10 +32,7 @@ def present_fit(
     """
     if output.suffix not in (".yaml", ".yml"):
         raise SceneError(f"--output {output}: not the name of a scene file. Give a name such as fitted.yaml.")
-    with (
-        allow_overwriting(overwrite),
-        output_source("fit", scene.to_yaml(), *relative_paths(recordings, output.parent)),
-    ):
+    with allow_overwriting(overwrite):
         residuals = output.with_name(f"{output.stem}-residuals")
         prepare_outputs(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
         with show_activity() as report:

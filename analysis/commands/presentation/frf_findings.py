@@ -88,9 +88,9 @@ def present_frf(
                 from analysis.commands.presentation.theory import linear_theory
 
                 theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
-    with output_stem(paths, output, "frf", "csv") as stem:
-        files = _draw_figures(curves, theory_curves, stem)
-        files.append(frf_table(with_ending(stem, "csv"), curves))
+    stem = output_stem(paths, output, "frf")
+    files = _draw_figures(curves, theory_curves, stem)
+    files.append(frf_table(with_ending(stem, "csv"), curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
 

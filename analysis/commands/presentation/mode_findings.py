@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
 from analysis.commands.presentation.outputs import (
     CommandOutput,
-    check_outputs,
     output_stem,
+    separate_stems,
     with_ending,
     with_recording_name,
     with_sweep_name,
@@ -26,6 +26,7 @@ from analysis.core.recordings.names import open_existing, relabel
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
+from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_interval
 from rig.core.results.response import Response
@@ -65,8 +66,10 @@ def present_modes(
     files: list[Path] = []
     lines: list[str] = []
     warnings = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
-    check_outputs(paths, output, "modes", "csv")
-    for path, label in zip(paths, labels(paths), strict=True):
+    stems, table = separate_stems(paths, output, "modes"), with_ending(output_stem(paths, output, "modes"), "csv")
+    figures = [with_ending(stem, extension) for stem in stems for extension in ("png", "svg")]
+    prepare_outputs(*dict.fromkeys([*figures, table]))
+    for path, first, label in zip(paths, stems, labels(paths), strict=True):
         identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
         if is_frf_file(path):
             curves = read_curves(path, reference, None, unit)
@@ -82,14 +85,12 @@ def present_modes(
                     identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):
             all_modes.append(modes)
-            with output_stem([path], output, "modes", "png", "svg") as first:
-                stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-                files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
+            stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
+            files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
             lines += describe_modes(modes, theory)
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
             warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
-    with output_stem(paths, output, "modes", "csv") as stem:
-        files.append(modes_table(with_ending(stem, "csv"), all_modes))
+    files.append(modes_table(table, all_modes))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
 
 

@@ -1,21 +1,18 @@
 """Output of an `analysis` command: files, printed lines and warnings; names of the output files.
 
-File names are derived from the names of the inputs, so that results of other inputs are not overwritten.
+File names are derived from the names of the inputs.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from analysis.core.recordings.names import require_file
-from rig.core.base.errors import RunError
 from rig.core.base.output_files import prepare_outputs
-from rig.core.base.provenance import is_from_another_source, may_overwrite, output_source, relative_paths
 
 # Maximum number of characters of a channel name in a file name.
 _MAX_CHANNEL_LENGTH = 40
@@ -50,43 +47,35 @@ def with_sweep_name(sweep: str, recording: str, warnings: Sequence[str], named: 
     return [f"{name}: {warning}" if name and warning not in named else warning for warning in warnings]
 
 
-@contextmanager
-def output_stem(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> Iterator[Path]:
-    """Yield the common path of the output files without file extension.
+def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:
+    """Return the common path of the output files without file extension.
 
     `paths`: recordings; `output`: folder, by default the folder of the first recording; `kind`: last part of the name,
-    such as "frf"; `extensions`: extensions of the files that are always written.
-
-    If files of other recordings already have the name, each name is prefixed with its folder. Files written inside the
-    `with` block store the paths of the recordings as their source, and are overwritten only by results of the same
-    source (`rig.core.base.provenance`).
-
-    Raises `RunError` if files with these names exist and were made from other recordings. Raises `SceneError` if files
-    with these names exist and were not written by shotrig, or were changed since.
+    such as "frf".
     """
     folder = output if output is not None else paths[0].parent
-    with output_source(kind, *relative_paths(paths, folder)):
-        stems = [path.stem for path in paths]
-        stems_with_folder = [f"{path.resolve().parent.name}-{path.stem}" for path in paths]
-        for name in (join_names(stems), join_names(stems_with_folder)):
-            stem = folder / f"{name}-{kind}"
-            files = [with_ending(stem, extension) for extension in extensions]
-            if may_overwrite() or not any(is_from_another_source(file) for file in files):
-                prepare_outputs(*files)
-                yield stem
-                return
-        raise RunError(
-            f"{stem}: results of other recordings have this name. Choose another folder with --output, or pass "
-            "--overwrite."
-        )
+    return folder / f"{join_names([path.stem for path in paths])}-{kind}"
+
+
+def separate_stems(paths: Sequence[Path], output: Path | None, kind: str) -> list[Path]:
+    """Return the common path of the output files of each recording; equal names are preceded by their folders."""
+    stems = [output_stem([path], output, kind) for path in paths]
+    return [
+        stem if stems.count(stem) == 1 else stem.with_name(f"{path.resolve().parent.name}-{stem.name}")
+        for path, stem in zip(paths, stems, strict=True)
+    ]
 
 
 def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> None:
-    """Raise the errors of `output_stem` before the analysis starts; missing recordings are reported first."""
+    """Raise errors of the outputs before the analysis starts; missing recordings are reported first.
+
+    `extensions`: extensions of the files that are always written. Raises `SceneError` if one exists and may not be
+    replaced.
+    """
     for path in paths:
         require_file(path)
-    with output_stem(paths, output, kind, *extensions):
-        pass
+    stem = output_stem(paths, output, kind)
+    prepare_outputs(*(with_ending(stem, extension) for extension in extensions))
 
 
 def join_names(names: Sequence[str]) -> str:

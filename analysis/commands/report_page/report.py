@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -23,7 +22,6 @@ from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
 from rig.core.base.output_files import atomic_write, prepare_outputs
 from rig.core.base.progress import CountProgress
-from rig.core.base.provenance import output_source, relative_paths
 
 
 def write_report(
@@ -34,14 +32,13 @@ def write_report(
     `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file
     name if it ends in .html; default: the folder of the first recording. Returns the page, the sentences of its
     summary, and the warnings. Raises `RecordingError` if a file is not a recording. Raises `SceneError` if the page
-    exists and was not made from these recordings.
+    exists and may not be replaced.
     """
     if not paths:
         raise SceneError("report: no recordings. Give at least one.")
     for path in paths:
         require_file(path)
-    with _page(paths, output):
-        pass  # Raise the error of an existing page before the long analysis.
+    target = _page(paths, output)
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
@@ -58,21 +55,17 @@ def write_report(
         uplot=template("uPlot.iife.min.js"),
         charts=template("charts.js"),
     )
-    with _page(paths, output) as target, atomic_write(target) as temporary:
+    with atomic_write(target) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
 
 
-@contextmanager
-def _page(paths: Sequence[Path], output: Path | None) -> Iterator[Path]:
-    """Yield the path of the page; raise `SceneError` if a page of other recordings exists there (see `provenance`)."""
-    if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
-        with output_source("report", *relative_paths(paths, output.parent)):
-            prepare_outputs(output)
-            yield output
-        return
-    with output_stem(paths, output, "report", "html") as stem:
-        yield with_ending(stem, "html")
+def _page(paths: Sequence[Path], output: Path | None) -> Path:
+    """Return the path of the page; raise `SceneError` if a page exists there and may not be replaced."""
+    is_page = output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir()
+    page = output if output is not None and is_page else with_ending(output_stem(paths, output, "report"), "html")
+    prepare_outputs(page)
+    return page
 
 
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:

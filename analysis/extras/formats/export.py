@@ -221,7 +221,7 @@ def export(
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
         segment = replace(segment, on_read=_report_to(progress, total))
-    with atomic_write(path, overwrite or None) as temporary:
+    with atomic_write(path, overwrite) as temporary:
         needed, free_bytes = expected_bytes(segment, kind), shutil.disk_usage(temporary.parent).free
         # A table of numbers with few digits requires only about a quarter of the expected size.
         if needed > 4 * free_bytes:

@@ -28,7 +28,7 @@ def export_results(
 
     `file`: a recording, or an FRF file that `analysis.read_frfs` can read. `path`: output file, ``.uff``, ``.unv`` or
     ``.mat``; each sweep has a file, and the second and later files are numbered. `what`: 'frfs' or 'modes'.
-    `overwrite`: whether existing files with different content may be replaced. Raises `SceneError` if the file name
+    `overwrite`: whether existing files may be replaced. Raises `SceneError` if the file name
     ending is unknown, or the file exists.
     """
     kind = path.suffix.lower()
@@ -42,7 +42,7 @@ def export_results(
     lines = []
     for number, (curves, nodes, driven) in enumerate(_sweeps(file, progress), start=1):
         target = path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
-        with atomic_write(target, overwrite or None) as temporary:
+        with atomic_write(target, overwrite) as temporary:
             if what == "frfs":
                 mat.write_frfs(curves, temporary) if kind == ".mat" else curves.to_uff(temporary, nodes, driven)
                 lines.append(f"{curves.label}: {curves.name} of {curves.response} by {curves.input}")

@@ -17,7 +17,6 @@ from analysis.studies.paper.store import Arrays, PaperPart, remove_partial
 from rig.core.base.errors import SceneError
 from rig.core.base.figure_style import save_figure
 from rig.core.base.output_files import prepare_outputs
-from rig.core.base.provenance import output_source
 from rig.core.base.workers import Workers, cores
 
 if TYPE_CHECKING:
@@ -62,8 +61,7 @@ def reproduce(
             f"Choose among {', '.join(part.name for part in parts)}."
         )
     outputs = [folder / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")]
-    with output_source("paper"):
-        prepare_outputs(*outputs, *pages(folder))
+    prepare_outputs(*outputs, *pages(folder))
     remove_partial(folder)
     stored: dict[str, Arrays] = {}
     missing: list[PaperPart] = []
@@ -96,10 +94,9 @@ def reproduce(
             )
     files: list[Path] = []
     assessed = claims(stored)
-    with output_source("paper"):
-        for name, draw in FIGURES.items():
-            files += save_figure(draw(stored), folder / name)
-        files += write_pages(folder, assessed, stored)
+    for name, draw in FIGURES.items():
+        files += save_figure(draw(stored), folder / name)
+    files += write_pages(folder, assessed, stored)
     for claim in assessed:
         print_line(f"  {claim.name}: {claim.verdict}")
     print_line(f"Done in {time.monotonic() - start:.0f} s. Read {folder / 'index.html'} or {folder / 'index.md'}.")

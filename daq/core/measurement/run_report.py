@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, block: int | None) -> int:
+def record_and_report(name: str, scene: Scene, path: Path, block: int | None) -> int:
     """Record the test of a scene with a progress bar and print a summary.
 
     `name` is the scene as the user gave it, `block` the maximum number of samples per block. Returns the exit code: 0,
@@ -38,7 +38,7 @@ def record_and_report(name: str, scene: Scene, path: Path, overwrite: bool, bloc
         warnings.simplefilter("always", daq.RunWarning)
         try:
             with progress(Path(name).stem) as report_progress:
-                daq.record(scene, path, block=block, overwrite=overwrite, progress=report_progress)
+                daq.record(scene, path, block=block, progress=report_progress)
             code = 0
         except KeyboardInterrupt as interrupt:
             if not interrupt.args:

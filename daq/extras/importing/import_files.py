@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,6 @@ from daq.core.excitation import procedure_of
 from daq.core.recording.committed_file import locked
 from daq.core.recording.layout import MAX_VOLTS, require_ordered_times
 from daq.core.recording.recorder import Recorder
-from daq.core.recording.recording import open as open_recording
 from daq.core.signal_chain.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.extras.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
 from daq.extras.importing.channel_table import Column, read_table
@@ -25,7 +24,7 @@ from daq.extras.importing.overloads import Overloads
 from daq.extras.importing.signal import Signal
 from daq.extras.importing.steps import StepDetector
 from rig.core.base.arrays import Array
-from rig.core.base.errors import RecordingError, RunWarning, SceneError, ShotrigError
+from rig.core.base.errors import RecordingError, RunWarning, SceneError
 from rig.core.base.input_files import as_path, duplicate_files
 from rig.core.base.output_files import atomic_write, resolve_output
 from rig.core.base.progress import FractionProgress
@@ -132,12 +131,7 @@ def import_files(
     with ExitStack() as stack:
         signals = [signal for file in paths for signal in signals_of(file, stack)]
         # Checked after the files and the scene: their errors are more helpful.
-        may_replace = overwrite
-        with suppress(ShotrigError), open_recording(target) as recording:
-            # A recording of the same files may be replaced without `overwrite`.
-            names = ", ".join(file.name for file in paths)
-            may_replace |= bool(recording.source) and recording.source in names
-        resolve_output(target, may_replace, RecordingError)
+        resolve_output(target, overwrite, RecordingError)
         chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)
         rate = _common_rate(chosen, bench_scene)
@@ -315,7 +309,7 @@ class _RecordingWriter:
         start_ns += round(self._assigned[0].signal.start_s * 1e9) if start_ns else 0
         with (
             locked(path),
-            atomic_write(path, overwrite or None) as temporary_path,
+            atomic_write(path, overwrite) as temporary_path,
             Recorder(temporary_path, self._scene, self._infos, self._rate, max(start_ns, 0), source=source) as recorder,
         ):
             for first in range(0, self._n_samples, _BLOCK_SAMPLES):

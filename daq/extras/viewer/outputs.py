@@ -30,7 +30,6 @@ from rig.core.base.console import pause_reports
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.output_files import atomic_write, prepare_outputs
 from rig.core.base.progress import FractionProgress
-from rig.core.base.provenance import may_overwrite, output_source, relative_paths
 
 APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = (
@@ -53,7 +52,7 @@ def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -
     """
     _check_suffix(file, ".rrd", "--save")
 
-    with atomic_write(file, may_overwrite()) as part, _stream_into(part) as (stream, raise_failure):
+    with atomic_write(file) as part, _stream_into(part) as (stream, raise_failure):
 
         def wait_until_received() -> None:
             stream.flush(timeout_sec=_MAX_SINK_WAIT_S)
@@ -125,16 +124,14 @@ def draw_picture(
         raise SceneError(
             f"--at {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
         )
-    source = ("replay", *relative_paths([replay.recording.path], file.parent))
-    with output_source(*source):
-        prepare_outputs(file)
+    prepare_outputs(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         rrd_path = Path(folder) / "replay.rrd"
         save(replay, rrd_path, progress)
         png, views = headless_picture(
             rrd_path, time_s - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
-    with output_source(*source), atomic_write(file) as part:
+    with atomic_write(file) as part:
         part.write_bytes(png)
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:

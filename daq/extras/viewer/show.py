@@ -11,8 +11,8 @@ from daq.extras.viewer import outputs
 from daq.extras.viewer.replay import Replay
 from rig.core.base.errors import SceneError
 from rig.core.base.input_files import as_path
+from rig.core.base.output_files import allow_overwriting
 from rig.core.base.progress import FractionProgress
-from rig.core.base.provenance import allow_overwriting
 
 
 def replay(

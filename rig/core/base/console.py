@@ -8,14 +8,17 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import IO, TYPE_CHECKING, Any, ClassVar
 
 from rig.core.base.escaping import escape_terminal
 from rig.core.base.progress import CountProgress, FractionProgress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 _LOG = logging.getLogger("shotrig.compiling")
 # A command reports that it is still running after this time without output.
@@ -100,10 +103,11 @@ class _Activity:
     """Current activity and delays of a command.
 
     `description`: None while the command waits for input. `delays`: causes of the current delay. `delay_start_s`,
-    `delay_end_s`: end of the last delay on the monotonic clock.
+    `delay_end_s`: end of the last delay on the monotonic clock. `bar`: progress bar on the terminal.
     """
 
     description: str | None = ""
+    bar: ClassVar[Progress | None] = None
     delays: ClassVar[list[str]] = []
     delay_start_s = delay_end_s = float("-inf")
 
@@ -163,6 +167,22 @@ def pause_reports() -> Iterator[None]:
         _Activity.description = description
 
 
+def ask_to_replace(files: Sequence[Path]) -> bool:
+    """Ask on the terminal whether existing files may be replaced; without a terminal, they may not."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    bar = _Activity.bar
+    if bar is not None:
+        bar.stop()
+    verb, pronoun = ("exists", "it") if len(files) == 1 else ("exist", "them")
+    with pause_reports():
+        print(f"{', '.join(map(str, files))} {verb}. Replace {pronoun}? [y/N]", end=" ", file=sys.stderr, flush=True)
+        answer = sys.stdin.readline().strip().lower()
+    if bar is not None:
+        bar.start()
+    return answer in {"y", "yes"}
+
+
 @contextmanager
 def user_terminal() -> Iterator[None]:
     """Release the terminal to a program of the user, whose output is not escaped."""
@@ -204,12 +224,16 @@ def progress(title: str) -> Iterator[FractionProgress]:
     )
     terminal = getattr(sys.stderr, "unescaped", sys.stderr)
     with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
+        _Activity.bar = bar
         task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
 
         def update_bar(fraction: float, message: str = "") -> None:
             bar.update(task, completed=fraction, message=escape(escape_terminal(message)))
 
-        yield update_bar
+        try:
+            yield update_bar
+        finally:
+            _Activity.bar = None
 
 
 @contextmanager

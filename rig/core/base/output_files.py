@@ -1,7 +1,6 @@
-"""Output files: written atomically, without overwriting special files or *protected* files.
+"""Output files: written atomically; an existing file is replaced only if the user allows it.
 
-Every existing file is protected, except an unchanged output from the same source. A mark in the file, with digests of
-source and content, identifies such an output (see `rig.core.base.provenance`).
+`--overwrite` or `overwrite=True` allows it, or an answer: on a terminal, a command asks before its work starts.
 """
 
 from __future__ import annotations
@@ -11,9 +10,9 @@ import io
 import os
 import platform
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from filecmp import cmp
+from contextvars import ContextVar
 from hashlib import sha256
 from pathlib import Path
 from secrets import token_hex
@@ -21,12 +20,35 @@ from tempfile import TemporaryFile
 
 from rig.core.base.errors import RunError, SceneError, ShotrigError
 from rig.core.base.escaping import escape_cell
-from rig.core.base.provenance import add_mark, can_contain_mark, is_unchanged_output, may_overwrite, overwrite_error
 
 #: Maximum length of a scene's name in a file name.
 _MAX_SCENE_LENGTH = 32
 #: Suffixes of output files, which are not accepted for folders.
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
+# Returns whether existing files may be replaced.
+_may_replace: ContextVar[Callable[[Sequence[Path]], bool]] = ContextVar("may_replace", default=lambda paths: False)
+
+
+@contextmanager
+def allow_overwriting(allowed: bool) -> Iterator[None]:
+    """Allow outputs written inside the `with` block to replace existing files, if `allowed`."""
+    token = _may_replace.set((lambda paths: True) if allowed else _may_replace.get())
+    try:
+        yield
+    finally:
+        _may_replace.reset(token)
+
+
+def ask_before_replacing(ask: Callable[[Sequence[Path]], bool]) -> None:
+    """Ask whether existing files may be replaced, instead of raising an error."""
+    _may_replace.set(ask)
+
+
+def _is_allowed(*existing: Path) -> bool:
+    """Return whether files may be replaced; a positive answer applies to the whole command."""
+    if allowed := _may_replace.get()(existing):
+        _may_replace.set(lambda paths: True)
+    return allowed
 
 
 def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> None:
@@ -53,24 +75,24 @@ def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> 
         raise error_type(f"{folder}: cannot be written ({error.strerror}). Choose another folder.") from None
 
 
-def prepare_outputs(*paths: Path) -> None:
+def prepare_outputs(*paths: Path, error_type: type[ShotrigError] = SceneError) -> None:
     """Create the folders of output files, and reject paths that must not be written, before the work starts.
 
-    Raises `SceneError` if `resolve_output` rejects a path, or a file exists that is not an unchanged output from the
-    same source.
+    Raises `ShotrigError` (`error_type`) if `resolve_output` rejects a path, or if files exist and may not be replaced.
     """
-    for path in paths:
-        file = resolve_output(path, overwrite=True)
-        if file.exists() and not may_overwrite() and not is_unchanged_output(path):
-            raise overwrite_error(path)
+    existing = [path for path in paths if resolve_output(path, True, error_type).exists()]
+    if existing and not _is_allowed(*existing):
+        names = ", ".join(map(str, existing))
+        verb = "exists" if len(existing) == 1 else "exist"
+        raise error_type(f"{names} {verb}. Choose another name or folder with -o, or pass --overwrite.")
 
 
 def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
     """Resolve the path of an output file, create its folder, and reject a file that must not be written.
 
     `path`: file to create or replace; symbolic links are followed; `overwrite`: whether an existing file may be
-    replaced; `error_type`: type of the error. Returns the resolved path. Raises `ShotrigError` if a protected file or a
-    special file exists at this path, or `create_folder` rejects its folder.
+    replaced without a question; `error_type`: type of the error. Returns the resolved path. Raises `ShotrigError` if a
+    special file or a file that may not be replaced exists at this path, or `create_folder` rejects its folder.
     """
     try:
         file = path.resolve()
@@ -81,7 +103,7 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
     if existing is not None:
         if not stat.S_ISREG(existing.st_mode):
             raise error_type(f"{path} is a folder or a device. Choose another name.")
-        if not overwrite:
+        if not (overwrite or _is_allowed(path)):
             raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
         if not os.access(file, os.W_OK):
             raise error_type(f"{path} is write-protected. Choose another name.")
@@ -98,34 +120,21 @@ def _status(file: Path) -> os.stat_result | None:
 
 
 @contextmanager
-def atomic_write(path: Path, overwrite: bool | None = None) -> Iterator[Path]:
+def atomic_write(path: Path, overwrite: bool = False) -> Iterator[Path]:
     """Write a temporary file, and rename it to its final name when it is complete.
 
     `path` always contains the complete old or the complete new file. If a finished file cannot be renamed, it is saved
     under another name, given in the error message.
 
-    `path`: file to create or replace; its folder is created; `overwrite`: whether an existing file may be replaced; if
-    None, protected files are not. Yields the temporary file, with the suffix of `path`. Raises `RunError` if the disk
-    is full or fails, `SceneError` if `resolve_output` rejects `path` or a protected file was created in the meantime.
+    `path`: file to create or replace; its folder is created; `overwrite`: whether an existing file may be replaced
+    without a question. Yields the temporary file, with the suffix of `path`. Raises `RunError` if the disk is full or
+    fails, `SceneError` if `resolve_output` rejects `path` or such a file was created in the meantime.
     """
-    needs_mark = overwrite is None and can_contain_mark(path)
-    must_compare = overwrite is None and not can_contain_mark(path)
-    if overwrite is None:
-        overwrite = may_overwrite() or is_unchanged_output(path)
-        if needs_mark and not overwrite and path.is_file():
-            raise overwrite_error(path)
-    # An existing file that cannot contain a mark is compared with the new file once the new file is complete.
-    file = resolve_output(path, overwrite or must_compare)
+    file = resolve_output(path, overwrite)
+    overwrite = overwrite or file.exists()
     temporary = _new_temporary(file)
     try:
         yield temporary
-        if needs_mark:
-            add_mark(temporary)
-        elif must_compare and not overwrite and file.is_file():
-            if not cmp(temporary, file, shallow=False):
-                raise overwrite_error(path)
-            temporary.unlink()
-            return
         _sync(temporary)
     except BaseException as error:
         with suppress(OSError):
@@ -173,7 +182,7 @@ def _is_running(process: int) -> bool:
 def rename_complete(temporary: Path, file: Path, overwrite: bool) -> None:
     """Rename a complete file to its final name, replacing an existing file only if allowed.
 
-    Raises `FileExistsError` if a protected file of that name exists. Raises `OSError` if the disk fails.
+    Raises `FileExistsError` if another file of that name exists. Raises `OSError` if the disk fails.
     """
     _sync(temporary)
     _rename(temporary, file, overwrite)

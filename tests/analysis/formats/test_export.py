@@ -327,7 +327,7 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     np.testing.assert_array_equal(matlab["body3"], curves["body3"].value[order])
     np.testing.assert_array_equal(loadmat(tmp_path / "modes.mat")["damping_ratio"].ravel(), modes.damping)
     (tmp_path / "frfs.mat").write_bytes(b"mine")
-    with pytest.raises(SceneError, match="exists and was"):
+    with pytest.raises(SceneError, match=r"frfs\.mat exists"):
         export_results(path, tmp_path / "frfs.mat", "frfs")
     with pytest.raises(SceneError, match="unknown format"):
         export_results(path, tmp_path / "modes.csv", "modes")

@@ -21,7 +21,7 @@ from daq.extras.viewer.recorded_motion import RecordedMotion
 from daq.extras.viewer.replay import Replay
 from daq.extras.viewer.viewer_stream import channel_entity
 from rig.core.base.errors import RunError, SceneError
-from rig.core.base.provenance import allow_overwriting
+from rig.core.base.output_files import allow_overwriting
 
 FREQUENCY = 49.7  # Hz
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
-from analysis.core.responses.curve_checks import reversed_force
+from analysis.core.responses.channel_changes import Parts
+from analysis.core.responses.curve_checks import delayed_channels, reversed_force
 from analysis.core.responses.estimators import ESTIMATORS
 from analysis.core.responses.measurands import input_location, location_of
 from rig.core.base.errors import RecordingError, SceneError
@@ -94,6 +95,8 @@ class Estimator:
     jumps: bool = False  # whether the motion may change to another branch at one frequency
     # Whether the lines are values of local models of a much finer spectrum, so that few lines may suffice.
     resolves_between_lines: bool = False
+    # Parts of the test with equal excitation, between which the gain of a channel is compared; none if they differ.
+    parts: Callable[[Request], list[Parts]] = lambda request: []
     # Remedy for too few lines to interpolate a peak; `needed` is their required distance, Hz, infinite if not known.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
     # Remedy for too few lines in a resonance; `step` is the required distance of the lines, Hz.
@@ -110,7 +113,7 @@ def estimator_of(kind: str) -> Estimator:
 
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
-    """Add locations to the curves of one sweep, and a warning to all of them if the force has the wrong sign."""
+    """Add locations to the curves of one sweep, and warnings of a force with the wrong sign and of a late channel."""
     curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
-    warning = reversed_force(curves)
-    return [curve.warn(warning) for curve in curves] if warning else curves
+    warnings = [text for text in (reversed_force(curves), delayed_channels(curves)) if text]
+    return [curve.warn(*warnings) for curve in curves]

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import takes_path
+from analysis.core.responses.channel_changes import change_warnings
 from analysis.core.responses.estimator import Blocks, Request, annotate, estimator_of
 from analysis.core.responses.measurands import (
     force_levels,
@@ -98,11 +99,14 @@ def frequency_responses(
         from analysis.core.responses.several_inputs import response_matrix
 
         used = [*names, *(point.name for point in inputs)]
+        request = Request(rec, names, reference, motion, blocks, progress, used, measured)
         computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
     else:
         used = required_channels(rec, names, reference)
-        computed = own_estimator.compute(Request(rec, names, reference, motion, blocks, progress, used, measured))
+        request = Request(rec, names, reference, motion, blocks, progress, used, measured)
+        computed = own_estimator.compute(request)
     warnings = weak_force_warnings(levels)
+    warnings += [text for parts in own_estimator.parts(request) for text in change_warnings(rec, parts, used)]
     warnings += [
         f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."
         for marker in rec.markers

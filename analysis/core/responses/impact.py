@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import fft
 
+from analysis.core.responses.channel_changes import Parts
 from analysis.core.responses.clean_segments import describe_flaws, remedy
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
@@ -102,10 +103,20 @@ def _compute(request: Request) -> list[Response]:
     return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
 
 
+def _parts(request: Request) -> list[Parts]:
+    """Return the responses to the hits."""
+    hits = Hits.of(request.rec)
+    begins = np.array([begin for begin, _ in hits.arrivals])
+    pretrigger = int(min(hits.interval // _BLOCK_PER_PRETRIGGER, begins[0]))
+    low, high = 4.0 * request.rec.rate / hits.interval, hits.highest_frequency(request.rec)
+    return [Parts(begins - pretrigger, hits.interval, low, high)]
+
+
 ESTIMATOR = Estimator(
     _compute,
     "a block belongs to one hit",
     frozenset({"estimator", "block", "window"}),
+    parts=_parts,
     resolves_between_lines=True,
     peak_remedy=lambda needed: "Record longer after each hit (test.interval)",
     line_remedy=lambda step: f"Record longer after each hit (test.interval: {1.0 / step:.2g} s or more).",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.core.recordings.slices import read_slices
+from analysis.core.responses.channel_changes import Parts
 from analysis.core.responses.clean_segments import describe_flaws, find_flaws
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
@@ -222,4 +223,13 @@ def _compute(request: Request) -> list[Response]:
     return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
 
 
-ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged")
+def _parts(request: Request) -> list[Parts]:
+    """Return the periods of all realizations, which have equal lengths and lines."""
+    first, *_ = (marker.fields for marker in request.measured)
+    period, resolution = int(first["period"]), request.rec.rate / int(first["period"])
+    starts = [marker.first_sample + period * np.arange(int(marker.fields["periods"])) for marker in request.measured]
+    low, high = (int(line) * resolution for line in first["lines"])
+    return [Parts(np.concatenate(starts), period, low, high)]
+
+
+ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged", parts=_parts)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.core.responses.channel_changes import Parts, sections
 from analysis.core.responses.clean_segments import describe_flaws, remedy, settling_flaws
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
@@ -141,8 +142,22 @@ def _compute(request: Request) -> list[Response]:
     )
 
 
+def _parts(request: Request) -> list[Parts]:
+    """Return the bursts of each measurement, or sections of it without bursts."""
+    parts = []
+    for fit in (segment_fits(request.rec, marker, request.channels) for marker in request.measured):
+        if fit.bursts is None:
+            parts.append(sections(fit.first, fit.stop, request.rec.rate, fit.low, fit.high))
+        else:
+            period, _ = fit.bursts
+            starts = np.arange(fit.first, fit.stop - period + 1, period)
+            parts.append(Parts(starts, period, fit.low, fit.high))
+    return parts
+
+
 ESTIMATOR = Estimator(
     _compute,
     "a random test is processed as a whole, by the local rational method",
     frozenset({"estimator", "block", "overlap", "window"}),
+    parts=_parts,
 )

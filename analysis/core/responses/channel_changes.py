@@ -1,0 +1,171 @@
+"""Channels whose gain changes during a test, such as those with a broken cable, a loose sensor or a switched range.
+
+A test is divided into *parts* with equal excitation, such as hits, periods or sections of a random test. The ratio of
+an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part is
+the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step where
+the gain of the channel changes. The step is located by the least sum of squares on both sides of it (D. M. Hawkins,
+J. Am. Stat. Assoc. 72 (1977) 180-186). A change of the structure affects all outputs, and is not reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results import format_number
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+# Minimum number of parts without flaws, and of parts on either side of a step.
+_MIN_PARTS = 4
+_MIN_SIDE = 2
+# A section of a random test has at most this number of samples, or periods of the lowest frequency if they are more.
+_MAX_SAMPLES = 32768
+_MAX_PERIODS = 100.0
+# Number of sections of a random test.
+_SECTIONS = 16
+# A step is reported if it exceeds this fraction of the larger gain ...
+_MIN_CHANGE = 0.1
+# ... and is exceeded by scatter with at most this probability (Student's t distribution).
+_SCATTER_PROBABILITY = 1e-5
+# The gains of the other channels change by less than this fraction of a step at the same time, or by the same factor.
+_MAX_COMMON = 0.25
+# A channel whose gain falls below this fraction is dead.
+_DEAD_RATIO = 0.05
+# A line is evaluated if the power of its largest input exceeds this fraction of the mean power.
+_MIN_POWER = 1e-3
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts of a test with equal excitation."""
+
+    starts: NDArray[np.int64]  # first sample of each part
+    samples: int  # length of each part
+    low: float  # band, Hz
+    high: float
+    is_periodic: bool = True  # whether a part is a period, or a transient that decays; other parts need a window
+
+
+class _Step(NamedTuple):
+    """Step of the relative gain of an output before a part."""
+
+    part: int
+    before: float
+    after: float
+
+    @property
+    def ratio(self) -> float:
+        """Gain after the step, relative to the gain before it."""
+        return self.after / self.before if self.before else np.inf
+
+
+def sections(first: int, stop: int, rate: float, low: float, high: float) -> Parts:
+    """Return equally spaced sections of a random test between two samples; long tests are not covered completely."""
+    spacing = (stop - first) // _SECTIONS
+    samples = min(spacing, max(_MAX_SAMPLES, int(_MAX_PERIODS * rate / low)))
+    return Parts(first + spacing * np.arange(_SECTIONS), samples, low, high, is_periodic=False)
+
+
+def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> list[str]:
+    """Return a warning for each channel whose gain changes during a test."""
+    inputs = [name for name in channels if rec.channels[name].quantity == "force"]
+    inputs = inputs or [name for name in channels if not rec.channels[name].body]
+    outputs = [name for name in channels if name not in inputs]
+    if not inputs or not outputs:
+        return []
+    clean, spectra = _spectra(rec, parts, [*inputs, *outputs])
+    if len(clean) < max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1):
+        return []
+    gains = _relative_gains(spectra[:, : len(inputs)], spectra[:, len(inputs) :])
+    steps = [_largest_step(row) for row in gains]
+    warnings = []
+    for k, step in enumerate(steps):
+        if step is None:
+            continue
+        others = [_changed(other, step.part) for other in np.delete(gains, k, axis=0)]
+        change = step.after - step.before
+        time = f"{clean[step.part] / rec.rate:.4g} s"
+        if all(abs(other.after - other.before) < _MAX_COMMON * abs(change) for other in others):
+            blamed = outputs[k] if others else f"{outputs[k]} or {' or '.join(inputs)}"
+            warnings.append(_describe(blamed, step.ratio, time))
+        elif len(inputs) == 1 and all(
+            abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
+        ):
+            # All responses change by the same factor. A dead input predicts zero for all of them.
+            warnings.append(_describe(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
+            break
+    return warnings
+
+
+def _describe(name: str, ratio: float, time: str) -> str:
+    """Describe a change of the gain of a channel by a ratio."""
+    change = f"changes by a factor of {format_number(float(f'{ratio:.2g}'))}"
+    if abs(ratio) < _DEAD_RATIO:
+        change = "drops to zero (dead or disconnected)"
+    return (
+        f"{name}: its gain {change} at about {time}, in contrast to the other channels. Check mounting, cable and "
+        "range, and record again; until then, the responses of this channel are wrong."
+    )
+
+
+def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[int], ComplexArray]:
+    """Return the starts of the parts without flaws, and their spectra in the band, shape (parts, channels, lines)."""
+    frequency = np.fft.rfftfreq(parts.samples, 1.0 / rec.rate)
+    in_band = (frequency >= max(parts.low, frequency[1])) & (frequency <= parts.high)
+    window = np.ones(parts.samples) if parts.is_periodic else scipy.signal.windows.hann(parts.samples, sym=False)
+    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") in names]
+    clean, spectra = [], []
+    for start in parts.starts.tolist():
+        stop = start + parts.samples
+        is_flawed = any(marker.first_sample < stop and marker.stop > start for marker in overloads)
+        if is_flawed or start < 0 or stop > rec.samples:
+            continue
+        block = np.stack([rec.read(name, start, stop) for name in names])
+        if np.isfinite(block).all():
+            block -= block.mean(axis=1, keepdims=True)
+            clean.append(start)
+            spectra.append(scipy.fft.rfft(block * window, axis=1)[:, in_band])
+    return clean, np.array(spectra)
+
+
+def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> Array:
+    """Return the gain of each output in each part, relative to all parts, shape (outputs, parts).
+
+    `inputs`, `outputs`: spectra, shape (parts, channels, lines).
+    """
+    power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
+    excited = power > _MIN_POWER * power.mean()
+    x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
+    predicted = x @ (np.linalg.pinv(x) @ y)
+    # Each line has about equal weight, so that neither resonances nor the noise between them dominate.
+    weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
+    numerator = np.sum(weight * (predicted.conj() * y).real, axis=0)
+    return np.asarray((numerator / np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)).T)
+
+
+def _changed(gains: Array, part: int) -> _Step:
+    """Return the median gains before and after the start of a part."""
+    return _Step(part, float(np.median(gains[:part])), float(np.median(gains[part:])))
+
+
+def _largest_step(gains: Array) -> _Step | None:
+    """Return the step that explains most of the scatter of the gains, if it is significant."""
+    size = gains.size
+
+    def scatter(part: int) -> float:
+        return float(np.var(gains[:part]) * part + np.var(gains[part:]) * (size - part))
+
+    part = min(range(_MIN_SIDE, size - _MIN_SIDE + 1), key=scatter)
+    step = _changed(gains, part)
+    change = abs(step.after - step.before)
+    error = np.sqrt(scatter(part) / (size - 2) * (1.0 / part + 1.0 / (size - part)))
+    is_large = change > _MIN_CHANGE * max(abs(step.before), abs(step.after))
+    return step if is_large and change > scipy.stats.t.isf(_SCATTER_PROBABILITY, size - 2) * error else None

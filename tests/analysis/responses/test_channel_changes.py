@@ -1,0 +1,75 @@
+"""Channels that change their gain or die during a test are named; intact channels and structures are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+from tests.analysis.responses import synthetic
+
+SECONDS = 40.0
+
+
+@pytest.fixture(scope="module")
+def random_test(tmp_path_factory):
+    force = synthetic.band_noise(SECONDS, 5.0, 60.0)
+    marks = [("measure", 0, round(SECONDS * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
+    test = f"{{kind: random, from: 5 Hz, to: 60 Hz, duration: {SECONDS} s, force: 1 N}}"
+    return synthetic.record_response(tmp_path_factory.mktemp("random") / "a.mcap", force, test, marks, noise=1e-3)
+
+
+def warnings_with_gain(path, folder, channels, gain, first):
+    """Return the warnings of a recording whose channels have this gain from a sample on."""
+    with daq.open(path) as rec:
+        samples = np.stack([rec.read(name) for name in rec.channels])
+        rows = [k for k, name in enumerate(rec.channels) if name in channels]
+        samples[rows, first:] *= gain
+        marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        changed = synthetic.write(folder / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
+    return [text for group in analysis.frequency_responses(changed) for text in group.warnings if "its gain" in text]
+
+
+@pytest.mark.parametrize(
+    ("channel", "gain", "text"),
+    [
+        ("body2", 0.5, "body2: its gain changes by a factor of 0.5"),
+        ("body3", 0.0, "body3: its gain drops to zero"),
+        ("force", 0.5, "force: its gain changes by a factor of 0.5"),
+    ],
+)
+def test_changed_channel_of_random_test_is_named(random_test, tmp_path, channel, gain, text):
+    # A change between two of the 16 sections.
+    first = round(0.5 * SECONDS * synthetic.RATE)
+    [warning] = warnings_with_gain(random_test, tmp_path, [channel], gain, first)
+    assert warning.startswith(text) and "at about 20 s" in warning
+
+
+def test_changed_channel_among_hits_is_named(tmp_path):
+    path = synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)
+    first = 640 + 3 * round(6.0 * synthetic.RATE) - 400
+    [warning] = warnings_with_gain(path, tmp_path, ["body1"], 1.5, first)
+    assert warning.startswith("body1: its gain changes by a factor of 1.5 at about 18")
+
+
+def test_change_of_several_channels_is_not_reported(random_test, tmp_path):
+    # The structure has changed.
+    assert not warnings_with_gain(random_test, tmp_path, ["body1", "body2"], 0.7, 50_000)
+
+
+def test_intact_channels_are_not_reported(random_test, tmp_path):
+    assert not warnings_with_gain(random_test, tmp_path, ["body1"], 1.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("channel", "text"), [("body2", "body2 seems to be 2 ms late"), ("force", "The force seems to be 2 ms late")]
+)
+def test_late_channel_is_named(random_test, channel, text):
+    with daq.open(random_test) as rec:
+        assert not any("seems to be" in warning for warning in analysis.frfs(rec).warnings)
+        # The samples are later than the stated delay.
+        rec.channels[channel] = replace(rec.channels[channel], delay=-2e-3)
+        assert any(text in warning for warning in analysis.frfs(rec).warnings)

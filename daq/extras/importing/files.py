@@ -13,12 +13,15 @@ from rig.core.base.errors import RecordingError
 # Suffix: module of this package, and its function; imported when needed, because their packages are optional.
 _TEXT = ("text_table", "text_signals")
 _NUMPY = ("arrays", "numpy_signals")
+_SOUND = ("sound", "sound_signals")
 _UNIVERSAL = ("uff", "uff_signals")
 READERS = {
     ".tdms": ("tdms", "tdms_signals"),
     ".uff": _UNIVERSAL,
     ".unv": _UNIVERSAL,
-    ".wav": ("wav", "wav_signals"),
+    ".wav": _SOUND,
+    ".w64": _SOUND,
+    ".flac": _SOUND,
     ".csv": _TEXT,
     ".txt": _TEXT,
     ".tsv": _TEXT,

@@ -14,6 +14,7 @@ import h5py
 import nptdms
 import numpy as np
 import pyuff
+import soundfile
 from mcap.writer import Writer
 from scipy.io import savemat, wavfile
 
@@ -145,6 +146,10 @@ def write_wav(path: Path, rows: np.ndarray) -> None:
     wavfile.write(path, int(RATE), (rows / 8.0).T.astype(np.float32))
 
 
+def write_sound(path: Path, rows: np.ndarray) -> None:
+    soundfile.write(path, (rows / 8.0).T, int(RATE), subtype="PCM_24")
+
+
 def write_mcap(path: Path, rows: np.ndarray) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
@@ -171,5 +176,7 @@ WRITERS: dict[str, tuple[str, Callable[[Path, np.ndarray], None], float]] = {
     "mat": (".mat", write_mat, 0.0),
     "mat 7.3": (".mat", write_mat_hdf5, 0.0),
     "wav": (".wav", write_wav, 1e-6),
+    "w64": (".w64", write_sound, 2e-6),
+    "flac": (".flac", write_sound, 2e-6),
     "mcap": (".mcap", write_mcap, 0.0),
 }

@@ -50,7 +50,7 @@ def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
     ending, write, error = WRITERS[form]
     rows = random_samples()
     write(tmp_path / f"a{ending}", rows)
-    table = WAV_TABLE if form == "wav" else None
+    table = WAV_TABLE if form in ("wav", "w64", "flac") else None
     recording, messages = import_recording(tmp_path / f"a{ending}", make_scene(), tmp_path / "r.mcap", table=table)
     with recording:
         assert recording.rate == RATE and not messages

@@ -1,4 +1,4 @@
-"""Reading of frequency responses from files of this and other programs: Universal Files (58, 58b) and text tables."""
+"""Reading of frequency responses from files of this and other programs: Universal Files, text tables and arrays."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.responses.curve_checks import reversed_force
+from analysis.extras.formats.frf_arrays import response_arrays
 from daq.extras.importing import uff
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_layout import UNNAMED
@@ -27,7 +28,8 @@ from rig.core.results.uncertainty import SYSTEMATIC
 from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.core.settings.quantities import FREQUENCY
 
-ENDINGS = (".uff", ".unv", ".csv", ".txt")
+_ARRAY_ENDINGS = (".mat", ".npz", ".npy")
+ENDINGS = (".uff", ".unv", ".csv", ".txt", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
@@ -59,7 +61,8 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     path : str or Path
         A Universal File with data sets 58 of function type 4, the output of `analysis frf`, or a table. The first
         column of a table contains frequencies in Hz, followed by two columns for each response: ``body1 real [m/N]``
-        and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``.
+        and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``. A MATLAB or numpy file contains complex
+        arrays (a response in each column), and an array of their frequencies or the scalar ``df``, Hz.
     reference : str, optional
         Node and direction of the force, such as ``"1 +Z"``, if the file has several.
     unit : str, optional
@@ -99,8 +102,10 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
             raise SceneError(
-                f"{file}: a table has no references to choose from. Leave out the reference {reference!r}."
+                f"{file}: this file has no references to choose from. Leave out the reference {reference!r}."
             )
+        if file.suffix.lower() in _ARRAY_ENDINGS:
+            return _checked(_from_arrays(file, unit))
         try:
             curves = _from_long_table(file, unit)
         except csv.Error as error:
@@ -312,6 +317,16 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
+
+
+def _from_arrays(path: Path, unit: str | None) -> list[Response]:
+    """Read complex arrays of a MATLAB or numpy file."""
+    content = response_arrays(path)
+    motion, scale = _ratio(str(path), unit or content.unit)
+    return [
+        _curve(path, name, content.frequency, scale * value, motion, content.coherence[name])
+        for name, value in content.values.items()
+    ]
 
 
 def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit: str | None) -> Response:

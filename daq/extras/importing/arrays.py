@@ -35,17 +35,29 @@ _MAX_STRUCTURES = 1000
 _CLOCK_BYTES = 48
 
 
-def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
-    """List the arrays of an .npz or .npy file as signals in memory; arrays of Python objects are rejected."""
+def array_signals(path: Path, _stack: ExitStack) -> list[Signal]:
+    """List the arrays of a numpy or MATLAB file as signals in memory."""
+    return _signals(path, arrays_of(path))
+
+
+def arrays_of(path: Path) -> dict[str, Any]:
+    """Return the arrays of a numpy or MATLAB file by name; those in structures have paths.
+
+    Raises `RecordingError` for a damaged file and for arrays of Python objects.
+    """
+    return dict(_flatten(matlab_arrays(path))) if path.suffix.lower() == ".mat" else _numpy_arrays(path)
+
+
+def _numpy_arrays(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             if file.read(6) == b"\x93NUMPY":
-                return _signals(path, {"array": np.load(path, mmap_mode="r", allow_pickle=False)})
+                return {"array": np.load(path, mmap_mode="r", allow_pickle=False)}
         # Compression can shrink an archive to a thousandth of its content.
         with zipfile.ZipFile(path) as packed:
             require_memory_with_program(sum(entry.file_size for entry in packed.infolist()), f"{path}: importing it")
         with np.load(path, allow_pickle=False) as archive:
-            return _signals(path, {name: archive[name] for name in archive.files})
+            return {name: archive[name] for name in archive.files}
     except (OSError, MemoryError, ShotrigError):
         raise
     except Exception as error:
@@ -54,11 +66,6 @@ def numpy_signals(path: Path, _stack: ExitStack) -> list[Signal]:
             f"{path} cannot be read as an .npz or .npy file of numbers ({error!s:.200}). Save the file again, "
             "with arrays of numbers only."
         ) from error
-
-
-def matlab_signals(path: Path, _stack: ExitStack) -> list[Signal]:
-    """List the arrays of a MATLAB file, and those in its structures, as signals in memory."""
-    return _signals(path, dict(_flatten(matlab_arrays(path))))
 
 
 def _flatten(content: Mapping[str, Any], prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -117,7 +124,11 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         ellipsis = " ..." if len(listed) > 8 else ""
         raise RecordingError(
             f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + ellipsis or 'nothing'}. "
-            "Save the samples as numbers: one array for each channel, or one array with a row or column for each."
+            + (
+                "Give its complex numbers to `analysis frf`, if they are frequency responses."
+                if any(array.dtype.kind == "c" for array in arrays.values())
+                else "Save the samples as numbers: an array for each channel, or one with a row or column for each."
+            )
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
     # Units as `analysis export` writes them: two rows of strings, ``channels`` and ``units``.

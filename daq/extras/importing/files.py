@@ -12,7 +12,7 @@ from rig.core.base.errors import RecordingError
 
 # Suffix: module of this package, and its function; imported when needed, because their packages are optional.
 _TEXT = ("text_table", "text_signals")
-_NUMPY = ("arrays", "numpy_signals")
+_ARRAYS = ("arrays", "array_signals")
 _SOUND = ("sound", "sound_signals")
 _UNIVERSAL = ("uff", "uff_signals")
 READERS = {
@@ -27,9 +27,9 @@ READERS = {
     ".tsv": _TEXT,
     ".lvm": _TEXT,
     ".dat": _TEXT,
-    ".npz": _NUMPY,
-    ".npy": _NUMPY,
-    ".mat": ("arrays", "matlab_signals"),
+    ".npz": _ARRAYS,
+    ".npy": _ARRAYS,
+    ".mat": _ARRAYS,
     ".mcap": ("float_topics", "mcap_signals"),
 }
 

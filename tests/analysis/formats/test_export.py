@@ -325,6 +325,7 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     assert sets[0]["node_nums"].tolist() == [1, 2, 3]
     matlab = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
     np.testing.assert_array_equal(matlab["body3"], curves["body3"].value[order])
+    np.testing.assert_allclose(analysis.read_frfs(tmp_path / "frfs.mat")["body3"].value, matlab["body3"], rtol=1e-12)
     np.testing.assert_array_equal(loadmat(tmp_path / "modes.mat")["damping_ratio"].ravel(), modes.damping)
     (tmp_path / "frfs.mat").write_bytes(b"mine")
     with pytest.raises(SceneError, match=r"frfs\.mat exists"):

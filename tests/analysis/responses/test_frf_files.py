@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import pyuff
 from scipy import signal
+from scipy.io import savemat
 from typer.testing import CliRunner
 
 import analysis
@@ -301,3 +302,30 @@ def test_table_without_heading_may_contain_magnitudes(tmp_path) -> None:
     np.savetxt(file, np.column_stack([np.arange(1.0, 51.0), np.full(50, 2.0), np.linspace(-90.0, 90.0, 50)]))
     with pytest.raises(RecordingError, match=r"real part or a magnitude. Add a heading"):
         analysis.read_frfs(file, unit="m/N")
+
+
+def test_arrays_of_responses_are_read(tmp_path):
+    frequency, value = np.linspace(1.0, 50.0, 50), np.exp(1j * np.linspace(0.0, 3.0, 50))
+    both = np.column_stack([value, 2.0 * value])
+    np.savez(tmp_path / "a.npz", f=frequency, h=both, coherence_h=0.9)
+    savemat(tmp_path / "a.mat", {"h": both.T, "df": 1.0, "unit": "mm/N"})
+    for name, unit, scale in (("a.npz", "m/N", 1.0), ("a.mat", None, 1e-3)):
+        response = analysis.read_frfs(tmp_path / name, unit=unit)
+        lines = frequency if name == "a.npz" else frequency[:49]
+        np.testing.assert_allclose(response["h(2)"].frequency, lines)
+        np.testing.assert_allclose(response["h(2)"].value, 2.0 * scale * (value if name == "a.npz" else value[1:]))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"x": np.arange(9.0)}, "no array of complex numbers"),
+        ({"h": np.ones(9, complex)}, "frequencies of the 9 lines are not stated"),
+        ({"h": np.ones(9, complex), "f": np.arange(9.0), "fb": np.arange(9)}, "may be f or fb"),
+        ({"h": np.ones(9, complex), "g": np.ones(8, complex)}, "have 8, 9 lines"),
+    ],
+)
+def test_unclear_arrays_are_refused_with_remedy(tmp_path, arrays, message):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(RecordingError, match=message):
+        analysis.read_frfs(tmp_path / "a.npz", unit="m/N")

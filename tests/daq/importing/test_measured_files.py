@@ -22,7 +22,7 @@ SIGNALS = {"d7.lvm": 6, "1.tdms": 8, "2.tdms": 21, "Sample_UFF58_ascii.uff": 1, 
 }
 REFUSALS = {
     "Artemis-export---Geometry-RPBC_setup_05_14102016_105117.uff": "Export time histories or frequency responses",
-    "ruler_grid_acc_3.mat": "Save the samples as numbers",
+    "ruler_grid_acc_3.mat": "Give its complex numbers to `analysis frf`",
     "uff55_translation.uff": "Export time histories or frequency responses as data set 58",
     "uff55-sample_test-record10.uff": "Export time histories or frequency responses as data set 58",
     "groups_test.uff": "Export time histories or frequency responses as data set 58",
@@ -51,6 +51,11 @@ def test_other_files_are_refused_with_remedy(name: str, remedy: str) -> None:
 
 def test_every_file_is_covered() -> None:
     assert {file.name for file in FOLDER.glob("*/*")} == {*SIGNALS, *REFUSALS}
+
+
+def test_array_of_responses_is_read() -> None:
+    responses = analysis.read_frfs(file_of("ruler_grid_acc_3.mat"), unit="m/s^2/N")
+    assert len(responses.keys()) == 10 and responses.frequency[-1] == 10_000.0
 
 
 def test_response_with_foreign_heading_is_read() -> None:

@@ -1,0 +1,105 @@
+"""Frequency responses in MATLAB and numpy files: complex arrays, with frequencies, or with rate and block length."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.extras.importing.arrays import arrays_of
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+
+# Names of scalars: sample rate in Hz, number of samples of a block, and spacing of the lines in Hz.
+_RATE = re.compile(r"(.*[._])?(fs|rate|sample_?rate|sampling_?(rate|frequency)|freq|frequency)", re.IGNORECASE)
+_BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)", re.IGNORECASE)
+_SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution)", re.IGNORECASE)
+# Fewer complex values are not a response.
+_MIN_LINES = 4
+
+
+@dataclass(frozen=True)
+class ResponseArrays:
+    """Responses by name, shape (lines,) each; their frequencies in Hz; coherence by name; unit, empty if not stated."""
+
+    values: dict[str, NDArray[np.complex128]]
+    frequency: Array
+    coherence: dict[str, Array]
+    unit: str
+
+
+def response_arrays(path: Path) -> ResponseArrays:
+    """Read the complex arrays of a file; those with two dimensions have a response in each column.
+
+    Raises `RecordingError` if there are none, if they differ in length, or if their frequencies are not stated.
+    """
+    arrays = {name: np.squeeze(np.asarray(array)) for name, array in arrays_of(path).items()}
+    complex_arrays = {
+        name: array
+        for name, array in arrays.items()
+        if array.dtype.kind == "c" and array.ndim in (1, 2) and max(array.shape) >= _MIN_LINES
+    }
+    if not complex_arrays:
+        raise RecordingError(
+            f"{path} contains no array of complex numbers; its arrays are {', '.join(arrays) or 'none'}. Save the "
+            "responses as complex numbers, or convert samples with `daq import`."
+        )
+    lengths = {max(array.shape) for array in complex_arrays.values()}
+    if len(lengths) > 1:
+        raise RecordingError(
+            f"{path}: its complex arrays have {', '.join(map(str, sorted(lengths)))} lines. Save responses of one "
+            "length in a file."
+        )
+    (lines,) = lengths
+    values: dict[str, NDArray[np.complex128]] = {}
+    for name, array in complex_arrays.items():
+        columns = array.reshape(lines, -1) if array.shape[0] == lines else array.T
+        separate = [name] if columns.shape[1] == 1 else [f"{name}({number + 1})" for number in range(columns.shape[1])]
+        values |= dict(zip(separate, columns.T, strict=True))
+    coherence = {name: arrays.get(f"coherence_{name}", np.array([])).astype(float) for name in values}
+    frequency = _frequencies(path, arrays, lines)
+    return ResponseArrays(values, frequency, coherence, _text(arrays.get("unit")))
+
+
+def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> Array:
+    """Return the frequencies: a rising array of their number, or multiples of the spacing of the lines."""
+    rising = {
+        name: array.astype(float)
+        for name, array in arrays.items()
+        if array.dtype.kind in "fiu" and array.shape == (lines,) and (np.diff(array.astype(float)) > 0.0).all()
+    }
+    named = {name: array for name, array in rising.items() if name.lower().rpartition(".")[2].startswith(("f", "hz"))}
+    candidates = named or rising
+    if len(candidates) == 1:
+        return next(iter(candidates.values()))
+    if candidates:
+        raise RecordingError(
+            f"{path}: the frequencies may be {' or '.join(candidates)}. Name the array of frequencies in Hz "
+            "'frequency', and the others differently."
+        )
+    scalars = {name: float(array) for name, array in arrays.items() if array.dtype.kind in "fiu" and array.size == 1}
+    spacing = _only(scalars, _SPACING)
+    rate, block = _only(scalars, _RATE), _only(scalars, _BLOCK)
+    if spacing is None and rate is not None and block is not None and int(block) // 2 + 1 == lines:
+        spacing = rate / block
+    if spacing is None or spacing <= 0.0:
+        raise RecordingError(
+            f"{path}: the frequencies of the {lines} lines are not stated. Add an array 'frequency' in Hz, or the "
+            "scalar 'df' in Hz."
+        )
+    return np.arange(lines, dtype=np.float64) * spacing
+
+
+def _only(scalars: Mapping[str, float], names: re.Pattern[str]) -> float | None:
+    """Return the only scalar with such a name; None if there is none, or several."""
+    found = [value for name, value in scalars.items() if names.fullmatch(name)]
+    return found[0] if len(found) == 1 else None
+
+
+def _text(array: NDArray[Any] | None) -> str:
+    return "" if array is None or array.dtype.kind not in "UO" or array.size != 1 else str(array.item())

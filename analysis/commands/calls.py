@@ -330,12 +330,16 @@ def _path(recording: OneRecording) -> Path:
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
     """Yield each recording as a context, or the path of a file with responses, with its label."""
     from analysis.commands.presentation.inputs import labels
-    from analysis.core.recordings.names import as_context
+    from analysis.core.recordings.names import OpenRecordings, as_context
     from analysis.extras.formats.frf_files import is_frf_file
 
     sources, paths = _as_list(recordings), _paths(recordings)
-    for source, path, label in zip(sources, paths, labels(paths), strict=True):
-        yield path if is_frf_file(path) else as_context(source), label
+    with OpenRecordings() as opened:
+        for source, path, label in zip(sources, paths, labels(opened, paths), strict=True):
+            if is_frf_file(path):
+                yield path, label
+            else:
+                yield as_context(opened.of(path) if isinstance(source, str | Path) else source), label
 
 
 def _labeled(result: Any, label: str, scene: str | None = None) -> Any:

@@ -34,7 +34,7 @@ from analysis.core.damper_motion.comparison import (
 )
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import open_existing, relabel, scene_labels
+from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels, with_recordings
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of, response_channels
 from rig.core.base.errors import SceneError
@@ -105,7 +105,10 @@ class Comparison(Result):
         ax.set(xlabel="natural frequency / Hz", ylabel="change of the peak / dB")
 
 
-def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) -> Comparison:
+@with_recordings
+def compare_peaks(
+    recordings: OpenRecordings, paths: Sequence[Path], progress: CountProgress | None = None
+) -> Comparison:
     """Compare each resonance peak of the first recording with the same peak of the other recordings.
 
     `paths`: recordings with frequency responses of one structure. The first sweep (level, direction) of the first
@@ -116,14 +119,14 @@ def compare_peaks(paths: Sequence[Path], progress: CountProgress | None = None) 
         raise SceneError("compare: only one recording. Give two or more; the first is the baseline.")
     sweeps: list[list[list[Response]]] = []
     measured_points: list[MeasurementPoints] = []
-    names = scene_labels(paths)
+    names = scene_labels(recordings, paths)
     for path, label in zip(paths, names, strict=True):
-        with open_existing(path) as rec:
-            check_recording(rec, path, "frf")
-            measured_points.append(MeasurementPoints.of(path, rec))
-            measured_points[-1].comparable_with(measured_points[0])
-            groups = frequency_responses(rec, progress=progress)
-            sweeps.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
+        rec = recordings.of(path)
+        check_recording(rec, path, "frf")
+        measured_points.append(MeasurementPoints.of(path, rec))
+        measured_points[-1].comparable_with(measured_points[0])
+        groups = frequency_responses(rec, progress=progress)
+        sweeps.append([[relabel(frf, rec.scene.name, label) for frf in group] for group in groups])
     first_frfs = sweeps[0][0]
     modes = identify(first_frfs)
     baseline, notes = first_frfs[0], [*modes.warnings, *uncompared_highest_peaks(modes, first_frfs)]

@@ -19,7 +19,7 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
-from analysis.core.recordings.names import open_existing, require_file, scene_labels
+from analysis.core.recordings.names import OpenRecordings, require_file, scene_labels, with_recordings
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_interval, format_number
@@ -44,8 +44,9 @@ _HEADING = (
 )  # fmt: skip
 
 
+@with_recordings
 def present_dampers(
-    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+    recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
 ) -> CommandOutput:
     """Report the motion of the dampers at each frequency of stepped-sine tests as text, figures and tables.
 
@@ -62,10 +63,10 @@ def present_dampers(
         require_file(path)
     stems = separate_stems(paths, output, "dampers")
     prepare_outputs(*(with_ending(stem, "csv") for stem in stems))
-    for path, stem, label in zip(paths, stems, scene_labels(paths), strict=True):
-        with open_existing(path) as rec:
-            check_recording(rec, path, "dampers")
-            results = dampers_in(rec, label, progress)
+    for path, stem, label in zip(paths, stems, scene_labels(recordings, paths), strict=True):
+        rec = recordings.of(path)
+        check_recording(rec, path, "dampers")
+        results = dampers_in(rec, label, progress)
         warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
         for number, dampers in enumerate(results, 1):

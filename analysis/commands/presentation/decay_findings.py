@@ -11,7 +11,7 @@ import numpy as np
 from analysis.commands.presentation.inputs import check_recording, duplicate_warnings
 from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending, with_recording_name
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
-from analysis.core.recordings.names import open_existing, relabel, require_file, scene_labels
+from analysis.core.recordings.names import OpenRecordings, relabel, require_file, scene_labels, with_recordings
 from rig.core.base.output_files import prepare_outputs
 from rig.core.results.text import format_interval, table_lines
 from rig.core.results.uncertainty import expand
@@ -31,8 +31,13 @@ _COLUMNS = (
 _TOO_SHORT = ("too short", "-")
 
 
+@with_recordings
 def present_decay(
-    paths: Sequence[Path], output: Path | None = None, channel: str | None = None, hit: int = 1
+    recordings: OpenRecordings,
+    paths: Sequence[Path],
+    output: Path | None = None,
+    channel: str | None = None,
+    hit: int = 1,
 ) -> CommandOutput:
     """Draw and tabulate free decays; the curves of several recordings are overlaid.
 
@@ -51,11 +56,11 @@ def present_decay(
     stem = output_stem(paths, output, "decay")
     envelopes, dampings = (stem.with_name(f"{stem.name}-{table}.csv") for table in ("envelope", "damping"))
     prepare_outputs(with_ending(stem, "png"), with_ending(stem, "svg"), envelopes, dampings)
-    for path, label in zip(paths, scene_labels(paths), strict=True):
-        with open_existing(path) as rec:
-            check_recording(rec, path, "decay")
-            decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
-            has_hits = rec.test.drives
+    for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
+        rec = recordings.of(path)
+        check_recording(rec, path, "decay")
+        decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
+        has_hits = rec.test.drives
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"

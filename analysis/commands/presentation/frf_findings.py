@@ -20,7 +20,7 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance_peaks
-from analysis.core.recordings.names import open_existing, relabel
+from analysis.core.recordings.names import OpenRecordings, relabel, with_recordings
 from analysis.core.responses.curve_checks import find_jumps
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
@@ -45,7 +45,9 @@ _MAX_PEAK_DEVIATION = 0.01
 _MAX_PEAK_UNCERTAINTY = 0.5
 
 
+@with_recordings
 def present_frf(
+    recordings: OpenRecordings,
     paths: Sequence[Path],
     output: Path | None = None,
     channels: Sequence[str] | None = None,
@@ -69,25 +71,25 @@ def present_frf(
     curves: list[Response] = []
     theory_curves: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
-    warnings = check_inputs(paths, "frf", blocks, theory, unit)
+    warnings = check_inputs(recordings, paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
     tolerance_remarks: list[str] = []
-    for path, label in zip(paths, labels(paths), strict=True):
+    for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
-        with open_existing(path) as rec:
-            options = vars(blocks.for_kind(rec.test.kind))
-            groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
-            curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-            warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
-            tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
-            if theory:
-                from analysis.commands.presentation.theory import linear_theory
+        rec = recordings.of(path)
+        options = vars(blocks.for_kind(rec.test.kind))
+        groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
+        curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
+        warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
+        tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
+        if theory:
+            from analysis.commands.presentation.theory import linear_theory
 
-                theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
+            theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     stem = output_stem(paths, output, "frf")
     files = _draw_figures(curves, theory_curves, stem)
     files.append(frf_table(with_ending(stem, "csv"), curves))

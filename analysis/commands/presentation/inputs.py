@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from analysis.core.recordings.names import open_existing, scene_labels
+from analysis.core.recordings.names import OpenRecordings, scene_labels
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.extras.formats.frf_files import is_frf_file, read_frfs
 from daq.core.recording.recorded_test import TestKind
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-def labels(paths: Sequence[Path]) -> list[str]:
+def labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:
     """Return the label of each file: scene name of a recording, or name of a file of FRFs."""
-    recordings = [path for path in paths if not is_frf_file(path)]
-    recording_labels = dict(zip(recordings, scene_labels(recordings), strict=True))
+    recorded = [path for path in paths if not is_frf_file(path)]
+    recording_labels = dict(zip(recorded, scene_labels(recordings, recorded), strict=True))
     return [recording_labels.get(path, path.stem) for path in paths]
 
 
@@ -79,7 +79,12 @@ def duplicate_warnings(paths: Sequence[Path]) -> list[str]:
 
 
 def check_inputs(
-    paths: Sequence[Path], command: str, blocks: Blocks, theory: bool = False, unit: str | None = None
+    recordings: OpenRecordings,
+    paths: Sequence[Path],
+    command: str,
+    blocks: Blocks,
+    theory: bool = False,
+    unit: str | None = None,
 ) -> list[str]:
     """Raise an error for files that do not suit a command and for options without effect on any file.
 
@@ -93,10 +98,8 @@ def check_inputs(
         if is_frf_file(path):
             effective, reason = ("unit",), "it contains frequency responses, not samples"
         else:
-            with open_existing(path) as rec:
-                check_recording(rec, path, command)
-                kind = rec.test.kind
-            own_estimator = estimator_of(kind)
+            check_recording(recordings.of(path), path, command)
+            own_estimator = estimator_of(recordings.of(path).test.kind)
             effective, reason = ("theory", *own_estimator.options), own_estimator.method
         for name in without_effect.keys() - {*effective}:
             without_effect[name].append(f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}")

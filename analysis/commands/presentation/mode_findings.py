@@ -22,7 +22,7 @@ from analysis.commands.presentation.outputs import (
 )
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
-from analysis.core.recordings.names import open_existing, relabel
+from analysis.core.recordings.names import OpenRecordings, relabel, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
@@ -48,7 +48,9 @@ _MAX_COMBINATION_ORDER = 5
 _MAX_COMBINATION_ERROR = 0.015
 
 
+@with_recordings
 def present_modes(
+    recordings: OpenRecordings,
     paths: Sequence[Path],
     output: Path | None = None,
     reference: str = "force",
@@ -65,11 +67,11 @@ def present_modes(
     all_modes: list[Modes] = []
     files: list[Path] = []
     lines: list[str] = []
-    warnings = check_inputs(paths, "modes", Blocks(block=block), unit=unit)
+    warnings = check_inputs(recordings, paths, "modes", Blocks(block=block), unit=unit)
     stems, table = separate_stems(paths, output, "modes"), with_ending(output_stem(paths, output, "modes"), "csv")
     figures = [with_ending(stem, extension) for stem in stems for extension in ("png", "svg")]
     prepare_outputs(*dict.fromkeys([*figures, table]))
-    for path, first, label in zip(paths, stems, labels(paths), strict=True):
+    for path, first, label in zip(paths, stems, labels(recordings, paths), strict=True):
         identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
         if is_frf_file(path):
             curves = read_curves(path, reference, None, unit)
@@ -77,12 +79,12 @@ def present_modes(
         else:
             from analysis.commands.presentation.theory import theoretical_modes
 
-            with open_existing(path) as rec:
-                options = vars(Blocks(block=block).for_kind(rec.test.kind))
-                for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
-                    modes = relabel(identify(sweep, count), rec.scene.name, label)
-                    theory = theoretical_modes(rec, modes) if reference == "force" else None
-                    identified.append((sweep, modes, theory))
+            rec = recordings.of(path)
+            options = vars(Blocks(block=block).for_kind(rec.test.kind))
+            for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
+                modes = relabel(identify(sweep, count), rec.scene.name, label)
+                theory = theoretical_modes(rec, modes) if reference == "force" else None
+                identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")

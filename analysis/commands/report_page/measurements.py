@@ -25,7 +25,7 @@ from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import open_existing, relabel, scene_labels
+from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
@@ -84,10 +84,10 @@ class Measurements:
     _open: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            for path, label in zip(self.paths, scene_labels(self.paths), strict=True):
-                self.results.append(self._measure(path, label, stack.enter_context(open_existing(path))))
-            self._open = stack.pop_all()
+        with OpenRecordings() as recordings:
+            for path, label in zip(self.paths, scene_labels(recordings, self.paths), strict=True):
+                self.results.append(self._measure(path, label, recordings.of(path)))
+            self._open = recordings.pop_all()
         return self
 
     def __exit__(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -45,6 +45,33 @@ def open_existing(path: Path) -> Recording:
 
     require_file(path)
     return daq.open(path)
+
+
+class OpenRecordings(ExitStack):
+    """The recordings of a command: each is opened, and its scene read, once, when it is first used."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._open: dict[Path, Recording] = {}
+
+    def of(self, path: Path) -> Recording:
+        """Return the recording in a file, which stays open until this context ends."""
+        if path not in self._open:
+            self._open[path] = self.enter_context(open_existing(path))
+        return self._open[path]
+
+
+def with_recordings(
+    command: Callable[Concatenate[OpenRecordings, Parameters], Returned],
+) -> Callable[Parameters, Returned]:
+    """Pass the recordings of a command to it, and close them after it."""
+
+    @wraps(command)
+    def run(*args: Parameters.args, **options: Parameters.kwargs) -> Returned:
+        with OpenRecordings() as recordings:
+            return command(recordings, *args, **options)
+
+    return run
 
 
 def as_context(recording: Recording | str | Path) -> AbstractContextManager[Recording]:
@@ -94,13 +121,9 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
     return [longer if with_stem.count(label) > 1 else label for label, longer in zip(with_stem, with_path, strict=True)]
 
 
-def scene_labels(paths: Sequence[Path]) -> list[str]:
+def scene_labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:
     """Name recordings after their scenes."""
-    names = []
-    for path in paths:
-        with open_existing(path) as rec:
-            names.append(rec.scene.name)
-    return distinct_names(names, paths)
+    return distinct_names([recordings.of(path).scene.name for path in paths], paths)
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

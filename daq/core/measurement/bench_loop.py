@@ -43,11 +43,12 @@ class BenchLoop(ABC):
     """A test on the bench of its scene; subclasses process its blocks, windows and markers.
 
     A window of drive is acquired in blocks; `block` is the maximum number of samples per block. A marker names an
-    interval of samples, for example the duration of an overload.
+    interval of samples, for example the duration of an overload. `bench`: the bench
+    of the scene, at rest, if it exists.
     """
 
-    def __init__(self, scene: Scene, block: int | None = None) -> None:
-        self.bench = bench = Bench(scene)
+    def __init__(self, scene: Scene, block: int | None = None, bench: Bench | None = None) -> None:
+        self.bench = bench = Bench(scene) if bench is None else bench
         self.warnings: list[str] = []
         self.station = Station(
             scene, bench.channels, bench.inputs, bench.rate, self.mark, self.report, self.warnings.append, bench.latency

@@ -30,6 +30,7 @@ from daq.core.prediction.rehearsal_plan import (
     shorten_to_tone,
     with_level,
 )
+from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.virtual_bench.bench import Bench
 from rig.core.scene.loading import load
 from rig.core.scene.presets import complete_from_preset
@@ -76,13 +77,14 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     (True, 'm/s^2')
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
-    loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
+    if any(damper.grains is not None for damper in loaded.dampers):
+        loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
     test_of(loaded)
     bench = Bench(loaded)
-    rehearsed_test = rehearse_test(loaded, bench)
+    rehearsed_test = rehearse_test(loaded, bench.channels, bench)
     unlimited_test = rehearsed_test
     if any(part.aborted or any(part.overloaded) for part in rehearsed_test.parts):
-        unlimited_test = rehearse_test(without_limits(loaded), bench)
+        unlimited_test = rehearse_test(without_limits(loaded), bench.channels)
     return _Assessment(loaded, bench, rehearsed_test, unlimited_test).foresight()
 
 
@@ -116,10 +118,13 @@ class RehearsedTest:
         return float(part.readings.sample[row] / part.rate) if part is self.parts[0] else np.inf
 
 
-def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
-    """Rehearse a test, or the parts of it for which the CPU time suffices."""
-    plan, seconds = plan_rehearsal(scene, bench.channels), affordable_seconds(scene)
-    parts = _rehearse_parts(plan, _MAX_TIME_RATIO * max(seconds, expected_seconds(plan.parts[0][0])))
+def rehearse_test(scene: Scene, channels: tuple[ChannelInfo, ...], bench: Bench | None = None) -> RehearsedTest:
+    """Rehearse a test, or the parts of it for which the CPU time suffices.
+
+    `channels`: those of its bench; `bench`: the bench of the scene, at rest, if it exists.
+    """
+    plan, seconds = plan_rehearsal(scene, channels), affordable_seconds(scene)
+    parts = _rehearse_parts(plan, bench, _MAX_TIME_RATIO * max(seconds, expected_seconds(plan.parts[0][0])))
     test = scene.test
     if plan.is_complete and (parts[0].complete or parts[0].aborted is not None):
         return RehearsedTest(parts, True)
@@ -128,8 +133,8 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
     if procedure.rehearsal == "peaks":
         if plan.is_complete:
             # The rehearsal took longer than expected. Therefore only the peaks of the test are rehearsed.
-            plan = plan_about_peaks(scene, bench.channels, seconds)
-            parts += _rehearse_parts(plan, _MAX_TIME_RATIO * seconds)
+            plan = plan_about_peaks(scene, channels, seconds)
+            parts += _rehearse_parts(plan, None, _MAX_TIME_RATIO * seconds)
         steps = sum(len(part.steps) // 2 for part in parts)
         return RehearsedTest(parts, False, f"{steps} steps about the peaks of the linear response")
     if parts[0].aborted is not None:
@@ -139,11 +144,12 @@ def rehearse_test(scene: Scene, bench: Bench) -> RehearsedTest:
     return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
 
 
-def _rehearse_parts(plan: RehearsalPlan, max_seconds: float) -> tuple[Rehearsal, ...]:
+def _rehearse_parts(plan: RehearsalPlan, bench: Bench | None, max_seconds: float) -> tuple[Rehearsal, ...]:
     """Rehearse the parts one after another, up to an abort; each takes at most `max_seconds` of bench time."""
     parts: list[Rehearsal] = []
     for scene, excluded_steps in plan.parts:
-        parts.append(Rehearsal(scene, excluded_steps).run(max_seconds))
+        part = Rehearsal(scene, excluded_steps, bench if plan.is_complete else None)
+        parts.append(part.run(max_seconds))
         if parts[-1].aborted is not None:
             break
     return tuple(parts)

@@ -65,8 +65,8 @@ class Rehearsal(BenchLoop):
     its unit), input (`drives`), or body and table (`accelerations`, m/s^2, and `displacements`, m).
     """
 
-    def __init__(self, scene: Scene, excluded_steps: int = 0) -> None:
-        super().__init__(scene)
+    def __init__(self, scene: Scene, excluded_steps: int = 0, bench: Bench | None = None) -> None:
+        super().__init__(scene, bench=bench)
         bench = self.bench
         self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
         self.readings = Extremes(len(bench.channels))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.once import once_per_object
 from rig.core.equations import Equations
 from rig.core.laws.landing import spring_damper
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
@@ -27,6 +28,7 @@ MAX_DAMPERS = 62
 MAX_CONDITION = 1e13
 
 
+@once_per_object
 def assemble(scene: Scene) -> HybridSystem:
     """Return the hybrid linear system of a scene, in its initial state.
 

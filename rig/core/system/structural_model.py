@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.base.once import once_per_object
 from rig.core.equations import Ground
 from rig.core.scene.matrices import is_positive_definite
 from rig.core.scene.scene import Scene
@@ -127,6 +128,7 @@ class StructuralModel:
         return response
 
 
+@once_per_object
 def structural_model(scene: Scene) -> StructuralModel:
     """Return the matrices of a scene's structure, without the coil spring, and the masses of its beds.
 
@@ -137,7 +139,7 @@ def structural_model(scene: Scene) -> StructuralModel:
     >>> model.modes.frequency.round(2), model.bed_mass
     (array([13.04, 34.78, 49.66]), array([0.0426]))
     """
-    mass, damping, stiffness = structure_matrices(scene.structure)
+    mass, damping, stiffness = _shared_matrices(scene.structure)
     body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
     locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
     return StructuralModel(mass, damping, stiffness, bed_masses(scene, mass), body, locked)
@@ -223,6 +225,15 @@ def coil_spring(scene: Scene) -> float:
     if spring is None:
         raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
     return spring
+
+
+@once_per_object
+def _shared_matrices(structure: Structure) -> tuple[Array, Array, Array]:
+    """Return `structure_matrices` as read-only arrays, for all scenes with this structure."""
+    matrices = structure_matrices(structure)
+    for matrix in matrices:
+        matrix.flags.writeable = False
+    return matrices
 
 
 def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:

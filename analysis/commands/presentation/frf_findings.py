@@ -141,7 +141,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
     # `resonance_peaks` estimates displacement.
     n_derivatives = MOTIONS.index(frf.motion)
     peaks = [(r, p, (2.0 * np.pi * p.frequency) ** n_derivatives) for r, p in resonance_peaks(frf)]
-    uncertain = {r for r, p, _ in peaks if not p.bound - p.common_bound <= _MAX_PEAK_UNCERTAINTY * p.value}
+    uncertain = {r for r, p, _ in peaks if not p.own_bound <= _MAX_PEAK_UNCERTAINTY * p.value}
     value, scale, highest = max(
         ((scale * p.value, scale, None if r in uncertain else p) for r, p, scale in peaks),
         default=(0.0, 1.0, None),

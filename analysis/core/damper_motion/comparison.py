@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from math import floor, hypot, inf, isfinite, isinf, log10, prod, sqrt
+from math import floor, hypot, inf, isfinite, isinf, log10, sqrt
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from analysis.core.modal.modes import Modes
 from rig.core.results import format_decimals, format_number
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
-from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC, expand
+from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
 
 # Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
 # above is half as wide.
@@ -37,14 +37,14 @@ class Peak:
     """A resonance peak of a measured receptance."""
 
     value: float  # height, m/N; a lower bound of the height if `bound` is infinite
-    # 95 % bound of the height, m/N; infinite if the curve has a jump or few points, or if a point next to the highest
-    # was omitted
-    bound: float
+    # 95 % bound of the height without errors that are common to all frequencies, m/N; infinite if the curve has a jump
+    # or few points, or if a point next to the highest was omitted
+    own_bound: float
     frequency: float  # Hz
     lowest_frequency: float  # lower bound of the frequency, Hz
     highest_frequency: float  # upper bound of the frequency, Hz
     lower_limit: float = 0.0  # lower 95 % bound of the highest measured point, m/N
-    interpolation_bound: float = 0.0  # part of `bound` due to interpolation between the points, m/N
+    interpolation_bound: float = 0.0  # part of `own_bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
     # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `bound`
@@ -52,28 +52,36 @@ class Peak:
     clock: float = 0.0  # largest relative error of the sample clock, included in `bound` and in the limits of frequency
 
     @property
+    def bound(self) -> float:
+        """95 % bound of the height with all errors, m/N."""
+        return self._expanded(self.own_bound)
+
+    @property
     def low(self) -> float:
         """Lower 95 % bound of the height, m/N."""
         if self.at_end:
             return 0.0
-        if isinf(self.bound):
-            return self.value
-        return max(self.value - self.bound, self.lower_limit - self.common_bound)
+        return self.value if isinf(self.own_bound) else self.value - self._expanded(self.value - self._own_low)
 
     @property
-    def common_bound(self) -> float:
-        """Part of `bound` due to errors that are common to all frequencies: of sensors and clock, m/N."""
-        clock = _CLOCK_ERRORS_IN_HEIGHT * self.clock
-        return self.value * (prod(1.0 + tolerance for tolerance in (*self.tolerances, clock)) - 1.0)
+    def _own_low(self) -> float:
+        """Lower 95 % bound of the height without errors that are common to all frequencies, m/N."""
+        return max(self.value - self.own_bound, self.lower_limit)
+
+    def _expanded(self, own_bound: float) -> float:
+        """Combine a bound of the height with the errors that are common to all frequencies: of sensors and clock."""
+        limits = (*self.tolerances, _CLOCK_ERRORS_IN_HEIGHT * self.clock)
+        return float(expand(own_bound / COVERAGE_FACTOR, [self.value * limit for limit in limits]))
 
     @property
     def decibel_range(self) -> tuple[float, float]:
-        """Lower and upper 95 % bound of the deviation of the height, without `common_bound`; dB, 0 or more."""
-        low = self.low if isinf(self.bound) else self.low + self.common_bound
-        high = self.value + self.bound - self.common_bound
+        """Lower and upper 95 % bound of the deviation of the height, without errors of sensors and clock; dB, >= 0."""
+        if isinf(self.own_bound):
+            return inf if self.at_end else 0.0, inf
+        low, high = self._own_low, self.value + self.own_bound
         return (
             inf if low <= 0.0 else max(20.0 * log10(self.value / low), 0.0),
-            inf if isinf(high) else max(20.0 * log10(high / self.value), 0.0),
+            max(20.0 * log10(high / self.value), 0.0),
         )
 
 
@@ -139,7 +147,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     on_grid = grid[(curve >= height - bound) | (curve_of_five >= curve_of_five.max() - bound)]
     to_first_order = np.clip([frequency - frequency_bound, frequency + frequency_bound], on_grid.min(), on_grid.max())
     limits = np.append(possible, to_first_order)
-    estimate = Peak(
+    return Peak(
         height,
         bound,
         frequency,
@@ -151,7 +159,6 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
         tolerances=tolerances,
         clock=clock,
     )
-    return replace(estimate, bound=bound + estimate.common_bound)
 
 
 def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
@@ -176,8 +183,7 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     tolerance = max(at_point, float(np.nanmedian(frf.limits[SENSITIVITY] / abs(frf.value))))
     if not isfinite(tolerance):
         return estimate
-    scaled = replace(independent, tolerances=(tolerance,))
-    return replace(scaled, bound=independent.bound + scaled.common_bound - independent.common_bound)
+    return replace(independent, tolerances=(tolerance,))
 
 
 def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
@@ -202,12 +208,12 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     # Between few lines, dampers may move at the peak although they are at rest at the lines around it.
     is_known = resonance.is_interpolated and resonance.lines >= MIN_LINES
     is_known &= not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
-    if not is_known or estimate.bound - estimate.common_bound <= resonance.expanded:
+    if not is_known or estimate.own_bound <= resonance.expanded:
         return estimate
-    better = replace(
-        estimate, value=resonance.value, frequency=resonance.frequency, interpolation_bound=0.0, at_end=False
-    )
-    return replace(better, bound=resonance.expanded + better.common_bound)
+    return replace(
+        estimate, value=resonance.value, own_bound=resonance.expanded, frequency=resonance.frequency,
+        interpolation_bound=0.0, at_end=False,
+    )  # fmt: skip
 
 
 def _common_tolerances(frf: Response) -> tuple[float, ...]:
@@ -317,13 +323,12 @@ class PeakChange:
         bare, damped = self._compared
         estimate = 20.0 * log10(damped.value / bare.value)
         (bare_below, bare_above), (damped_below, damped_above) = bare.decibel_range, damped.decibel_range
-        tolerance = _decibel_tolerance(bare, damped)
-        clock = sum(20.0 * log10(1.0 + _CLOCK_ERRORS_IN_HEIGHT * compared.clock) for compared in (bare, damped))
-        return (
-            estimate,
-            estimate - hypot(damped_below, bare_above, tolerance) - clock,
-            estimate + hypot(damped_above, bare_below, tolerance) + clock,
+        limits = _decibel_limits(bare, damped)
+        below, above = (
+            float(expand(hypot(*bounds) / COVERAGE_FACTOR, limits))
+            for bounds in ((damped_below, bare_above), (damped_above, bare_below))
         )
+        return estimate, estimate - below, estimate + above
 
     @property
     def decibel_decimals(self) -> int:
@@ -343,7 +348,9 @@ class PeakChange:
         if isinf(bare.bound + damped.bound):
             # The peak may be at a limit of its range, next to a jump.
             return estimate, estimate - sum(below), estimate + sum(above)
-        low, high = (hypot(*np.subtract(limits, clock)) + sum(clock) for limits in (below, above))
+        low, high = (
+            float(expand(hypot(*np.subtract(limits, clock)) / COVERAGE_FACTOR, clock)) for limits in (below, above)
+        )
         return estimate, estimate - low, estimate + high
 
     @property
@@ -357,10 +364,14 @@ class PeakChange:
         return self.damping * self.bare.value / self.damped.value
 
 
-def _decibel_tolerance(bare: Peak, damped: Peak) -> float:
-    """Return the expanded uncertainty of the ratio of two peaks due to the tolerances of different sensors, dB."""
-    limits = [20.0 * log10(1.0 + tolerance) for compared in (bare, damped) for tolerance in compared.tolerances]
-    return float(expand(0.0, limits))
+def _decibel_limits(bare: Peak, damped: Peak) -> list[float]:
+    """Return the limits of the ratio of two peaks due to the tolerances of different sensors and clocks, dB."""
+    limits = [
+        limit
+        for compared in (bare, damped)
+        for limit in (*compared.tolerances, _CLOCK_ERRORS_IN_HEIGHT * compared.clock)
+    ]
+    return [20.0 * log10(1.0 + limit) for limit in limits]
 
 
 def peak_changes(

@@ -129,6 +129,15 @@ def test_warning_of_coarse_points_gives_required_step() -> None:
     assert estimate is not None and math.isinf(estimate.bound)
 
 
+def test_tolerances_of_a_peak_are_combined_as_variances() -> None:
+    one, two = (Peak(1.0, 0.0, 10.0, 9.9, 10.1, lower_limit=1.0, tolerances=(0.05,) * count) for count in (1, 2))
+    # No error exceeds its limit; two rectangular distributions have k = 2.
+    assert (one.bound, two.bound) == pytest.approx((0.05, 2.0 * math.sqrt(2.0 / 3.0) * 0.05))
+    assert two.low == pytest.approx(1.0 - two.bound)
+    scattered = Peak(1.0, 0.06, 10.0, 9.9, 10.1, tolerances=(0.05, 0.05))
+    assert scattered.bound == pytest.approx(math.hypot(0.06, two.bound))
+
+
 def test_changes_are_printed_with_their_limits() -> None:
     peaks = [Peak(1e-3, 1e-5, 10.0, 9.9, 10.1), Peak(2e-4, 1e-5, 9.5, 9.4, 9.8), Peak(1e-3, 2e-5, 10.05, 9.9, 10.2)]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]

@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import ParamSpec, Self, TypeVar
+from typing import NamedTuple, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -60,6 +60,25 @@ class SweepResults:
     peaks: tuple[tuple[Response, Peak] | None, ...] = ()
     highest: tuple[Response, Peak] | None = None
 
+    @property
+    def label(self) -> str:
+        """Name of the recording, with level and direction if it has several sweeps."""
+        return self.frfs[0].label
+
+
+class SweepChange(NamedTuple):
+    """Change of one peak from the first sweep of the first recording to a sweep of another recording."""
+
+    before: str  # label of the first sweep
+    after: str  # label of the other sweep
+    recording: str  # label of the other recording
+    change: PeakChange
+
+    @property
+    def level(self) -> str:
+        """Level and direction of the other sweep; empty if its recording has a single sweep."""
+        return self.after.removeprefix(self.recording).removeprefix(", ")
+
 
 @dataclass(frozen=True)
 class Measurement:
@@ -95,13 +114,13 @@ class Measurements:
     ) -> None:
         self._open.close()
 
-    def changes(self) -> list[tuple[Measurement, Measurement, PeakChange]]:
+    def changes(self) -> list[SweepChange]:
         """Compute the change of each resonance peak from the first recording to every other recording."""
         first, *others = self.results
         if not first.sweeps or first.sweeps[0].modes is None:
             return []
         return [
-            (first, other, change)
+            change
             for other in others
             if other.sweeps
             for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
@@ -188,11 +207,15 @@ def highest_peak(
     return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
 
 
-def _peak_changes(first: Measurement, other: Measurement) -> list[PeakChange]:
+def _peak_changes(first: Measurement, other: Measurement) -> list[SweepChange]:
     """Return the change of each peak between two recordings."""
-    modes = first.sweeps[0].modes
-    assert modes is not None
+    before = first.sweeps[0]
+    assert before.modes is not None
     points, first_points = (MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, first))
     points.comparable_with(first_points)
-    same_sensors, first_frfs = points.same_sensors(first_points), first.sweeps[0].frfs
-    return [change for sweep in other.sweeps for change in peak_changes(modes, first_frfs, sweep.frfs, same_sensors)]
+    same_sensors = points.same_sensors(first_points)
+    return [
+        SweepChange(before.label, after.label, other.label, change)
+        for after in other.sweeps
+        for change in peak_changes(before.modes, before.frfs, after.frfs, same_sensors)
+    ]

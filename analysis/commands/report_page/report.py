@@ -139,7 +139,7 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
                 for k in range(modes.frequency.size)
             ]
             sections += [
-                f"<h3>{escape_html(measurement.label)}</h3>",
+                f"<h3>{escape_html(modes.label)}</h3>",
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
     return sections
@@ -147,8 +147,8 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
 
 def _budgets(results: Sequence[Measurement]) -> list[str]:
     """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
-    peaks = [(measurement, measurement.sweeps[0].highest) for measurement in results if measurement.sweeps]
-    return [budget(measurement, *highest) for measurement, highest in peaks if highest is not None]
+    peaks = [measurement.sweeps[0].highest for measurement in results if measurement.sweeps]
+    return [budget(*highest) for highest in peaks if highest is not None]
 
 
 def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str]:

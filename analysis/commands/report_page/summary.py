@@ -8,23 +8,21 @@ from math import inf, isfinite
 import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
-from analysis.commands.report_page.measurements import Measurement
+from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
 from analysis.commands.report_page.tables import peak_height, with_bound
-from analysis.core.damper_motion.comparison import PeakChange
+from analysis.core.damper_motion.comparison import Peak
 from analysis.core.damper_motion.dampers import Dampers
 from rig.core.results import format_decimals, format_frequencies, round_to_bound
+from rig.core.results.response import Response
 
 # Number of sentences in the summary.
 _MAX_SENTENCES = 3
 
 
-def summarize(
-    measurements: Sequence[Measurement], changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
-) -> list[str]:
+def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange]) -> list[str]:
     """Return sentences about decays, then peak changes (if none, resonances) and damper impacts.
 
-    `measurements`: all recordings of the report; `changes`: first recording, other recording and the change of one
-    peak between them, from `Measurements.changes`.
+    `measurements`: all recordings of the report; `changes`: from `Measurements.changes`.
     """
     sentences = _decay_sentences(measurements) + _change_sentences(changes)
     for measurement in measurements:
@@ -34,70 +32,109 @@ def summarize(
     return sentences[:_MAX_SENTENCES] or ["No result: see the warnings."]
 
 
-def _change_sentences(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> list[str]:
-    """Describe, for each other recording, the change of the highest peak whose change has a bound."""
+def _change_sentences(changes: Sequence[SweepChange]) -> list[str]:
+    """Describe, for each other recording, the change of the highest peak whose change has a bound, at all levels."""
     sentences = []
-    for label in dict.fromkeys(other.label for _, other, _ in changes):
-        first = changes[0][0]
-        changes_of_label = [change for _, other, change in changes if other.label == label]
-        bounded = [change for change in changes_of_label if all(map(isfinite, change.decibel))]
-        if not bounded:
-            sentences.append(
-                f"“{label}” against “{first.label}”: the measured points do not determine the change of the peaks. "
-                "Measure around the peaks with a smaller frequency step, in both directions and without overloads."
-            )
-            continue
-        change = max(bounded, key=_initial_height)
-        change_db, low_db, high_db = change.decibel
-        decimals = change.decibel_decimals
-        peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
-        if low_db <= 0.0 <= high_db:
-            interval = f"{low_db:+.{decimals}f} to {high_db:+.{decimals}f} dB"
-            text = f"“{label}” against “{first.label}”: no significant change of {peak_text} (95 % interval {interval})"
-        else:
-            verb = "lowers" if change_db < 0.0 else "raises"
-            smallest, largest = sorted((abs(low_db), abs(high_db)))
-            heights = [round_to_bound(1e6 * peak.value, 1e6 * peak.bound) for peak in (change.bare, change.damped)]
-            text = (
-                f"Compared with “{first.label}”, “{label}” {verb} {peak_text} by {abs(change_db):.{decimals}f} dB "
-                f"(95 % interval {smallest:.{decimals}f} to {largest:.{decimals}f} dB), "
-                f"from {' to '.join(heights)} µm/N"
-            )
-        highest = max(changes_of_label, key=_initial_height)
-        if highest.mode != change.mode:
-            text += f"; the change of the highest peak ({format_decimals(highest.mode, 2)} Hz) cannot be determined"
-        sentences.append(f"{text}.")
+    for recording in dict.fromkeys(sweep.recording for sweep in changes):
+        of_recording = [sweep for sweep in changes if sweep.recording == recording]
+        first, *others = (
+            [sweep for sweep in of_recording if sweep.after == label]
+            for label in dict.fromkeys(sweep.after for sweep in of_recording)
+        )
+        levels = "; ".join(map(_short_change, others))
+        sentences.append(_change_sentence(first) + (f" Other levels: {levels}." if levels else ""))
     return sentences
 
 
-def _initial_height(change: PeakChange) -> float:
+def _largest_bounded(changes: Sequence[SweepChange]) -> SweepChange | None:
+    """Return the change of the highest peak whose change has a bound."""
+    bounded = [sweep for sweep in changes if all(map(isfinite, sweep.change.decibel))]
+    return max(bounded, key=_initial_height, default=None)
+
+
+def _short_change(changes: Sequence[SweepChange]) -> str:
+    """Describe the change of the highest peak at one level, in a few words."""
+    largest = _largest_bounded(changes)
+    if largest is None:
+        return f"{changes[0].level}, not determined"
+    decimals = largest.change.decibel_decimals
+    value, low, high = (f"{limit:+.{decimals}f}" for limit in largest.change.decibel)
+    peak = f"{largest.change.response}, {format_decimals(largest.change.mode, 2)} Hz"
+    return f"{largest.level}, {value} dB ({low} to {high} dB; {peak})"
+
+
+def _change_sentence(changes: Sequence[SweepChange]) -> str:
+    """Describe the change of the highest peak at one level whose change has a bound."""
+    before, after = f"“{changes[0].before}”", f"“{changes[0].after}”"
+    largest = _largest_bounded(changes)
+    if largest is None:
+        return (
+            f"{after} against {before}: the measured points do not determine the change of the peaks. "
+            "Measure around the peaks with a smaller frequency step, in both directions and without overloads."
+        )
+    change = largest.change
+    change_db, low_db, high_db = change.decibel
+    decimals = change.decibel_decimals
+    peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
+    if low_db <= 0.0 <= high_db:
+        interval = f"{low_db:+.{decimals}f} to {high_db:+.{decimals}f} dB"
+        text = f"{after} against {before}: no significant change of {peak_text} (95 % interval {interval})"
+    else:
+        verb = "lowers" if change_db < 0.0 else "raises"
+        smallest, largest_db = sorted((abs(low_db), abs(high_db)))
+        heights = [round_to_bound(1e6 * peak.value, 1e6 * peak.bound) for peak in (change.bare, change.damped)]
+        text = (
+            f"Compared with {before}, {after} {verb} {peak_text} by {abs(change_db):.{decimals}f} dB "
+            f"(95 % interval {smallest:.{decimals}f} to {largest_db:.{decimals}f} dB), "
+            f"from {' to '.join(heights)} µm/N"
+        )
+    highest = max(changes, key=_initial_height).change
+    if highest.mode != change.mode:
+        text += f"; the change of the highest peak ({format_decimals(highest.mode, 2)} Hz) cannot be determined"
+    return f"{text}."
+
+
+def _initial_height(sweep: SweepChange) -> float:
     """Return the height of the peak in the first recording, m/N."""
-    return change.bare.value
+    return sweep.change.bare.value
 
 
 def _resonance_sentences(measurement: Measurement) -> list[str]:
-    """List natural frequencies and damping ratios of each sweep, and its highest compliance."""
-    sentences = []
-    for sweep in measurement.sweeps:
-        modes = sweep.modes
-        if modes is None or not modes.frequency.size:
-            continue
-        listed = ", ".join(
-            f"{modes.frequency_text(k)} with a damping ratio of {modes.damping_text(k)}"
-            for k in np.argsort(modes.frequency).tolist()
-        )
-        plural = "s" * (modes.frequency.size != 1)
-        label = modes.label if len(measurement.sweeps) > 1 else measurement.label
-        text = f"“{label}”: {modes.frequency.size} resonance{plural} at {listed}"
-        if sweep.highest is not None:
-            curve, highest = sweep.highest
-            where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
-            if highest.value < highest.bound < inf:
-                text += f"; the height of the highest peak of the compliance is not determined ({where})"
-            else:
-                text += f"; the highest compliance is {peak_height(highest)} µm/N ({where})"
-        sentences.append(f"{text}.")
-    return sentences
+    """List natural frequencies and damping ratios of each sweep, and its highest compliance.
+
+    Of more sweeps than the summary has sentences, those after the first are listed with the highest compliance alone.
+    """
+    sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
+    if len(sweeps) <= _MAX_SENTENCES:
+        return [_resonance_sentence(sweep) for sweep in sweeps]
+    others = "; ".join(
+        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}, {_highest_compliance(*sweep.highest)}"
+        for sweep in sweeps[1:]
+        if sweep.highest is not None
+    )
+    return [f"{_resonance_sentence(sweeps[0])} Other levels: {others}."]
+
+
+def _resonance_sentence(sweep: SweepResults) -> str:
+    """List natural frequencies and damping ratios of a sweep, and its highest compliance."""
+    modes = sweep.modes
+    assert modes is not None
+    listed = ", ".join(
+        f"{modes.frequency_text(k)} with a damping ratio of {modes.damping_text(k)}"
+        for k in np.argsort(modes.frequency).tolist()
+    )
+    plural = "s" * (modes.frequency.size != 1)
+    text = f"“{sweep.label}”: {modes.frequency.size} resonance{plural} at {listed}"
+    if sweep.highest is not None:
+        text += f"; {_highest_compliance(*sweep.highest)}"
+    return f"{text}."
+
+
+def _highest_compliance(curve: Response, highest: Peak) -> str:
+    where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
+    if highest.value < highest.bound < inf:
+        return f"the height of the highest peak of the compliance is not determined ({where})"
+    return f"the highest compliance is {peak_height(highest)} µm/N ({where})"
 
 
 def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import yaml
 
-from analysis.commands.report_page.measurements import Measurement
-from analysis.core.damper_motion.comparison import Peak, PeakChange
+from analysis.commands.report_page.measurements import Measurement, SweepChange
+from analysis.core.damper_motion.comparison import Peak
 from analysis.core.responses.systematic import tolerance
 from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
@@ -83,11 +83,11 @@ def with_bound(value: float, bound: float) -> str:
     return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
 
 
-def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]) -> str:
+def changes_table(changes: Sequence[SweepChange]) -> str:
     """Return a table of the changes of peaks, and whether each is significant, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for first, other, change in changes:
-        pair = f"{first.label} → {other.label}"
+    for sweep in changes:
+        pair, change = f"{sweep.before} → {sweep.after}", sweep.change
         if (pair,) not in rows:
             rows.append((pair,))
         best, low, high = change.decibel
@@ -98,7 +98,7 @@ def changes_table(changes: Sequence[tuple[Measurement, Measurement, PeakChange]]
         interval = _interval(low, high, decimals)
         decimals = change.shift_decimals
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
-        location = f"{change.response}, {format_decimals(change.mode, 2)} Hz"
+        location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
         rows.append((location, decibel, interval, shift_text, exceeds))
     heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "significant"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
@@ -137,7 +137,7 @@ def decays(measurements: Sequence[Measurement]) -> str:
     return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
 
 
-def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
+def budget(curve: Response, highest: Peak) -> str:
     """Return the uncertainty budget of a response at its peak, as HTML."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     if curve.expanded()[point] > abs(curve.value[point]):
@@ -148,7 +148,7 @@ def budget(measurement: Measurement, curve: Response, highest: Peak) -> str:
         for name, evaluation, standard, share in result.rows
     ]
     return table(
-        f"Uncertainty budget of {measurement.label}, {result.title}: {with_bound(result.value, result.expanded)} "
+        f"Uncertainty budget of {curve.label}, {result.title}: {with_bound(result.value, result.expanded)} "
         f"{result.unit} (95 %)",
         ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
         [*rows, ("combined", "", format_number(float(f"{result.combined:.2g}")), "")],

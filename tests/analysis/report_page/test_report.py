@@ -139,6 +139,34 @@ def test_answer_states_detection_limits_of_impacts() -> None:
     assert f"below {limits} are not detectable" in sentence and "mm/s (body1)" in limits
 
 
+@pytest.fixture
+def level_recordings(tmp_path):
+    """Return two recordings of sweeps at four force levels."""
+    frequencies = np.unique(np.append(np.linspace(9.0, 60.0, 60), [12.9, 13.0366, 13.1, 34.7773, 49.6628]))
+    return [
+        synthetic.stepped_sine(
+            tmp_path / f"{name}.mcap", frequencies, level=[1.0, 2.0, 3.0, 4.0], noise=1e-7, name=name
+        )
+        for name in ("bare", "damped")
+    ]
+
+
+def test_every_level_of_force_is_named(level_recordings, tmp_path):
+    output = write_report(level_recordings, tmp_path / "a.html")
+    page = output.files[0].read_text(encoding="utf-8")
+    for level in ("1 N up", "2 N up", "3 N up", "4 N up"):
+        assert f"bare, 1 N up → damped, {level}" in page
+        assert f"body3, 13.04 Hz, {level}" in page
+        assert level in output.lines[0]
+    assert "Uncertainty budget of bare, 1 N up" in page
+
+
+def test_headline_of_one_recording_has_all_levels(level_recordings, tmp_path):
+    [headline] = write_report(level_recordings[:1], tmp_path / "a.html").lines
+    for level in ("2 N up", "3 N up", "4 N up"):
+        assert f"{level}, the highest compliance is 514" in headline
+
+
 def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "figs" / "report.html"
     result = write_report(recordings[1:], page)

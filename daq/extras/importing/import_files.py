@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from daq.extras.importing.assignment import AssignedSignal, ChosenSignal, assign
 from daq.extras.importing.channel_table import Column, read_table
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
+from daq.extras.importing.joined_files import are_repetitions, join_repetitions
 from daq.extras.importing.overloads import Overloads
 from daq.extras.importing.signal import Signal
 from daq.extras.importing.steps import StepDetector
@@ -68,7 +70,8 @@ def import_files(
 
     Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
     clipped samples `overload`. The scene's test specifies the excitation: hits are detected in the force channel, steps
-    of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end.
+    of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end. Files of
+    a hammer test that contain the same signals are joined, as hits of one test.
 
     Parameters
     ----------
@@ -129,11 +132,15 @@ def import_files(
     for first, duplicate in duplicate_files(paths):
         raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
-        signals = [signal for file in paths for signal in signals_of(file, stack)]
+        files_of_signals = [signals_of(file, stack) for file in paths]
+        is_joined = _detection(bench_scene) == "hits" and are_repetitions(files_of_signals)
+        signals = join_repetitions(files_of_signals) if is_joined else list(chain.from_iterable(files_of_signals))
         # Checked after the files and the scene: their errors are more helpful.
         resolve_output(target, overwrite, RecordingError)
         chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)
+        if is_joined:
+            notes.append(f"{len(paths)} files with the same signals are joined as hits of one test")
         rate = _common_rate(chosen, bench_scene)
         assigned = _cut_to_times(_with_start_delays(assign(bench_scene, chosen, rate)), rate, from_s, to_s)
         longest = max(assignment.signal.samples for assignment in assigned)
@@ -272,6 +279,11 @@ def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: f
     )
 
 
+def _detection(scene: Scene) -> str:
+    """Return what is searched in the samples; without a test, hits."""
+    return "hits" if scene.test is None else procedure_of(scene.test).detection
+
+
 class _RecordingWriter:
     """Reads the signals block by block, writes them to a recording, and marks what it detects in them."""
 
@@ -288,8 +300,7 @@ class _RecordingWriter:
         offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
         self._overloads = list(map(Overloads, full_scales, offsets))
         force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
-        # What is searched in the samples; without a test, hits.
-        self._detection = "hits" if scene.test is None else procedure_of(scene.test).detection
+        self._detection = _detection(scene)
         self._force_pulses = {row: ForcePulses() for row in force_rows if self._detection == "hits"}
         # The power at the driving point is known if there is one force channel and a motion channel where it acts.
         driven_points = [f"body {number}" for number in scene.force_on]

@@ -12,6 +12,7 @@ from scipy.io import wavfile
 from typer.testing import CliRunner
 
 import daq
+import rig
 from daq.commands.cli import app
 from daq.extras.importing.channel_table import Column
 from daq.extras.importing.units import quantity_and_scale
@@ -529,3 +530,43 @@ def test_duplicate_file_is_rejected(tmp_path):
     (tmp_path / "b.csv").write_bytes((tmp_path / "a.csv").read_bytes())
     with pytest.raises(RecordingError, match=r"b\.csv: the same content as .*a\.csv"):
         daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap")
+
+
+HIT_TEST = {"kind": "impulse", "body": 1, "peak": "100 N", "width": "4 ms"}
+
+
+def write_hit(path: Path, peak: float, rate: float = 2048.0) -> None:
+    times = np.arange(2048) / rate
+    force = peak * np.exp(-0.5 * ((times - 0.1) / 1e-3) ** 2)
+    decay = np.where(times > 0.1, np.exp(-20.0 * (times - 0.1)) * np.sin(300.0 * (times - 0.1)), 0.0)
+    np.savetxt(
+        path,
+        np.column_stack([times, force, decay]),
+        delimiter=",",
+        header="time [s],hit [N],body1 [m/s^2]",
+        comments="",
+    )
+
+
+def hammer_scene() -> rig.Scene:
+    channels = [{"name": "hit", "at": "hammer"}, {"name": "body1", "at": "body 1"}]
+    return rig.load("bare-structure", {"test": HIT_TEST, "channels": channels, "converter": None})
+
+
+def test_files_of_one_hit_are_joined(tmp_path):
+    files = [tmp_path / f"hit{number}.csv" for number in (1, 2)]
+    for file, peak in zip(files, (80.0, 100.0), strict=True):
+        write_hit(file, peak)
+    recording, notes = import_recording(files, hammer_scene(), tmp_path / "r.mcap")
+    with recording:
+        hits = [marker for marker in recording.markers if marker.kind == "hit"]
+        assert [round(hit.fields["peak"]) for hit in hits] == [80, 100]
+        assert {marker.first_sample for marker in recording.markers if marker.kind == "lost"} == {2048}
+    assert any("2 files with the same signals are joined as hits of one test" in note for note in notes)
+
+
+def test_joined_files_have_one_rate(tmp_path):
+    write_hit(tmp_path / "a.csv", 80.0)
+    write_hit(tmp_path / "b.csv", 90.0, 1024.0)
+    with pytest.raises(RecordingError, match=r"'hit' has the rate 1024\.0, and 2048\.0 in a\.csv"):
+        daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], hammer_scene(), tmp_path / "r.mcap")

@@ -5,9 +5,13 @@ from __future__ import annotations
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import analysis
+import daq
+import rig
+from daq.extras.importing.channel_table import Column
 from daq.extras.importing.files import signals_of
 from rig.core.base.errors import RecordingError
 
@@ -60,3 +64,18 @@ def test_array_of_responses_is_read() -> None:
 
 def test_response_with_foreign_heading_is_read() -> None:
     assert analysis.read_frfs(file_of("non_ascii_header.uff")).frequency.size == 5
+
+
+def test_measured_hits_give_their_peaks(tmp_path: Path) -> None:
+    scene = rig.loads(
+        "structure: {masses: [1 kg], springs: [1 MN/m], damping: {dashpots: [20 N s/m]}}\n"
+        "test: {kind: impulse, body: 1, peak: 100 N, width: 0.2 ms}\n"
+        "channels: [{name: force, at: hammer}, {name: tip, at: body 1}]\n"
+    )
+    table = {"force": Column("array(2)", unit="N"), "tip": Column("array(3)", unit="m/s^2")}
+    files = [file_of(f"m{number}.npy") for number in range(1, 6)]
+    frf = analysis.frfs(daq.import_files(files, scene, tmp_path / "hits.mcap", table=table))["tip"]
+    for peak in (810.0, 900.0, 2640.0):
+        band = frf.band(peak - 20.0, peak + 20.0)
+        spacing = np.diff(band.frequency).max()
+        assert abs(band.frequency[abs(band.value).argmax()] - peak) <= spacing

@@ -1,0 +1,59 @@
+"""Files of one hammer hit each, joined to one test: lost samples separate the hits, as the time between is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq.extras.importing.signal import Signal
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+
+#: Number of lost samples between two files.
+GAP = 16
+
+
+def are_repetitions(files: Sequence[Sequence[Signal]]) -> bool:
+    """Return whether several files contain signals of the same names, in the same order."""
+    names = [[signal.name for signal in signals] for signals in files]
+    return len(files) > 1 and all(other == names[0] for other in names[1:])
+
+
+def join_repetitions(files: Sequence[Sequence[Signal]]) -> list[Signal]:
+    """Join the signals of the same name, one file after another.
+
+    Raises `RecordingError` if the files differ in sample rate or unit.
+    """
+    return [_join(signals) for signals in zip(*files, strict=True)]
+
+
+def _join(signals: Sequence[Signal]) -> Signal:
+    first = signals[0]
+    for other in signals[1:]:
+        for what, expected, found in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
+            if found != expected:
+                raise RecordingError(
+                    f"{other.file}: {other.name!r} has the {what} {found or 'none'}, and {expected or 'none'} in "
+                    f"{first.file}. Files of one test have the same rate and units: import the others separately."
+                )
+    sizes = np.array([signal.samples for signal in signals])
+    starts = np.cumsum([0, *(sizes[:-1] + GAP)])
+
+    def read(start: int, stop: int) -> Array:
+        values = np.full(stop - start, np.nan)
+        for signal, position in zip(signals, starts.tolist(), strict=True):
+            begin, end = max(start, position), min(stop, position + signal.samples)
+            if begin < end:
+                values[begin - start : end - start] = signal.read(begin - position, end - position)
+        return values
+
+    full_scales = {signal.full_scale for signal in signals}
+    return replace(
+        first,
+        file=", ".join(signal.file for signal in signals),
+        samples=int(starts[-1] + sizes[-1]),
+        read=read,
+        full_scale=first.full_scale if len(full_scales) == 1 else None,
+    )

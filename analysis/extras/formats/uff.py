@@ -33,7 +33,7 @@ def write_uff(segment: Slice, path: Path) -> None:
             f"segment has {count}. Choose another segment (--from, --to), or export an .npz file."
         )
     recording = segment.recording
-    file = universal_file(path)
+    file = universal_file(path, recording.scene.name, [info.body for info in segment.infos])
     for number, info in enumerate(segment.infos, start=1):
         data = segment.read_channel(info.name)
         write_set(
@@ -60,7 +60,7 @@ def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
 
     The largest element of each shape is scaled to 1.
     """
-    file = universal_file(path)
+    file = universal_file(path, modes.label, nodes)
     for number, (pole, shape) in enumerate(zip(modes.poles, modes.shapes.T, strict=True), start=1):
         zeros = np.zeros(shape.size, dtype=complex)
         damping = 100.0 * modes.damping[number - 1]

@@ -500,9 +500,9 @@ class Response(Result, Sequence["Response"]):
                 f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. Choose "
                 "another format, such as CSV."
             )
-        file = universal_file(Path(path))
         if nodes is None:
             nodes = [_node(point.place, k) for k, point in enumerate(self.outputs, 1)]
+        file = universal_file(Path(path), self.label, [*nodes, *driven])
         node_pairs = [(node, force_node) for node in nodes for force_node in driven]
         for count, (curve, (node, force_node)) in enumerate(zip(self.sorted().curves(), node_pairs, strict=True), 1):
             write_curve(

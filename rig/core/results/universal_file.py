@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -65,13 +66,29 @@ def write_curve(
             write_set(file, {**fields, "func_type": GENERAL, "func_id": number, "id1": line, "data": column})
 
 
-def universal_file(path: Path) -> Any:
-    """Open a file for `write_set`."""
+def universal_file(path: Path, title: str, nodes: Iterable[int]) -> Any:
+    """Open a new file for `write_set`, with title (151), units (164, SI), nodes (15) and the line through them (82).
+
+    The nodes of bodies lie on the axis Z at their numbers, because a scene has no coordinates. Node 0, for table and
+    hammer, is left out. The dates are constant, so that equal results give equal files.
+    """
     try:
         import pyuff
     except ImportError:
         raise RunError("UFF files: pyuff is not installed. Run pip install 'shotrig[export]'.") from None
-    return pyuff.UFF(str(path))
+    file = pyuff.UFF(str(path))
+    names = {"model_name": text_line(title), "description": "NONE", "db_app": "shotrig", "program": "shotrig"}
+    dates = dict.fromkeys(("date_db_created", "date_db_saved", "date_file_written"), "01-Jan-80")
+    times = dict.fromkeys(("time_db_created", "time_db_saved", "time_file_written"), "00:00:00")
+    write_set(file, {"type": 151, **names, **dates, **times})
+    si = {"units_code": 1, "units_description": "SI: m, N, s"}
+    write_set(file, {"type": 164, **si, "temp_mode": 1, "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 0.0})
+    bodies = np.array(sorted({node for node in nodes if node > 0}))
+    if bodies.size:
+        origin = np.zeros(bodies.size)
+        write_set(file, {"type": 15, "node_nums": bodies, "x": origin, "y": origin, "z": bodies.astype(float)})
+        write_set(file, {"type": 82, "trace_num": 1, "id": "bodies", "nodes": bodies})
+    return file
 
 
 def write_set(file: Any, data: dict[str, Any]) -> None:

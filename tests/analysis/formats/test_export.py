@@ -31,6 +31,11 @@ from tests.daq.recording.test_validation import rewrite
 SAMPLES = 5000
 
 
+def sets_of(path, kind):
+    """Return the data sets of a type in a Universal File."""
+    return [data_set for data_set in pyuff.UFF(str(path)).read_sets() if data_set["type"] == kind]
+
+
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     path = write_recording(tmp_path_factory.mktemp("export") / "a.mcap", random_volts(SAMPLES))
@@ -98,7 +103,7 @@ def test_silent_wav_stays_silent(tmp_path):
 
 def test_uff_is_read_by_pyuff(recording, tmp_path):
     export(Slice.of(recording, None, 0.25, 1.25), tmp_path / "a.uff")
-    sets = pyuff.UFF(str(tmp_path / "a.uff")).read_sets()
+    sets = sets_of(tmp_path / "a.uff", 58)
     assert [data_set["type"] for data_set in sets] == [58, 58]
     assert [data_set["func_type"] for data_set in sets] == [1, 1]  # time response
     assert [data_set["rsp_node"] for data_set in sets] == [1, 2]
@@ -118,7 +123,7 @@ def test_line_break_in_name_is_replaced(recording, tmp_path):
     shutil.copy(recording.path, path)
     with daq.open(path) as opened:
         export(Slice.of(opened), tmp_path / "a.uff")
-    assert {data_set["id2"] for data_set in pyuff.UFF(str(tmp_path / "a.uff")).read_sets()} == {r"from a b\udcff.mcap"}
+    assert {data_set["id2"] for data_set in sets_of(tmp_path / "a.uff", 58)} == {r"from a b\udcff.mcap"}
 
 
 def test_series_follow_sep005_rules(recording):
@@ -244,7 +249,7 @@ def test_existing_file_needs_overwrite(recording, tmp_path):
         export(Slice.of(recording), path)
     assert path.read_text(encoding="utf-8") == "precious"
     export(Slice.of(recording), path, overwrite=True)
-    assert len(pyuff.UFF(str(path)).read_sets()) == 2
+    assert len(sets_of(path, 58)) == 2
 
 
 def test_target_folder_is_reported(recording, tmp_path):
@@ -318,8 +323,8 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     read_back = analysis.read_frfs(tmp_path / "frfs.uff")
     order = np.argsort(curves["body3"].frequency)
     np.testing.assert_allclose(read_back["body3"].value, curves["body3"].value[order], rtol=1e-10)
-    assert pyuff.UFF(str(tmp_path / "frfs.uff")).read_sets(0)["ref_node"] == 1
-    sets = pyuff.UFF(str(tmp_path / "modes.uff")).read_sets()
+    assert sets_of(tmp_path / "frfs.uff", 58)[0]["ref_node"] == 1
+    sets = sets_of(tmp_path / "modes.uff", 55)
     np.testing.assert_allclose([abs(data_set["eig"]) / (2 * np.pi) for data_set in sets], modes.frequency, rtol=1e-5)
     np.testing.assert_allclose(sets[0]["r3"], modes.shapes[:, 0], atol=1e-5)
     assert sets[0]["node_nums"].tolist() == [1, 2, 3]
@@ -347,3 +352,13 @@ def test_csv_has_no_formulas(tmp_path, name):
     # Import reads the original name.
     with contextlib.ExitStack() as stack:
         assert [signal.name for signal in signals_of(tmp_path / "a.csv", stack)] == [name, "body2"]
+
+
+def test_universal_file_states_units_and_geometry(recording, tmp_path):
+    export(Slice.of(recording), tmp_path / "a.uff")
+    path = tmp_path / "a.uff"
+    assert [data_set["type"] for data_set in pyuff.UFF(str(path)).read_sets()][:4] == [151, 164, 15, 82]
+    (units,), (nodes,), (line,) = (sets_of(path, kind) for kind in (164, 15, 82))
+    assert (units["units_code"], units["length"], units["force"]) == (1, 1.0, 1.0)
+    bodies = sorted({info.body for info in recording.channels.values() if info.body})
+    assert list(nodes["node_nums"]) == list(nodes["z"]) == list(line["nodes"]) == bodies

@@ -187,7 +187,7 @@ def test_exact_response_has_no_uncertainty() -> None:
 def test_universal_file_has_each_element(tmp_path) -> None:
     uff = pytest.importorskip("pyuff")
     path = matrix().to_uff(tmp_path / "a.uff", driven=[1, 3])
-    sets = [data for data in uff.UFF(str(path)).read_sets() if data["func_type"] == 4]
+    sets = [data for data in uff.UFF(str(path)).read_sets() if data.get("func_type") == 4]
     assert [(int(data["rsp_node"]), int(data["ref_node"])) for data in sets] == [
         (1, 1), (1, 3), (2, 1), (2, 3), (3, 1), (3, 3),
     ]  # fmt: skip

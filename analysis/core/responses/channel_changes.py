@@ -31,6 +31,10 @@ _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
 # Number of sections of a random test.
 _SECTIONS = 16
+# Of a test with more parts, at most this number is evaluated, at equal distances.
+_MAX_PARTS = 256
+# Maximum number of values of the spectra of all parts in memory, if at least `_SECTIONS` parts remain.
+_MAX_VALUES = 1 << 22
 # A step is reported if it exceeds this fraction of the larger gain ...
 _MIN_CHANGE = 0.1
 # ... and is exceeded by scatter with at most this probability (Student's t distribution).
@@ -122,8 +126,9 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
     in_band = (frequency >= max(parts.low, frequency[1])) & (frequency <= parts.high)
     window = np.ones(parts.samples) if parts.is_periodic else scipy.signal.windows.hann(parts.samples, sym=False)
     overloads = [marker for marker in rec.overloads if marker.fields.get("channel") in names]
+    max_parts = min(max(_MAX_VALUES // (len(names) * max(int(in_band.sum()), 1)), _SECTIONS), _MAX_PARTS)
     clean, spectra = [], []
-    for start in parts.starts.tolist():
+    for start in parts.starts[:: -(-parts.starts.size // max_parts) or 1].tolist():  # rounded up
         stop = start + parts.samples
         is_flawed = any(marker.first_sample < stop and marker.stop > start for marker in overloads)
         if is_flawed or start < 0 or stop > rec.samples:

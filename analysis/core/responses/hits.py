@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,6 +38,8 @@ _MIN_MARKED_RATIO = 0.5
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0
+# Maximum number of samples after a hit in which rebounds and unmarked hits are detected.
+_MAX_SCAN_SAMPLES = 1 << 20
 # The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
 # Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
@@ -81,7 +84,7 @@ class Hits:
             )
         unmarked, complete_hits = [], []
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
-            force = rec.read(channel, begin, stop)
+            force = rec.read(channel, begin, min(stop, begin + _MAX_SCAN_SAMPLES))
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
             marked = float(np.nanmax(force[: end - begin + 1], initial=0.0))
@@ -101,7 +104,8 @@ class Hits:
 
     def inside(self, start: int, stop: int) -> list[tuple[int, int]]:
         """List the hits that lie completely within a segment."""
-        return [(begin, end) for begin, end in self.arrivals if begin >= start and end < stop]
+        first, last = (bisect_left(self.arrivals, (sample,)) for sample in (start, stop))
+        return [(begin, end) for begin, end in self.arrivals[first:last] if end < stop]
 
     def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
         """Estimate the largest motion or drift before the first hit of a segment, relative to the response to the hit.
@@ -111,7 +115,7 @@ class Hits:
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
-        if begin - first < 4 or any(other < begin for other, _ in self.arrivals):
+        if begin - first < 4 or self.arrivals[0][0] < begin:
             return np.inf
         # A shorter interval shows only a part of a slow motion.
         largest, visible_ratio = 0.0, min(1.0, (begin - first) / (PRE_HIT_S * rec.rate))
@@ -187,8 +191,7 @@ class Hits:
         rec: Recording,
         names: Sequence[str],
         segments: Sequence[tuple[int, int]],
-        blocks: Sequence[Array],
-        spectra: Sequence[ComplexArray],
+        readings: Iterable[tuple[Array, ComplexArray]],
         lines: NDArray[np.int64],
         half_width: int,
     ) -> Array:
@@ -200,24 +203,25 @@ class Hits:
         reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings of too
         few counts to be rounded again.
 
-        `blocks`, `spectra`: readings and their spectra for each of `segments`; `lines`: bins of the result;
+        `readings`: readings and their spectra for each of `segments`; `lines`: bins of the result;
         `half_width`: bins on either side of a line that a local fit uses.
         """
         steps = quantization_steps(rec, names)[:, None]
         step = np.where(steps > 0.0, steps, 1.0)
-        n_samples = 2 * (spectra[0].shape[1] - 1)
-        # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
-        n_after_hit = int(n_samples * (ORDER + 1) / half_width)
-        power = np.sum([abs(spectrum) ** 2 for spectrum in spectra], axis=0)
-        errors, noise, max_counts = np.zeros((len(_COARSER_CONVERTERS), *power.shape)), [], np.zeros(steps.shape)
-        for block, (start, stop) in zip(blocks, segments, strict=True):
+        errors, noise, max_counts = [np.zeros((1, 1)) for _ in _COARSER_CONVERTERS], [], np.zeros(steps.shape)
+        power = np.zeros((1, 1))
+        for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
+            power = power + abs(spectra) ** 2
+            n_samples = 2 * (spectra.shape[1] - 1)
+            # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
+            n_after_hit = int(n_samples * (ORDER + 1) / half_width)
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 counts = np.rint(block[:, first : first + n_after_hit] / step)
                 max_counts = np.maximum(max_counts, abs(counts).max(axis=1, keepdims=True))
-                for error, (coarse_step, ratio) in zip(errors, _COARSER_CONVERTERS, strict=True):
+                for k, (coarse_step, ratio) in enumerate(_COARSER_CONVERTERS):
                     added_rounding = coarse_step * np.rint(counts / coarse_step) - counts
-                    error += abs(fft.rfft(added_rounding, n_samples, axis=1)) ** 2 / ratio
+                    errors[k] = errors[k] + abs(fft.rfft(added_rounding, n_samples, axis=1)) ** 2 / ratio
                 before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
@@ -226,10 +230,12 @@ class Hits:
         # because the power in peaks of the response differs from the power in its valleys.
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
-        errors = scipy.ndimage.uniform_filter1d(errors, half_width, axis=2, mode="nearest").max(axis=0)
+        mean_errors = np.max(
+            [scipy.ndimage.uniform_filter1d(error, half_width, axis=1, mode="nearest") for error in errors], axis=0
+        )
         with np.errstate(divide="ignore", invalid="ignore"):
             # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
-            gain_error = (step * np.sqrt(3.0 * errors / mean_power))[:, lines]
+            gain_error = (step * np.sqrt(3.0 * mean_errors / mean_power))[:, lines]
         gain_error = np.where((max_counts < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
         gain_error = np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf)
         return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))

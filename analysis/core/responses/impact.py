@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import fft
 
+from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.channel_changes import Parts
 from analysis.core.responses.clean_segments import describe_flaws, remedy
 from analysis.core.responses.estimator import Blocks, Estimator, Request
@@ -16,6 +17,7 @@ from analysis.core.responses.estimators import AveragedSpectra, block_spectra, n
 from analysis.core.responses.hits import Hits
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
@@ -81,17 +83,25 @@ def averaged_spectra(
             "leakage."
         )
     segments = [(start, start + block_samples) for start in starts]
-    blocks = [np.stack([rec.read(name, *bounds) for name in channels]) for bounds in segments]
-    blocks = [np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True)) for block in blocks]
-    spectra = [fft.rfft(block, axis=1) for block in blocks]
     lines = np.rint(averaged.spectra.frequency * block_samples / rec.rate).astype(np.int64)
     return replace(
         averaged.spectra,
         resolution=noise_bandwidth_bins(weights) * rec.rate / block_samples if has_leakage else 0.0,
         warnings=tuple(notes),
-        rounding_gain_error=hits.rounding_gain_error(rec, channels, segments, blocks, spectra, lines, FIT_HALF_WIDTH),
+        rounding_gain_error=hits.rounding_gain_error(
+            rec, channels, segments, _readings(rec, channels, segments), lines, FIT_HALF_WIDTH
+        ),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,
     )
+
+
+def _readings(
+    rec: Recording, channels: Sequence[str], segments: Sequence[tuple[int, int]]
+) -> Iterator[tuple[Array, ComplexArray]]:
+    """Yield the readings of each segment, minus their mean, and their spectra."""
+    for block in read_slices(rec, channels, segments):
+        readings = np.nan_to_num(block - np.nanmean(block, axis=1, keepdims=True))
+        yield readings, fft.rfft(readings, axis=1)
 
 
 def _compute(request: Request) -> list[Response]:

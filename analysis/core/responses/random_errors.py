@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -135,29 +134,6 @@ class LocalErrors:
         names = ("bin_weights", "residual", "fitted_response", "common_error")
         return replace(self, **{name: getattr(self, name)[:, elements] for name in names})
 
-    def scaled(self, factor: ComplexArray) -> LocalErrors:
-        """Multiply by a factor at each line."""
-        bin_weights, common_error = self.bin_weights * factor[:, None, None, None], self.common_error * factor[:, None]
-        return replace(self, bin_weights=bin_weights, common_error=common_error)
-
-    def joined(self, others: Sequence[RandomErrors]) -> LocalErrors | None:
-        """Join the errors of these and other elements."""
-        same = [
-            errors
-            for errors in (self, *others)
-            if isinstance(errors, LocalErrors)
-            and np.array_equal(errors.first_bin, self.first_bin)
-            and errors.residual.shape == self.residual.shape
-            and np.array_equal(errors.reference_power, self.reference_power, equal_nan=True)
-        ]
-        if len(same) <= len(others):
-            return None
-        names = ("bin_weights", "residual", "fitted_response", "common_error")
-        parts: dict[str, Any] = {
-            name: np.concatenate([getattr(errors, name) for errors in same], axis=1) for name in names
-        }
-        return replace(self, **parts, has_single_reference=all(errors.has_single_reference for errors in same))
-
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
         n_lines, elements = self.common_error.shape
@@ -198,6 +174,82 @@ class LocalErrors:
             scale = np.sqrt(np.maximum(1.0, stated_ratio))
             covariance = covariance * scale[:, :, None] * scale[:, None]
         return LocalCovariance(_add_uncorrelated(covariance), shared, self, bin_covariance, reference_ratio)
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """Selected lines and elements of the errors of local fits.
+
+    The arrays of the fits are large. Selections, scaled responses and joined responses share them; only `covariance`
+    makes copies.
+    """
+
+    elements: tuple[LocalErrors, ...]  # errors of one element each, at all lines of the fits
+    lines: NDArray[np.intp]  # selected lines
+    factors: tuple[ComplexArray, ...]  # factor of each element at each selected line; shape (lines,)
+
+    @classmethod
+    def of(cls, errors: LocalErrors) -> SharedErrors:
+        """Select all lines of the errors of one element."""
+        n_lines = len(errors.first_bin)
+        return cls((errors,), np.arange(n_lines), (np.ones(n_lines, dtype=complex),))
+
+    def at(self, lines: Lines) -> SharedErrors:
+        """Select some lines."""
+        return replace(self, lines=self.lines[lines], factors=tuple(factor[lines] for factor in self.factors))
+
+    def select(self, elements: Sequence[int]) -> SharedErrors:
+        """Select some elements."""
+        return replace(
+            self,
+            elements=tuple(self.elements[k] for k in elements),
+            factors=tuple(self.factors[k] for k in elements),
+        )
+
+    def scaled(self, factor: ComplexArray) -> SharedErrors:
+        """Multiply by a factor at each line."""
+        return replace(self, factors=tuple(other * factor for other in self.factors))
+
+    def joined(self, others: Sequence[RandomErrors]) -> SharedErrors | None:
+        """Join the errors of these and other elements; None if their bins or references differ."""
+        same = [self]
+        for errors in others:
+            if not isinstance(errors, SharedErrors) or not self._has_same_bins(errors):
+                return None
+            same.append(errors)
+        return replace(
+            self,
+            elements=tuple(element for errors in same for element in errors.elements),
+            factors=tuple(factor for errors in same for factor in errors.factors),
+        )
+
+    def _has_same_bins(self, other: SharedErrors) -> bool:
+        first, second = self.elements[0], other.elements[0]
+        return (
+            first.residual.shape == second.residual.shape
+            and np.array_equal(self.lines, other.lines)
+            and np.array_equal(first.first_bin, second.first_bin)
+            and np.array_equal(first.reference_power, second.reference_power, equal_nan=True)
+        )
+
+    def covariance(self, error: Array, shared: float) -> LocalCovariance:
+        """Estimate the covariance over elements and lines, from the residuals around each line."""
+        factors = np.stack(self.factors, axis=1)
+
+        def join(name: str) -> ComplexArray:
+            return np.concatenate([getattr(errors, name)[self.lines] for errors in self.elements], axis=1)
+
+        errors = replace(
+            self.elements[0],
+            bin_weights=join("bin_weights") * factors[..., None, None],
+            first_bin=self.elements[0].first_bin[self.lines],
+            residual=join("residual"),
+            fitted_response=join("fitted_response"),
+            reference_power=self.elements[0].reference_power[self.lines],
+            has_single_reference=all(errors.has_single_reference for errors in self.elements),
+            common_error=join("common_error") * factors,
+        )
+        return errors.covariance(error, shared)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ are acceptable.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,14 +20,17 @@ from scipy import fft
 
 from analysis.core.responses.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
 from analysis.core.responses.force_pulse import high_pass_response
+from analysis.core.responses.hits import PRE_HIT_S
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
 from analysis.core.responses.measurands import motion_of, reference_of, response_channels
 from analysis.core.responses.systematic import noise_gain_error, power_in_counts
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.results.uncertainty import UncertaintyBudget
 
 if TYPE_CHECKING:
     from analysis.core.responses.clean_segments import Flaw
@@ -42,8 +46,12 @@ _MIN_LENGTH_RATIO = 0.25
 _MIN_BURST_RATIO = 0.5
 # Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
-# Maximum number of samples of all channels in segments with hits; with their spectra they need just under a gigabyte.
-_MAX_VALUES = 14_000_000
+# Maximum number of hits of one local fit. More hits are fitted in groups, whose responses are averaged.
+_MAX_HITS = 24
+# Maximum number of hits of a group times responses: the residuals of all responses remain in memory, 1.2 MB each.
+_MAX_RESIDUALS = 192
+# Maximum number of samples of a group of hits; the spectra of a response and of the force need 0.5 GB.
+_MAX_SAMPLES = 3 << 20
 #: Name of the systematic error due to motion before a hit.
 MOTION_BEFORE = "motion before the hit"
 # This motion causes a warning if its amplitude exceeds this fraction of the response to the hit.
@@ -66,34 +74,42 @@ class SegmentFits:
     bursts: tuple[int, int] | None = None
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
-    # stored spectra, and motion before the hits of each segment, by channels
-    stored: dict[tuple[str, ...], tuple[LocalSpectra, list[float]]] = field(default_factory=dict)
+    # spectra of random tests by channels, because all responses use the same spectra
+    stored: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate the frequency response with coherence, random and systematic errors."""
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
-        names, noise = self.channels, None
-        if self.hits is not None:
-            # The channels of each response determine whether the rig was at rest before its hits.
-            names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
-        spectra, prior_motion, segments, notes = self.prepare(rec, names, denominator.channels)
-        if self.hits is not None:
-            noise = self.hits.force_noise(rec, segments, spectra.frequency[spectra.lines])
-        frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, (*self.warnings, *notes), noise)
-        return _with_motion_before(frf, prior_motion)
+        segments, notes = self.usable_segments(rec, denominator.channels)
+        warnings = (*self.warnings, *notes)
+        if self.hits is None:
+            spectra = self.spectra(rec, self.channels, segments)
+            return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings)
+        # The channels of each response determine whether the rig was at rest before its hits.
+        names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
+        longest = max(stop - start for start, stop in segments)
+        curves: list[Response] = []
+        for group in self._groups(segments):
+            prior_motion = [self.hits.prior_motion(rec, names, *bounds) for bounds in group]
+            spectra = self._spectra(rec, names, group, prior_motion, longest)
+            noise = self.hits.force_noise(rec, group, spectra.frequency[spectra.lines])
+            frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, noise)
+            frf = _with_motion_before(frf, prior_motion)
+            # The arrays of the errors are large; those of the first group represent all groups.
+            curves.append(replace(frf, uncertainty=replace(frf.uncertainty, errors=None)) if curves else frf)
+        return _average(curves)
 
-    def prepare(
-        self, rec: Recording, names: tuple[str, ...], references: Sequence[str]
-    ) -> tuple[LocalSpectra, list[float], list[tuple[int, int]], list[str]]:
-        """Return spectra of the channels `names`, motion before the hits of each segment, the segments, and notes.
+    def usable_segments(self, rec: Recording, references: Sequence[str]) -> tuple[list[tuple[int, int]], list[str]]:
+        """Return the segments that are fitted, and notes on those that are left out.
 
         `references`: channels of the reference, without which no response can be estimated.
         """
         all_flaws = find_flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
-        segments, memory_notes = self._limit_memory(segments, rec.rate)
-        notes += memory_notes
+        if self.hits is not None:
+            segments, split_notes = self._split_at_hits(segments, rec.rate)
+            notes += split_notes
         if all_flaws:
             used_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
             notes.insert(
@@ -108,12 +124,13 @@ class SegmentFits:
             elif others and not flawed & set(references):
                 advice += f", or use only the other channels: --response {' --response '.join(others)}"
             raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
+        return segments, notes
+
+    def spectra(self, rec: Recording, names: tuple[str, ...], segments: Sequence[tuple[int, int]]) -> LocalSpectra:
+        """Return the spectra of channels of a test without hits."""
         if names not in self.stored:
-            prior_motion = []
-            if self.hits is not None:
-                prior_motion = [self.hits.prior_motion(rec, names, *bounds) for bounds in segments]
-            self.stored[names] = self._spectra(rec, names, segments, prior_motion), prior_motion
-        return *self.stored[names], segments, notes
+            self.stored[names] = self._spectra(rec, names, segments, [], max(stop - start for start, stop in segments))
+        return self.stored[names]
 
     def _sufficient_segments(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
@@ -143,40 +160,71 @@ class SegmentFits:
             return [], [f"The longest usable segment lasts only {longest / rec.rate:.3g} s."]
         return selected, []
 
-    def _limit_memory(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
-        """Select the first hits that fit into memory; random tests are read in pieces."""
-        if self.hits is None:
+    @property
+    def _max_hits(self) -> int:
+        """Return the maximum number of hits that are fitted at once; the last channel is the force."""
+        return min(max(_MAX_RESIDUALS // max(len(self.channels) - 1, 1), 1), _MAX_HITS)
+
+    def _split_at_hits(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
+        """Split segments before hits, so that no segment has more hits or samples than can be fitted at once.
+
+        The vibration that remains from earlier hits is a transient of the fit.
+        """
+        assert self.hits is not None
+        hits = self.hits
+        count = sum(len(hits.inside(*segment)) for segment in segments)
+        if count <= self._max_hits and sum(stop - start for start, stop in segments) <= _MAX_SAMPLES:
             return segments, []
-        free_samples, selected = _MAX_VALUES // len(self.channels), []
-        for segment in segments:
-            start, stop = segment
-            if stop - start > free_samples:
-                start = max(start, self.hits.inside(*segment)[0][0] - free_samples // 4)
-                begins = [begin for begin, _ in self.hits.inside(start, stop)[1:] if begin - start <= free_samples]
-                # The segment ends before a hit, or within the response to its only hit.
-                stop = begins[-1] if begins else min(stop, start + free_samples)
-            if not self.hits.inside(start, stop):
-                break
-            selected.append((start, stop))
-            free_samples -= stop - start
-            if selected[-1] != segment:
-                break
-        if selected == segments or not selected:
-            return segments, []
-        used, total = (sum(len(self.hits.inside(*bounds)) for bounds in chosen) for chosen in (selected, segments))
-        return selected, [
-            f"Only {used} of {total} hits are used, those before {selected[-1][1] / rate:.4g} s, because all hits need "
-            "more than a gigabyte of memory. Record at a lower rate or with a shorter interval between hits."
-        ]
+        # The groups have nearly equal numbers of hits, because their responses have equal weight.
+        max_hits = -(-count // -(-count // self._max_hits))  # both rounded up
+        n_before = min(int(PRE_HIT_S * rate), hits.interval // 2)
+        parts, is_cut = [], False
+        for start, stop in segments:
+            begins = [begin for begin, _ in hits.inside(start, stop)]
+            edges, n_hits = [start], 0
+            for begin, end in pairwise([*(begin - n_before for begin in begins), stop]):
+                if n_hits and (n_hits == max_hits or end - edges[-1] > _MAX_SAMPLES):
+                    edges.append(begin)
+                    n_hits = 0
+                n_hits += 1
+            for first, last in pairwise([*edges, stop]):
+                # Only a segment with a single hit can be longer.
+                if last - first > _MAX_SAMPLES:
+                    is_cut, first = True, max(first, hits.inside(first, last)[0][0] - _MAX_SAMPLES // 4)
+                parts.append((first, min(last, first + _MAX_SAMPLES)))
+        note = (
+            f"Of the response to a hit, at most {_MAX_SAMPLES / rate:.4g} s are used, because more needs a gigabyte of "
+            "memory. Record at a lower rate to use more."
+        )
+        return parts, [note] if is_cut else []
+
+    def _groups(self, segments: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+        """Join segments with hits to groups that are fitted at once."""
+        assert self.hits is not None
+        groups: list[list[tuple[int, int]]] = []
+        n_hits = n_samples = 0
+        for start, stop in segments:
+            count = len(self.hits.inside(start, stop))
+            n_hits, n_samples = n_hits + count, n_samples + stop - start
+            if not groups or n_hits > self._max_hits or n_samples > _MAX_SAMPLES:
+                groups.append([])
+                n_hits, n_samples = count, stop - start
+            groups[-1].append((start, stop))
+        return groups
 
     def _spectra(
-        self, rec: Recording, names: Sequence[str], segments: Sequence[tuple[int, int]], prior_motion: Sequence[float]
+        self,
+        rec: Recording,
+        names: Sequence[str],
+        segments: Sequence[tuple[int, int]],
+        prior_motion: Sequence[float],
+        longest: int,
     ) -> LocalSpectra:
-        """Compute the spectra of all segments, each segment padded with zeros to the length of the longest."""
+        """Compute the spectra of segments, each padded with zeros to the length of the longest of the test."""
         # The transform is periodic: zeros separate the vibration at the end of a segment from the response to its hit.
-        leading_zeros = 0 if self.hits is None else self.hits.interval
+        leading_zeros = 0 if self.hits is None else min(self.hits.interval, longest)
         # The length does not depend on motion before the hits, so that all responses have the same lines.
-        size = fft.next_fast_len(max(stop - start for start, stop in segments) + leading_zeros, real=True)
+        size = fft.next_fast_len(longest + leading_zeros, real=True)
         # The spectrum of periodic hits is a comb: it has no excitation between its lines.
         lines_per_comb_line = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
         lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_comb_line))
@@ -212,7 +260,9 @@ class SegmentFits:
                 spectra[names.index(self.hits.channel)] *= high_pass
             inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
             jitter = jitter_factor(rec, names, inside, size, half_width)
-            gain_error = self.hits.rounding_gain_error(rec, names, segments, blocks, channel_spectra, lines, half_width)
+            gain_error = self.hits.rounding_gain_error(
+                rec, names, segments, zip(blocks, channel_spectra, strict=True), lines, half_width
+            )
         start_phases = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
         end_phases = np.where(np.array(at_rest)[:, None], 0.0, start_phases)
         frequency = bins * (rec.rate / size)
@@ -241,6 +291,35 @@ class SegmentFits:
                 f"{self.low:.4g} and {self.high:.4g} Hz. Record longer."
             )
         return np.arange(first, last + 1, -(-(last - first) // _MAX_LINES))  # rounded up
+
+
+def _average(curves: Sequence[Response]) -> Response:
+    """Average the responses of groups of hits, whose random errors are independent."""
+    first, count = curves[0], len(curves)
+    if count == 1:
+        return first
+    budgets = [curve.uncertainty for curve in curves]
+    error = np.linalg.norm([curve.error for curve in curves], axis=0) / count
+    degrees = np.sum([curve.degrees for curve in curves], axis=0)
+    limits: dict[str, Array] = {}
+    sources: dict[str, dict[str, ComplexArray]] = {}
+    for cause in (cause for budget in budgets for cause in budget.contributions if cause.evaluation == "B"):
+        limits[cause.name] = limits.get(cause.name, 0.0) + cause.deviation / count
+        for changes in cause.sources:
+            total = sources.setdefault(cause.name, {})
+            for source, change in changes.items():
+                total[source] = total.get(source, 0.0) + change / count
+    budget = first.uncertainty
+    errors = None if budget.errors is None else budget.errors.scaled(np.full(error.size, count**-0.5, dtype=complex))
+    return replace(
+        first,
+        value=np.mean([curve.value for curve in curves], axis=0),
+        uncertainty=UncertaintyBudget.of(
+            error, degrees, limits, sources, errors=errors, shared=budget.shared, clock=budget.clock, scale=budget.scale
+        ),
+        coherence=np.mean([curve.coherence for curve in curves], axis=0),
+        warnings=tuple(dict.fromkeys(text for curve in curves for text in curve.warnings)),
+    )
 
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:

@@ -280,7 +280,8 @@ def _from_local_fits(
     """Estimate by the local rational method with one numerator for each input."""
     channels = tuple(dict.fromkeys([*names, *(point.name for point in inputs)]))
     fits = random.segment_fits(rec, marker, channels)
-    spectra, _, _, notes = fits.prepare(rec, channels, [point.name for point in inputs])
+    segments, notes = fits.usable_segments(rec, [point.name for point in inputs])
+    spectra = fits.spectra(rec, channels, segments)
     frequency = spectra.frequency[spectra.lines]
     forces = np.stack([spectra.spectrum(rec, Measurand((point.name,), (1.0,), "force")) for point in inputs])
     shape = frequency.size, len(names), len(inputs)

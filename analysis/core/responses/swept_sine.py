@@ -20,7 +20,7 @@ from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.measurands import motion_of, reference_of
-from analysis.core.responses.random_errors import LocalErrors
+from analysis.core.responses.random_errors import SharedErrors
 from analysis.core.responses.segment_fits import warn_of_dampers
 from analysis.core.responses.systematic import (
     UNSETTLED,
@@ -79,9 +79,11 @@ class SweptTone:
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings)
         budget = frf.uncertainty
-        assert isinstance(budget.errors, LocalErrors)
+        assert isinstance(budget.errors, SharedErrors)
         # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
-        errors = replace(budget.errors, has_single_reference=False, shared=self.shared)
+        (fit_errors,) = budget.errors.elements
+        fit_errors = replace(fit_errors, has_single_reference=False, shared=self.shared)
+        errors = replace(budget.errors, elements=(fit_errors,))
         frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.left_out)
         if not warn_of_dampers(rec):
             return frf

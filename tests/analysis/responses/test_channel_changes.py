@@ -9,6 +9,7 @@ import pytest
 
 import analysis
 import daq
+from analysis.core.responses import channel_changes
 from tests.analysis.responses import synthetic
 
 SECONDS = 40.0
@@ -53,6 +54,14 @@ def test_changed_channel_among_hits_is_named(tmp_path):
     first = 640 + 3 * round(6.0 * synthetic.RATE) - 400
     [warning] = warnings_with_gain(path, tmp_path, ["body1"], 1.5, first)
     assert warning.startswith("body1: its gain changes by a factor of 1.5 at about 18")
+
+
+def test_number_of_evaluated_parts_is_limited(tmp_path, monkeypatch):
+    monkeypatch.setattr(channel_changes, "_MAX_PARTS", 5)
+    parts = channel_changes.Parts(np.arange(0, 20_000, 1000), 1000, 5.0, 60.0)
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=8)) as rec:
+        clean, spectra = channel_changes._spectra(rec, parts, list(rec.channels))
+    assert clean == [0, 4000, 8000, 12000, 16000] and len(spectra) == 5
 
 
 def test_change_of_several_channels_is_not_reported(random_test, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -11,6 +12,7 @@ import analysis
 import daq
 import rig
 from analysis.core.responses.hits import Hits
+from analysis.core.responses.local_models import local_spectra
 from daq.core.recording.markers import Marker
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.channel_table import Column
@@ -244,24 +246,60 @@ def test_missed_hit_is_reported(tmp_path):
         analysis.frequency_responses(rec)
 
 
-def test_hits_beyond_memory_limit_are_omitted(tmp_path, monkeypatch):
+def record_many_hits(tmp_path, repeats):
     scene = rig.loads(
-        """
-        structure: {masses: [1 kg], springs: [30 kN/m], damping: {modal: 1 %}}
-        test: {kind: impulse, body: 1, peak: 100 N, width: 1 ms, repeats: 6}
-        channels: [{name: a, at: body 1}, {name: h, at: hammer}]
-        recording: {display: false}
+        f"""
+        structure: {{masses: [1 kg], springs: [30 kN/m], damping: {{modal: 1 %}}}}
+        test: {{kind: impulse, body: 1, peak: 100 N, width: 1 ms, interval: 2 s, repeats: {repeats}}}
+        channels:
+          - {{name: a, at: body 1, accelerometer: {{sensitivity: 100 mV/g, noise: 200 ug/sqrt(Hz)}}}}
+          - {{name: h, at: hammer, hammer: {{sensitivity: 2 mV/N, noise: 5 mN/sqrt(Hz)}}}}
+        converter: {{rate: 2560 Hz}}
+        recording: {{display: false}}
         """
     )
-    daq.record(scene, tmp_path / "a.mcap")
-    with daq.open(tmp_path / "a.mcap") as recording:
-        monkeypatch.setattr("analysis.core.responses.segment_fits._MAX_VALUES", recording.samples)
+    return scene, daq.record(scene, tmp_path / f"{repeats}.mcap")
+
+
+@pytest.mark.parametrize("limit", [("_MAX_HITS", 2), ("_MAX_SAMPLES", 11000), ("_MAX_SAMPLES", 4000)])
+def test_groups_of_hits_agree_with_theory(tmp_path, monkeypatch, limit):
+    scene, path = record_many_hits(tmp_path, 6)
+    with daq.open(path) as recording:
+        together = analysis.frfs(recording)["a"]
+        monkeypatch.setattr(f"analysis.core.responses.segment_fits.{limit[0]}", limit[1])
         frf = analysis.frfs(recording)["a"]
-    [warning] = [warning for warning in frf.warnings if "hits are used" in warning]
-    assert warning.startswith("Only 2 of 6 hits")
-    band = (frf.frequency > 15.0) & (frf.frequency < 60.0)
-    normalized_error = abs(frf.value - receptance(scene, frf.frequency)[0]) / frf.bound()
-    assert (normalized_error[band] < 1.0).mean() > 0.9
+    relative_errors = []
+    for curve in (frf, together):
+        exact = receptance(scene, curve.frequency)[0]
+        band = (curve.frequency > 10.0) & (curve.frequency < 300.0)
+        assert (abs(curve.value - exact)[band] < curve.bound()[band]).mean() > 0.9
+        relative_errors.append(np.median(curve.error[band] / abs(exact[band])))
+    # The mean of the groups is as precise as the fit to all hits.
+    assert 0.7 < relative_errors[0] / relative_errors[1] < 1.4
+    assert any("are used" in warning for warning in frf.warnings) == (limit == ("_MAX_SAMPLES", 4000))
+
+
+def test_memory_does_not_grow_with_hits(tmp_path, monkeypatch):
+    monkeypatch.setattr("analysis.core.responses.segment_fits._MAX_HITS", 2)
+    peaks, fitted_bins = [], []
+    fit = local_spectra.local_fit
+
+    def count(output, reference, end_phases, lines, half_width, *arguments):
+        fitted_bins[-1] += lines.size * len(reference) * half_width
+        return fit(output, reference, end_phases, lines, half_width, *arguments)
+
+    monkeypatch.setattr(local_spectra, "local_fit", count)
+    for repeats in (6, 12):
+        with daq.open(record_many_hits(tmp_path, repeats)[1]) as recording:
+            fitted_bins.append(0)
+            tracemalloc.start()
+            try:
+                analysis.frfs(recording)
+                peaks.append(tracemalloc.get_traced_memory()[1])
+            finally:
+                tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+    assert fitted_bins[1] < 2.2 * fitted_bins[0]
 
 
 def test_hammer_tolerance_does_not_affect_shapes(tmp_path):

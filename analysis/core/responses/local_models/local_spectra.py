@@ -22,7 +22,7 @@ from analysis.core.responses.local_models.local_rational import (
     local_fit,
 )
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
-from analysis.core.responses.random_errors import LocalErrors
+from analysis.core.responses.random_errors import LocalErrors, SharedErrors
 from analysis.core.responses.systematic import (
     MODEL,
     REFERENCE_NOISE,
@@ -102,7 +102,8 @@ class LocalSpectra:
             if denominator.channels == (name,) and name != numerator.channels[0]:
                 readings[index] = 1.0 / reference_weights[index]
                 continue
-            fit = self._fit(rec, name, denominator)
+            # The other fits are large and are needed only once.
+            fit = self._fit(rec, name, denominator, is_stored=name in denominator.channels)
             readings[index] = fit.value * rec.channels[name].response(frequency)
             if name == numerator.channels[0]:
                 main_fit = fit
@@ -156,8 +157,8 @@ class LocalSpectra:
             common_error=common_error[:, None],
         )
         budget = assemble_budget(
-            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds, errors,
-            self.shared, common_scale(rec, numerator.channels, denominator.channels),
+            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds,
+            SharedErrors.of(errors), self.shared, common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
             frequency, value, output, reference=reference, motion=motion, uncertainty=budget,
@@ -192,16 +193,17 @@ class LocalSpectra:
         mean_square = np.mean(abs(spectra) ** 2, axis=0)
         return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])
 
-    def _fit(self, rec: Recording, name: str, to: Measurand) -> LocalFit:
-        """Fit the response of the quantity that a channel measures to the measurand `to`; the fit is stored."""
-        if (name, to) not in self.stored_fits:
-            output = self.output(rec, name)
-            half_width = min(self.half_width, (self.frequency.size - 1) // 2)
-            spectrum = self.spectrum(rec, to)
-            self.stored_fits[name, to] = local_fit(
-                output, spectrum, self.end_phases, self.lines, half_width, self.measured_share
-            )
-        return self.stored_fits[name, to]
+    def _fit(self, rec: Recording, name: str, to: Measurand, is_stored: bool = True) -> LocalFit:
+        """Fit the response of the quantity that a channel measures to the measurand `to`."""
+        if (name, to) in self.stored_fits:
+            return self.stored_fits[name, to]
+        half_width = min(self.half_width, (self.frequency.size - 1) // 2)
+        fit = local_fit(
+            self.output(rec, name), self.spectrum(rec, to), self.end_phases, self.lines, half_width, self.measured_share
+        )
+        if is_stored:
+            self.stored_fits[name, to] = fit
+        return fit
 
     def _reference_noise(self, rec: Recording, denominator: Measurand) -> Array:
         """Return an upper bound of the noise power in the two channels of a spring force: their incoherent power."""

@@ -12,7 +12,8 @@ from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.responses.spectral_lines import Lines
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import COLORS, add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.palette import DAMPER, MOTIONS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,11 +29,11 @@ _LEGEND_TEXTS = {
     "unseen": "may fly, impacts below the detection limit",
     "uncertain": "impacts missed, or irregular",
 }
-# Color of each motion.
-_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, ("#cccccc", *COLORS[:4], "#8c8c8c", "#444444"), strict=True))
+# Color of each motion, as in the motion map, where the motion is known.
+_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#8c8c8c", "#444444"), strict=True))
 
 
-def dampers_figure(dampers: Dampers) -> Figure:
+def dampers_figure(dampers: Dampers, title: str) -> Figure:
     """Draw the motion of each damper at each frequency and, if available, the energy per period."""
     motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
     frequencies = np.append(lines.frequency, lines.left_out)
@@ -41,7 +42,7 @@ def dampers_figure(dampers: Dampers) -> Figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
         rows = np.atleast_1d(figure.subplots(len(heights), 1, height_ratios=heights))
         _draw_motions(rows[0], motions)
-        add_title(rows[0], dampers.label)
+        add_title(rows[0], title)
         if energy is not None:
             _draw_energies(rows[1], energy, lines, dampers.true_impact_energy)
         for frequency in lines.left_out:
@@ -87,19 +88,17 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     into_dampers = np.where(is_determined, energy.dampers, np.nan)
     draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
     draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
-    draw_energy(into_dampers, color=COLORS[1], marker="o", label="into the dampers")
-    axes.errorbar(
-        energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=COLORS[1], elinewidth=0.9
-    )
+    draw_energy(into_dampers, color=DAMPER, marker="o", label="into the dampers")
+    axes.errorbar(energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=DAMPER, elinewidth=0.9)
     upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
         energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=4.5, mew=0.8,
-        color=COLORS[1], label="into the dampers, upper bound",
+        color=DAMPER, label="into the dampers, upper bound",
     )  # fmt: skip
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
     if true_loss is not None:
         positive_loss = np.where(true_loss > 0, true_loss, np.nan)
-        draw_energy(positive_loss, color=COLORS[2], ls=":", marker="o", label="true loss in impacts")
+        draw_energy(positive_loss, color="#a06a00", ls=":", marker="o", label="true loss in impacts")
         plotted.append(1e3 * positive_loss)
     if lines.unsteady is not None and lines.unsteady.any():
         axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)

@@ -9,7 +9,8 @@ import numpy as np
 
 from analysis.core.decays.free_decay import Decay
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_caption, add_title, color_of, new_figure, set_log_scale
+from rig.core.base.figure_style import add_caption, add_title, new_figure, set_log_scale
+from rig.core.base.palette import CurveStyle, body_style
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
@@ -21,15 +22,14 @@ if TYPE_CHECKING:
 
 # Modes of different recordings share a panel if their frequencies differ by less than this fraction.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
-# Maximum number of frequencies in the title of a panel; more are replaced with their range.
-_MAX_LISTED_FREQUENCIES = 3
 
 
-def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
+def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyle] = ()) -> Figure:
     """Overlay decays: measured acceleration, logarithmic envelope, and damping ratio of each mode.
 
-    `decays`: one decay for each recording.
+    `decays`: one decay for each recording; `styles`: of the decays, default: of bodies 1, 2, ...
     """
+    styles = styles or [body_style(number) for number in range(1, len(decays) + 1)]
     modes = _group_modes(decays)
     gravity = decays[0].gravity
     with new_figure(8.2) as figure:
@@ -37,8 +37,8 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
         waveform_axes = figure.add_subplot(rows[0, :])
         envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
-        for index, decay in enumerate(decays):
-            color = color_of(index)
+        for decay, style in zip(decays, styles, strict=True):
+            color = style.color
             shown = decay.time <= duration
             waveform_axes.plot(decay.time[shown], decay.acceleration[shown], color=color, lw=0.6, alpha=0.75)
             envelope = decay.envelope
@@ -47,7 +47,7 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
                     decay.time[shown], sign * envelope[shown], color=color, lw=1.4,
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2)
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2, ls=style.line)
             lowest = min(lowest, float(envelope[shown].min()))
             envelope_axes.plot(
                 decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=color, lw=1.6, ls="--"
@@ -73,20 +73,26 @@ def decay_figure(decays: Sequence[Decay], title: str) -> Figure:
             "Dotted: 1 g.",
             *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
         )  # fmt: skip
-        _draw_damping(figure, rows, modes, gravity)
+        _draw_damping(figure, rows, modes, gravity, styles)
         return figure
 
 
-def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, ModalDecay]]], gravity: float) -> None:
+def _draw_damping(
+    figure: Figure,
+    rows: object,
+    modes: list[list[tuple[int, ModalDecay]]],
+    gravity: float,
+    styles: Sequence[CurveStyle],
+) -> None:
     """Draw the damping ratio against amplitude, one panel for each mode; `modes`: from `_group_modes`."""
     first: Axes | None = None
     for column, decays_of_mode in enumerate(modes):
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
         first = first or axes
         for index, mode in decays_of_mode:
-            color, (percent, expanded) = color_of(index), mode.percent
+            color, (percent, expanded) = styles[index].color, mode.percent
             axes.fill_between(mode.amplitude, percent - expanded, percent + expanded, color=color, alpha=0.25, lw=0)
-            axes.plot(mode.amplitude, percent, "o-", color=color)
+            axes.plot(mode.amplitude, percent, f"{styles[index].marker}-", color=color)
         amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         axes.set_xlim(0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max()))
         set_log_scale(axes.xaxis, 5)
@@ -115,16 +121,10 @@ def _draw_damping(figure: Figure, rows: object, modes: list[list[tuple[int, Moda
 
 
 def _frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
-    """Return the frequencies of a mode in the order of the recordings, or their range if there are many."""
-    listed = list(
-        dict.fromkeys(
-            format_decimals(mode.frequency, 1) for _, mode in sorted(decays_of_mode, key=lambda pair: pair[0])
-        )
-    )
-    if len(listed) > _MAX_LISTED_FREQUENCIES:
-        low, *_, high = sorted(listed, key=float)
-        return f"{low} to {high} Hz"
-    return f"{', '.join(listed)} Hz"
+    """Return the frequency of a mode, or the range of its frequencies in the recordings."""
+    frequencies = [mode.frequency for _, mode in decays_of_mode]
+    low, high = (format_decimals(extreme(frequencies), 1) for extreme in (min, max))
+    return f"mode at {low} Hz" if low == high else f"mode at {low} to {high} Hz"
 
 
 def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:

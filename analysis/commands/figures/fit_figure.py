@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.core.base.figure_style import add_legend_below, add_title, color_of, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.palette import place_styles
 from rig.core.results import format_number
 
 if TYPE_CHECKING:
@@ -52,13 +53,14 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     breaks = (
         np.flatnonzero(steps > _MIN_BREAK_RATIO * neighboring_steps) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     )
-    for k, sensor in enumerate(curves.sensors):
+    styles = place_styles([sensor.at for sensor in curves.sensors])
+    for k, (sensor, style) in enumerate(zip(curves.sensors, styles, strict=True)):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
         for ax, y in ((curve_axes, magnitude), (residual_axes, residual)):
-            ax.plot(frequency, np.where(is_fitted, y, np.nan), ".", color=color_of(k), label=sensor.name)
-            ax.plot(frequency, np.where(is_fitted, np.nan, y), "x", color=color_of(k))
+            ax.plot(frequency, np.where(is_fitted, y, np.nan), style.marker, color=style.color, label=sensor.name)
+            ax.plot(frequency, np.where(is_fitted, np.nan, y), "x", color=style.color)
         line = np.insert(factor * abs(compared.predicted[k, order]), breaks, np.nan)
-        curve_axes.plot(np.insert(frequency, breaks, np.nan), line, "-", lw=0.8, color=color_of(k))
+        curve_axes.plot(np.insert(frequency, breaks, np.nan), line, "-", lw=0.8, color=style.color)
     log_axis(curve_axes, [factor * abs(curves.value)])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
     add_title(curve_axes, curves.label)

@@ -9,10 +9,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from rig.core.base.arrays import Array
+from analysis.core.damper_motion.comparison import resonance_peaks
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_legend_below, add_title, color_of, frequency_axis, log_axis, new_figure
-from rig.core.results.response import MAX_MARKERS, Response
+from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.palette import CurveStyle, place_styles
+from rig.core.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,37 +32,52 @@ _ZERO_RATIO = 1e-9
 _MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
+# The phase is not drawn where a quarter of the steps from point to point exceed this, rad.
+_MAX_PHASE_STEP = 0.3
+# Height of the strip that marks undetermined points, relative to the axes.
+_STRIP_HEIGHT = 0.015
+# Curves with more lines than this are drawn without points.
+_MAX_POINTS = 600
+# A peak between points is marked if it exceeds the highest point by this fraction.
+_MIN_PEAK_EXCESS = 0.01
 _THEORY_COLOR = "#555555"
 _NOISE_COLOR = "#c4c4c4"
 
 
 def frf_figure(
-    frfs: Sequence[Response], title: str, theory: Sequence[Response] = (), marks: Sequence[tuple[float, str]] = ()
+    frfs: Sequence[Response],
+    title: str,
+    theory: Sequence[Response] = (),
+    marks: Sequence[tuple[float, str]] = (),
+    styles: Sequence[CurveStyle] = (),
 ) -> Figure:
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dashed in the color of their response. `marks`: frequency, Hz, and text of vertical lines.
+    bars, drawn thin and dotted in the color of their response. `marks`: frequency, Hz, and text of vertical lines.
+    `styles`: of the curves; default: those of their bodies.
     """
     frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
     low, high = float(frequencies.min()), float(frequencies.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
-    colors = {frf.response: color_of(index) for index, frf in reversed(list(enumerate(frfs)))}
+    styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
+    colors = {frf.response: style.color for frf, style in reversed(list(zip(frfs, styles, strict=True)))}
     has_several_responses = len(colors) > 1
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
             color = colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
-            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": (0, (5, 2)), "zorder": 1}
+            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 1}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
-            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve)), **style)
+            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value)), **style)
         if theory:
-            magnitude_axes.plot(
-                [], [], color=_THEORY_COLOR, lw=0.9, ls=(0, (5, 2)), label=escape_figure(theory[0].label)
-            )
-        for index, measured in enumerate(frfs):
-            _draw_curve(measured, color_of(index), magnitude_axes, phase_axes, coherence_axes)
+            magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
+        for measured, curve_style in zip(frfs, styles, strict=True):
+            _draw_curve(measured, curve_style, magnitude_axes, phase_axes, coherence_axes)
+        peaks = [
+            _draw_peaks(measured, color, magnitude_axes) for measured, (color, *_) in zip(frfs, styles, strict=True)
+        ]
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -70,7 +87,11 @@ def frf_figure(
         unit, factor = frfs[0].shown_in
         log_axis(
             magnitude_axes,
-            [factor * abs(frf.value) for frf in [*frfs, *theory]] + [factor * _visible_edges(frf) for frf in frfs],
+            [
+                *(factor * abs(frf.value) for frf in [*frfs, *theory]),
+                *(factor * _visible_edges(frf) for frf in frfs),
+                *(np.concatenate(heights) for heights in peaks),
+            ],
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
@@ -84,7 +105,7 @@ def frf_figure(
         coherence_axes.set_ylim(-0.03, 1.06)
         coherence_axes.set_yticks([0, 0.5, 1])
         notes = []
-        if not any(exceeds_noise(frf).any() for frf in frfs):
+        if not any(is_determined(frf).any() for frf in frfs):
             notes.append((phase_axes, "phase not determined at any line"))
         if not any(_has_scatter(frf) for frf in frfs):
             text = "no coherence and no random error: a single average, or not in the file"
@@ -94,11 +115,11 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        add_legend_below(figure, *_caption(frfs))
+        add_legend_below(figure, *_caption(frfs, *(any(map(len, heights)) for heights in zip(*peaks, strict=True))))
         return figure
 
 
-def _caption(frfs: Sequence[Response]) -> list[str]:
+def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     if any(_has_scatter(frf) for frf in frfs):
@@ -106,28 +127,34 @@ def _caption(frfs: Sequence[Response]) -> list[str]:
     causes = visible_systematic_errors(frfs)
     if causes:
         sentences.append(f"Light band: also limits of error: {', '.join(causes)}.")
-    if any(np.any(exceeds_noise(frf) & (frf.expanded() >= abs(frf.value))) for frf in frfs):
-        sentences.append("A band down to the axis includes zero.")
-    if not all(exceeds_noise(frf).all() for frf in frfs):
-        sentences.append("Gray: within the noise; phase not shown.")
+    if not all(is_determined(frf).all() for frf in frfs):
+        sentences.append("Gray, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
+    if has_peaks:
+        sentences.append("Circles: interpolated peaks between the points.")
+    if has_arrows:
+        sentences.append("Arrows: the peak may be higher.")
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
 
 
-def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
-    """Draw one measured curve into the three panels."""
+def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
+    """Draw one measured curve into the three panels: tones as points, with a thin curve where they resolve it."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
-    has_markers = frf.frequency.size <= MAX_MARKERS
+    color = style.color
     curve, frf = frf.sorted(), frf.with_gaps()
-    is_above_noise = np.insert(exceeds_noise(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
-    marker, zorder = "o" if has_markers else None, 2.9 if is_downward else 3
-    line_style: dict[str, Any] = {"marker": marker, "color": color, "zorder": zorder}
+    is_known = np.insert(is_determined(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
+    points: dict[str, Any] = {"ls": "", "marker": style.marker, "color": color, "ms": 2.6, "mew": 0.0, "zorder": 3}
     if is_downward:
-        line_style |= {"mfc": "none", "ms": 5.0, "mew": 0.9}
+        points |= {"mfc": "none", "ms": 5.0, "mew": 0.9, "zorder": 2.9}
+    if frf.frequency.size > _MAX_POINTS:
+        points["marker"] = ""
+    line: dict[str, Any] = {"color": color, "ls": style.line, "lw": 1.3, "zorder": 2.8}
+    if points["marker"]:
+        line |= {"ls": "-", "lw": 0.7}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
@@ -135,33 +162,76 @@ def _draw_curve(frf: Response, color: str, magnitude_axes: Axes, phase_axes: Axe
         magnitude_axes.fill_between(
             frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
             np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
-            where=is_above_noise, color=color, alpha=opacity, lw=0,
+            where=is_known, color=color, alpha=opacity, lw=0,
         )  # fmt: skip
     for frequencies in _omitted_ranges(frf):
         magnitude_axes.plot(
             frequencies, [0.0, 0.0], "x-", color=color, ms=5, clip_on=False,
             transform=magnitude_axes.get_xaxis_transform(),
         )  # fmt: skip
-    if not (is_above_noise | np.isnan(magnitude)).all():
+    is_unknown = ~is_known & ~np.isnan(magnitude)
+    if is_unknown.any():
+        magnitude_axes.fill_between(
+            frf.frequency, 0.0, _STRIP_HEIGHT, where=is_unknown, step="mid", color=_NOISE_COLOR, lw=0,
+            transform=magnitude_axes.get_xaxis_transform(),
+        )  # fmt: skip
         # One more point on either side makes the line continuous where its color changes to gray.
-        noisy = ~is_above_noise | ~np.roll(is_above_noise, 1) | ~np.roll(is_above_noise, -1)
+        noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=_NOISE_COLOR, lw=0.7, zorder=2)
-    magnitude_axes.plot(
-        frf.frequency, np.where(is_above_noise, magnitude, np.nan), label=escape_figure(frf.label), **line_style
-    )
+    frequency, value = frf.continued(is_known)
+    if not points["marker"]:
+        # Lines close together are joined also where their noise prevents interpolation.
+        is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
+        frequency, value = frequency[is_joined], value[is_joined]
+    magnitude_axes.plot(frequency, factor * abs(value), **line)
+    magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points)
+    magnitude_axes.plot(np.nan, np.nan, **line | {"marker": points["marker"], "ms": 4}, label=escape_figure(frf.label))
     if frf.unsteady is not None and frf.unsteady.any():
         magnitude_axes.plot(
             frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
         )
-    angle = np.where(is_above_noise, phase_degrees(frf), np.nan)
+    has_phase = is_known & is_smooth(frf)
+    angle = np.where(has_phase, phase_degrees(frf.value), np.nan)
+    value = np.where(has_phase[np.searchsorted(frf.frequency, frequency).clip(0, has_phase.size - 1)], value, np.nan)
     for half_width, opacity in ((total, 0.13), (random, 0.25)):
         phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
-        frequency, center = break_at_wraps(frf.frequency, angle)
+        band_frequency, center = break_at_wraps(frf.frequency, angle)
         width = break_at_wraps(frf.frequency, angle, phase_width)[1]
-        phase_axes.fill_between(frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
-    phase_axes.plot(*break_at_wraps(frf.frequency, angle), **line_style)
+        phase_axes.fill_between(band_frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
+    phase_axes.plot(*break_at_wraps(frequency, phase_degrees(value)), **line)
+    phase_axes.plot(frf.frequency, angle, **points)
     if _has_scatter(frf):
-        coherence_axes.plot(frf.frequency, frf.coherence, color=color, zorder=3)
+        coherence_axes.plot(frf.frequency, frf.coherence, color=color, ls=style.line, zorder=3)
+
+
+def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], list[float]]:
+    """Draw a hollow marker at each peak between points, and an arrow at points whose peak may be higher.
+
+    Returns the heights of the markers and of the arrows, in the unit of the axis.
+    """
+    heights: list[float] = []
+    arrows: list[float] = []
+    if frf.resolution > 0.0 or frf.reference != "force":
+        return heights, arrows
+    factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
+    smooth = frf.frequency[is_smooth(frf)]
+    for resonance, peak in resonance_peaks(frf):
+        if frf.frequency[resonance.line] not in smooth:
+            continue
+        point, line_frequency = abs(frf.value[resonance.line]), frf.frequency[resonance.line]
+        if peak.is_determined:
+            height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
+            is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
+            if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point and not peak.at_end:
+                axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
+                heights.append(height)
+        elif not peak.at_end:
+            axes.annotate(
+                "", (line_frequency, factor * point), xytext=(0, 17), textcoords="offset points",
+                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
+            )  # fmt: skip
+            arrows.append(2.0 * factor * point)
+    return heights, arrows
 
 
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
@@ -190,12 +260,29 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
 def _visible_edges(frf: Response) -> Array:
     """Return the edges of the light band that the axis must include: at most a decade beyond the curve."""
     magnitude, total = abs(frf.value), np.nan_to_num(frf.expanded(), posinf=np.inf)
-    visible = exceeds_noise(frf) & np.isfinite(magnitude) & (magnitude > 0)
+    visible = is_determined(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
         return np.empty(0)
     magnitude, total = magnitude[visible], total[visible]
     edges = np.concatenate([np.minimum(magnitude + total, 10.0 * magnitude.max()), magnitude - total])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
+
+
+def is_determined(frf: Response) -> NDArray[np.bool_]:
+    """Return whether each point exceeds its noise and its expanded uncertainty; single points are not determined."""
+    known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
+    return known if known.size < _ROUGHNESS_POINTS else scipy.ndimage.median_filter(known, 3, mode="nearest") & known
+
+
+def is_smooth(frf: Response) -> NDArray[np.bool_]:
+    """Return whether the phase of an ordered curve changes little from point to point, apart from single steps."""
+    if frf.frequency.size < 2 * _ROUGHNESS_POINTS:
+        return np.ones(frf.frequency.size, dtype=bool)
+    with np.errstate(invalid="ignore"):
+        step = np.nan_to_num(abs(np.angle(frf.value[1:] * frf.value[:-1].conj())))
+    step = np.append(step, step[-1])
+    upper_quartile = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest")
+    return np.asarray(upper_quartile < _MAX_PHASE_STEP)
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
@@ -221,6 +308,6 @@ def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) 
     return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
 
 
-def phase_degrees(frf: Response) -> Array:
+def phase_degrees(value: ComplexArray) -> Array:
     """Return the phase in degrees, from -270 to 90, so that a phase near ±180° does not wrap."""
-    return 90.0 - np.mod(90.0 - np.degrees(np.angle(frf.value)), 360.0)
+    return 90.0 - np.mod(90.0 - np.degrees(np.angle(value)), 360.0)

@@ -9,7 +9,8 @@ import numpy as np
 
 from analysis.core.modal.modes import Modes
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_title, color_of, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_style import add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.palette import place_styles
 from rig.core.results.response import MAX_MARKERS, Response
 
 if TYPE_CHECKING:
@@ -41,21 +42,23 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         dense = dense[(dense >= low) & (dense <= high)]
         # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
         is_sparse = curves[0].frequency.size <= MAX_MARKERS
-        for index, curve in enumerate(curves):
-            color = color_of(index)
+        styles = place_styles([curve.outputs[0].at for curve in curves])
+        for index, (curve, style) in enumerate(zip(curves, styles, strict=True)):
+            color = style.color
             magnitude_axes.plot(
-                curve.frequency, 1e6 * abs(curve.value), "o" if is_sparse else "-", ms=2.4, color=color,
+                curve.frequency, 1e6 * abs(curve.value), style.marker if is_sparse else "-", ms=2.4, color=color,
                 lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
             model = 1e6 * abs(modes.receptance(dense)[index])
-            magnitude_axes.plot(dense, model, color=color if is_sparse else "black", lw=0.9)
+            model_color, dashes = (color, "-") if is_sparse else ("black", style.line)
+            magnitude_axes.plot(dense, model, color=model_color, lw=0.9, ls=dashes)
         log_axis(magnitude_axes, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
         frequency_axis(magnitude_axes, low, high, False)
         magnitude_axes.set_ylabel("|compliance| / (µm/N)")
         add_title(magnitude_axes, title)
         legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
         magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)
-        pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#009E73", "stable"))
+        pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
         for stable, marker, marker_color, text in pole_styles:
             poles = np.array([(pole.frequency, pole.order) for pole in modes.chart if pole.stable == stable])
             frequency, order = poles.reshape(-1, 2).T

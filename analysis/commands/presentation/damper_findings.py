@@ -19,7 +19,7 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
-from analysis.core.recordings.names import OpenRecordings, require_file, scene_labels, with_recordings
+from analysis.core.recordings.names import OpenRecordings, excitation_text, require_file, scene_labels, with_recordings
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_interval, format_number
@@ -66,13 +66,13 @@ def present_dampers(
     for path, stem, label in zip(paths, stems, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         check_recording(rec, path, "dampers")
-        results = dampers_in(rec, label, progress)
+        results, excitation = dampers_in(rec, label, progress), excitation_text(rec)
         warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
         for number, dampers in enumerate(results, 1):
             numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
             if dampers.bodies:
-                files += save_figure(dampers_figure(dampers), numbered)
+                files += save_figure(dampers_figure(dampers, f"{dampers.label} ({excitation})"), numbered)
         rows = chain.from_iterable(map(_rows, results))
         files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))

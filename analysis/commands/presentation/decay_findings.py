@@ -11,8 +11,18 @@ import numpy as np
 from analysis.commands.presentation.inputs import check_recording, duplicate_warnings
 from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending, with_recording_name
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
-from analysis.core.recordings.names import OpenRecordings, relabel, require_file, scene_labels, with_recordings
+from analysis.core.recordings.names import (
+    OpenRecordings,
+    excitation_text,
+    has_moving_dampers,
+    reference_label,
+    relabel,
+    require_file,
+    scene_labels,
+    with_recordings,
+)
 from rig.core.base.output_files import prepare_outputs
+from rig.core.base.palette import place_styles, recording_styles
 from rig.core.results.text import format_interval, table_lines
 from rig.core.results.uncertainty import expand
 
@@ -50,6 +60,8 @@ def present_decay(
     from rig.core.base.figure_style import save_figure
 
     decays: list[Decay] = []
+    moving: dict[str, bool] = {}
+    excitations, places = [], []
     warnings = duplicate_warnings(paths)
     for path in paths:
         require_file(path)
@@ -61,10 +73,17 @@ def present_decay(
         check_recording(rec, path, "decay")
         decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
         has_hits = rec.test.drives
+        moving[label] = has_moving_dampers(rec)
+        excitations.append(excitation_text(rec))
+        places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
     title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"
-    files = save_figure(decay_figure(decays, title), stem)
+    if excitations[0] and len(set(excitations)) == 1:
+        title += f" ({excitations[0]})"
+    reference = reference_label(moving)
+    styles = recording_styles([name == reference for name in moving]) if reference else place_styles(places)
+    files = save_figure(decay_figure(decays, title, styles), stem)
     files += [envelope_table(envelopes, decays), damping_table(dampings, decays)]
     return CommandOutput(
         tuple(files), tuple(line for result in decays for line in describe_decay(result)), tuple(warnings)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -20,12 +20,21 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance_peaks
-from analysis.core.recordings.names import OpenRecordings, relabel, with_recordings
+from analysis.core.recordings.names import (
+    OpenRecordings,
+    belongs_to,
+    excitation_text,
+    has_moving_dampers,
+    reference_label,
+    relabel,
+    with_recordings,
+)
 from analysis.core.responses.curve_checks import find_jumps
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.systematic import tolerance
 from analysis.extras.formats.frf_files import is_frf_file
+from rig.core.base.palette import recording_styles
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_interval, format_percent, format_quantity
 from rig.core.results.resonances import MIN_LINES, Resonance
@@ -41,8 +50,6 @@ if TYPE_CHECKING:
 _MAX_LISTED = 8
 # A relative deviation of the highest point from the interpolated peak up to this value is not reported.
 _MAX_PEAK_DEVIATION = 0.01
-# An interpolated peak is reported if its relative bound is at most this.
-_MAX_PEAK_UNCERTAINTY = 0.5
 
 
 @with_recordings
@@ -74,16 +81,20 @@ def present_frf(
     warnings = check_inputs(recordings, paths, "frf", blocks, theory, unit)
     check_outputs(paths, output, "frf", "csv")
     tolerance_remarks: list[str] = []
+    moving: dict[str, bool] = {}
+    excitations: dict[str, str] = {}
     for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
+            moving[label], excitations[label] = True, ""
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         rec = recordings.of(path)
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
+        moving[label], excitations[label] = has_moving_dampers(rec), excitation_text(rec)
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
         if theory:
@@ -91,7 +102,7 @@ def present_frf(
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     stem = output_stem(paths, output, "frf")
-    files = _draw_figures(curves, theory_curves, stem)
+    files = _draw_figures(curves, theory_curves, stem, reference_label(moving), excitations)
     files.append(frf_table(with_ending(stem, "csv"), curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
@@ -141,7 +152,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
     # `resonance_peaks` estimates displacement.
     n_derivatives = MOTIONS.index(frf.motion)
     peaks = [(r, p, (2.0 * np.pi * p.frequency) ** n_derivatives) for r, p in resonance_peaks(frf)]
-    uncertain = {r for r, p, _ in peaks if not p.own_bound <= _MAX_PEAK_UNCERTAINTY * p.value}
+    uncertain = {r for r, p, _ in peaks if not p.is_determined}
     value, scale, highest = max(
         ((scale * p.value, scale, None if r in uncertain else p) for r, p, scale in peaks),
         default=(0.0, 1.0, None),
@@ -177,18 +188,31 @@ def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
     )
 
 
-def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: Path) -> list[Path]:
-    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files."""
+def _draw_figures(
+    curves: Sequence[Response],
+    theory: Sequence[Response],
+    stem: Path,
+    reference: str,
+    excitations: Mapping[str, str],
+) -> list[Path]:
+    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
+
+    `reference`: label of the recording with which the others are compared; `excitations`: test and level by recording.
+    """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure
 
     sweep_labels = list(dict.fromkeys(frf.label for frf in curves))
     quantity = curves[0].name.capitalize()
     groups = _by_ratio(curves)
+    tests = set(excitations.values())
+    test = f" ({tests.pop()})" if len(tests) == 1 and "" not in tests else ""
     if len(sweep_labels) == 1:
         labeled = [replace(frf, label=frf.ratio) for frf in curves]
         return save_figure(
-            frf_figure(labeled, f"{quantity}: {sweep_labels[0]}", _without_duplicates(theory), _jump_marks(labeled)),
+            frf_figure(
+                labeled, f"{quantity}: {sweep_labels[0]}{test}", _without_duplicates(theory), _jump_marks(labeled)
+            ),
             stem,
         )
     inputs = {labeled[0].input for labeled in groups}
@@ -197,12 +221,20 @@ def _draw_figures(curves: Sequence[Response], theory: Sequence[Response], stem: 
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
+        title = f"{quantity}, {first.ratio}{test}"
+        styles = recording_styles([belongs_to(curve.label, reference) for curve in labeled])
+        named = [_with_test(curve, {} if test else excitations) for curve in labeled]
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
-            frf_figure(labeled, f"{quantity}, {first.ratio}", _without_duplicates(same_frf), _jump_marks(labeled)),
-            figure_stem,
+            frf_figure(named, title, _without_duplicates(same_frf), _jump_marks(labeled), styles), figure_stem
         )
     return files
+
+
+def _with_test(curve: Response, excitations: Mapping[str, str]) -> Response:
+    """Add test and level of its recording to the label of a curve."""
+    text = next((text for label, text in excitations.items() if text and belongs_to(curve.label, label)), "")
+    return replace(curve, label=f"{curve.label} ({text})") if text else curve
 
 
 def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:

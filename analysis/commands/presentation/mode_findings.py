@@ -22,7 +22,7 @@ from analysis.commands.presentation.outputs import (
 )
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
-from analysis.core.recordings.names import OpenRecordings, relabel, with_recordings
+from analysis.core.recordings.names import OpenRecordings, excitation_text, relabel, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
@@ -73,6 +73,7 @@ def present_modes(
     prepare_outputs(*dict.fromkeys([*figures, table]))
     for path, first, label in zip(paths, stems, labels(recordings, paths), strict=True):
         identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
+        excitation = ""
         if is_frf_file(path):
             curves = read_curves(path, reference, None, unit)
             identified = [(curves, replace(identify(curves, count), label=label), None)]
@@ -80,6 +81,7 @@ def present_modes(
             from analysis.commands.presentation.theory import theoretical_modes
 
             rec = recordings.of(path)
+            excitation = excitation_text(rec)
             options = vars(Blocks(block=block).for_kind(rec.test.kind))
             for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
                 modes = relabel(identify(sweep, count), rec.scene.name, label)
@@ -88,7 +90,8 @@ def present_modes(
         for number, (frfs, modes, theory) in enumerate(identified, 1):
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-            files += save_figure(modes_figure(frfs, modes, f"Modes: {modes.label}"), stem)
+            title = f"Modes: {modes.label}{f' ({excitation})' if excitation else ''}"
+            files += save_figure(modes_figure(frfs, modes, title), stem)
             lines += describe_modes(modes, theory)
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
             warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))

@@ -51,7 +51,7 @@ def linear_theory(rec: Recording, frf: Response) -> Response:
         frequency, states[rec.channels[frf.response].body - 1], frf.response, reference=frf.reference,
         coherence=np.ones(frequency.size), label="linear theory, no dampers",
     )  # fmt: skip
-    return curve.to(frf.motion).placed(frf.output_at, frf.input_at)
+    return curve.to(frf.motion).placed(frf.output_at, frf.input_at, frf.outputs[0].body)
 
 
 def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:

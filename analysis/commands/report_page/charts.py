@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_html
-from rig.core.base.figure_style import COLORS
+from rig.core.base.palette import CurveStyle, body_style
 
 # A frequency axis is logarithmic if the ratio of its highest to its lowest frequency exceeds this value.
 _MIN_LOGARITHMIC_RATIO = 3.0
@@ -26,6 +26,9 @@ _ABSCISSA_DIGITS = 8
 IMAGE_SPAN_DB = 80.0
 # Columns with more values are written as 32-bit binary, which halves their size.
 _MAX_TEXT_VALUES = 4000
+
+
+_DEFAULT_STYLE = body_style(1)
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Curve:
     y: ArrayLike
     low: ArrayLike | None = None  # lower bound of `y`
     high: ArrayLike | None = None  # upper bound of `y`
-    color: int = 0  # index into the palette
+    style: CurveStyle = _DEFAULT_STYLE
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,8 @@ def _divisor(unit: str) -> str:
 def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
     content: dict[str, Any] = {
         "label": curve.label,
-        "color": COLORS[curve.color % len(COLORS)],
+        "color": curve.style.color,
+        "dash": curve.style.dashes,
         "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, digits=_ABSCISSA_DIGITS),
         "y": _column(curve.y, positive_only),
     }

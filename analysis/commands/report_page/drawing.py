@@ -7,6 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from rig.core.base.escaping import escape_html
+from rig.core.base.palette import DAMPER, TABLE, place_style
 from rig.core.results import format_number
 
 if TYPE_CHECKING:
@@ -66,11 +67,12 @@ def _ground(y: float) -> str:
 def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
     """Draw a body, the spring below it (dashed if the scene gives matrices) and the dampers inside."""
     structure = scene.structure
+    color = place_style(f"body {body}").color
     middle = _LEFT + _BODY_WIDTH / 2
     body_mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
     yield (
         f'<rect class="body" x="{_LEFT}" y="{top:g}" width="{_BODY_WIDTH}" height="{_BODY_HEIGHT}" rx="3" '
-        'stroke="currentColor" fill="currentColor" fill-opacity="0.07"/>'
+        f'stroke="{color}" fill="{color}" fill-opacity="0.12"/>'
         f'<text x="{_LEFT + 6}" y="{top + 16:g}">{escape_html(structure.label(body))}{body_mass}</text>'
     )
     stiffness = None if structure.springs is None else structure.springs[body - 1]
@@ -85,7 +87,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
         ceiling = "h-26" if isfinite(damper.clearance) else ""
         yield (
             f'<g class="damper"><path stroke="currentColor" d="M{x:g} {top + 26:g}v22h26v-22{ceiling}"/>'
-            f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="#d67a2e"/></g>'
+            f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="{DAMPER}"/></g>'
         )
         if len(dampers) == 1:
             clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
@@ -106,10 +108,10 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     if shaker.coil_spring is not None:
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
         yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
-        yield f'<path stroke="#009E73" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
+        yield f'<path stroke="{TABLE}" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
         yield f'<text x="62" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
     else:
-        yield f'<path stroke="#009E73" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
+        yield f'<path stroke="{TABLE}" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
 
 
 def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
@@ -119,17 +121,18 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
     for channel in scene.channels or ():
         names_at.setdefault(channel.at, []).append(channel.name)
     for place, names in names_at.items():
+        color = place_style(place).color
         if place.startswith("body "):
             y = tops[int(place.removeprefix("body ")) - 1] + _BODY_HEIGHT / 2
             x = _LEFT + _BODY_WIDTH
             yield (
-                f'<path stroke="#0072B2" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
-                f'fill="#0072B2"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
+                f'<path stroke="{color}" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
+                f'fill="{color}"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
             )
         elif place in tables:
             y = tops[tables[place].bodies[0] - 1] + _BODY_HEIGHT / 2
             yield (
-                f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="#0072B2"/>'
+                f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="{color}"/>'
                 f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
             )
         else:
@@ -150,7 +153,7 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
         parts.append(
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
             f'<g class="moving" style="--swing:{_MAX_AMPLITUDE * element:.2f}px">'
-            f'<rect {box} stroke="#0072B2" fill="#0072B2" fill-opacity="0.18"/>'
+            f'<rect {box} stroke="currentColor" fill="currentColor" fill-opacity="0.12"/>'
             f'<text x="30" y="{y + 17}">{escape_html(name)}</text></g>'
             f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}</text>'
         )

@@ -9,6 +9,7 @@ from scipy import fft
 
 from analysis.commands.report_page.charts import IMAGE_SPAN_DB, Chart, Curve, EvenlySpaced, Panel, level_image
 from rig.core.base.arrays import Array
+from rig.core.base.palette import place_styles
 from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
@@ -41,10 +42,11 @@ def time_histories(rec: Recording) -> Chart:
         time, rows = _extremes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
+    styles = dict(zip(names, place_styles([rec.channels[name].at for name in names]), strict=True))
     for unit in units:
         selected = [name for name in names if rec.channels[name].unit == unit]
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
-        curves = [Curve(name, time, scale * rows[names.index(name)], color=names.index(name)) for name in selected]
+        curves = [Curve(name, time, scale * rows[names.index(name)], style=styles[name]) for name in selected]
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
         panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))

@@ -25,7 +25,7 @@ from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels
+from analysis.core.recordings.names import OpenRecordings, has_moving_dampers, reference_label, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
@@ -114,9 +114,16 @@ class Measurements:
     ) -> None:
         self._open.close()
 
+    @property
+    def reference(self) -> Measurement:
+        """The recording with which the others are compared: the first without moving dampers, or the first."""
+        label = reference_label({result.label: has_moving_dampers(result.rec) for result in self.results})
+        return next((result for result in self.results if result.label == label), self.results[0])
+
     def changes(self) -> list[SweepChange]:
-        """Compute the change of each resonance peak from the first recording to every other recording."""
-        first, *others = self.results
+        """Compute the change of each resonance peak from the reference to every other recording."""
+        first = self.reference
+        others = [result for result in self.results if result is not first]
         if not first.sweeps or first.sweeps[0].modes is None:
             return []
         return [

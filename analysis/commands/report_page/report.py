@@ -29,10 +29,10 @@ def write_report(
 ) -> CommandOutput:
     """Write one self-contained HTML report about recordings.
 
-    `paths`: recordings; the first is the reference of the comparisons; `output`: folder for the page, or its file
-    name if it ends in .html; default: the folder of the first recording. Returns the page, the sentences of its
-    summary, and the warnings. Raises `RecordingError` if a file is not a recording. Raises `SceneError` if the page
-    exists and may not be replaced.
+    `paths`: recordings; the first without moving dampers, otherwise the first, is the reference of the comparisons.
+    `output`: folder for the page, or its file name if it ends in .html; default: the folder of the first recording.
+    Returns the page, the sentences of its summary, and the warnings. Raises `RecordingError` if a file is not a
+    recording. Raises `SceneError` if the page exists and may not be replaced.
     """
     if not paths:
         raise SceneError("report: no recordings. Give at least one.")
@@ -71,20 +71,20 @@ def _page(paths: Sequence[Path], output: Path | None) -> Path:
 def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
     """Return the sentences of the summary, and all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
-    changes = measurements.changes()
+    changes, first = measurements.changes(), measurements.reference
     sentences = summarize(results, changes)
     warnings = [f"<li>{escape_html(note)}</li>" for note in measurements.warnings]
     dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
     # Title and content of each section; a section without content is omitted.
     sections = {
-        "Frequency responses": [charts.write(chart) for chart in response_charts(results)],
+        "Frequency responses": [charts.write(chart) for chart in response_charts(results, first.label)],
         "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
         "Mode shapes": _modes(results),
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
-        "Free decays": [charts.write(chart) for chart in decay_charts(results)],
+        "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),
-        **{f"Recording {each.path.name}": _recording(each, charts, each is not results[0]) for each in results},
+        **{f"Recording {each.path.name}": _recording(each, charts, each is not first) for each in results},
         "How to repeat this": _commands(paths, results),
     }
     filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
@@ -99,7 +99,7 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
         *(f"<p>{escape_html(text)}</p>" for text in sentences),
         "</section>",
         tests if len(results) == 1 else f"<details><summary>{len(results)} tests</summary>{tests}</details>",
-        f'</div><figure class="rig">{rig_drawing(results[0].rec.scene)}</figure></div>',
+        f'</div><figure class="rig">{rig_drawing(first.rec.scene)}</figure></div>',
         f"<nav><ul>{links}</ul></nav>",
         *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
     ]

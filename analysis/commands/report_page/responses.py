@@ -11,17 +11,20 @@ from analysis.commands.figures.frf_figure import break_at_wraps, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.recordings.names import belongs_to
+from rig.core.base.palette import DAMPER, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results.response import Response
 
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
 
-def response_charts(measurements: Sequence[Measurement]) -> list[Chart]:
+def response_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
     """Return charts of all frequency responses.
 
     The responses of a single recording share a chart. With several recordings each response has its own chart, so
-    that the recordings can be compared. Responses to different inputs never share a chart.
+    that the recordings can be compared. Responses to different inputs never share a chart. `reference`: label of the
+    recording with which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -32,23 +35,28 @@ def response_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in group]
         if not several and len({frf.label for frf in group}) == 1:
             names = [frf.response for frf in group]
-        charts.append(response_chart(group, names))
+        styles = recording_styles([belongs_to(frf.label, reference) for frf in group]) if several else None
+        charts.append(response_chart(group, names, styles))
     return charts
 
 
-def response_chart(frfs: Sequence[Response], names: Sequence[str]) -> Chart:
-    """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input."""
+def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Sequence[CurveStyle] | None = None) -> Chart:
+    """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
+
+    `styles`: of the curves; default: those of their bodies.
+    """
+    styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
-    for k, (frf, name) in enumerate(zip(thinned, names, strict=True)):
+    for frf, name, style in zip(thinned, names, styles, strict=True):
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         # A logarithmic axis cannot show a lower limit of zero or below.
         low = np.maximum(modulus - expanded, 1e-3 * modulus)
-        magnitude.append(Curve(name, f, modulus, low, modulus + expanded, color=k))
-        phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf)), color=k))
-        coherence.append(Curve(name, f, frf.coherence, color=k))
-        relative.append(Curve(name, f, 100.0 * expanded / modulus, color=k))
+        magnitude.append(Curve(name, f, modulus, low, modulus + expanded, style=style))
+        phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf.value)), style=style))
+        coherence.append(Curve(name, f, frf.coherence, style=style))
+        relative.append(Curve(name, f, 100.0 * expanded / modulus, style=style))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
@@ -91,16 +99,17 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
     order = np.argsort(frequency)
     panels = []
     impacts = []
-    for k, motions in enumerate(result.bodies):
+    for motions in result.bodies:
+        style = place_style(measurement.rec.channels[motions[0].channel].at)
         count = np.array([sum(motion.impacts_per_period) for motion in motions])
-        impacts.append(Curve(motions[0].channel, frequency[order], count[order], color=k))
+        impacts.append(Curve(motions[0].channel, frequency[order], count[order], style=style))
     if impacts:
         panels.append(Panel("impacts", "per period", impacts, height=170))
     energy = result.energy
     if energy is not None:
         percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
         low, high = (percent - bound)[order], (percent + bound)[order]
-        curve = Curve("dampers", frequency[order], percent[order], low, high)
+        curve = Curve("dampers", frequency[order], percent[order], low, high, CurveStyle(DAMPER))
         panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
     level = f"drive level {result.sweep.level:.4g}"
     if measurement.rec.scene.level_key == "force":
@@ -118,7 +127,7 @@ def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[n
     return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
 
 
-def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
+def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
     """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
     labeled_decays = [
         (measurement.label, measurement.decay) for measurement in measurements if measurement.decay is not None
@@ -127,10 +136,11 @@ def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         return []
     envelopes, energies = [], []
     damping: list[Curve] = []
-    for k, (label, result) in enumerate(labeled_decays):
-        envelopes.append(Curve(label, result.peak_time, result.peak, color=k))
+    is_reference = [label == reference for label, _ in labeled_decays]
+    for (label, result), style in zip(labeled_decays, recording_styles(is_reference), strict=True):
+        envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
         step = max(result.time.size // _INTERVALS, 1)
-        energies.append(Curve(label, result.time[::step], result.energy[::step], color=k))
+        energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
         for mode in result.modes:
             if mode.damping.size:
                 percent, expanded = mode.percent
@@ -138,7 +148,7 @@ def decay_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 order = np.argsort(mode.amplitude)
                 low, high = (percent - expanded)[order], (percent + expanded)[order]
                 amplitude = mode.amplitude[order]
-                damping.append(Curve(name, amplitude, percent[order], low, high, color=len(damping)))
+                damping.append(Curve(name, amplitude, percent[order], low, high, style))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
     charts = [
         Chart(

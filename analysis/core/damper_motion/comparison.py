@@ -28,6 +28,8 @@ _GRID_POINTS = 801
 _SAME_TOLERANCE = 1e-6
 # An acceleration is divided by the square of its frequency, so that its error is this multiple of a clock error.
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
+# The height of a peak is stated if its relative bound is at most this.
+_MAX_PEAK_UNCERTAINTY = 0.5
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
@@ -62,6 +64,11 @@ class Peak:
         if self.at_end:
             return 0.0
         return self.value if isinf(self.own_bound) else self.value - self._expanded(self.value - self._own_low)
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the height is known well enough to be stated, apart from errors common to all frequencies."""
+        return self.own_bound <= _MAX_PEAK_UNCERTAINTY * self.value
 
     @property
     def _own_low(self) -> float:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, Protocol, TypeVar
 
+import yaml
+
 from rig.core.base.errors import RecordingError
+from rig.core.scene.yaml_writer import write
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -124,6 +127,41 @@ def distinct_names(names: Sequence[str], paths: Sequence[Path]) -> list[str]:
 def scene_labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:
     """Name recordings after their scenes."""
     return distinct_names([recordings.of(path).scene.name for path in paths], paths)
+
+
+def reference_label(recordings: Mapping[str, bool]) -> str:
+    """Return the label of the reference of a comparison: the first recording without moving dampers, or the first.
+
+    `recordings`: whether dampers can move, by label. A single recording is not compared, and its label is "".
+
+    >>> reference_label({"three": True, "none": False}), reference_label({"a": True, "b": True}), reference_label({})
+    ('none', 'a', '')
+    """
+    if len(recordings) < 2:
+        return ""
+    return next((label for label, moves in recordings.items() if not moves), next(iter(recordings)))
+
+
+def belongs_to(label: str, recording: str) -> bool:
+    """Return whether a label is that of a recording, or of one of its sweeps."""
+    return bool(recording) and (label == recording or label.startswith(f"{recording}, "))
+
+
+def has_moving_dampers(rec: Recording) -> bool:
+    """Return whether a recording is of a structure with dampers that can move."""
+    return any(damper.moves for damper in rec.scene.dampers)
+
+
+def excitation_text(rec: Recording) -> str:
+    """Describe the test and its level, on which the response of a nonlinear structure depends: stepped sine, 2.6 N."""
+    test = rec.scene.test
+    if test is None:
+        return ""
+    stated = yaml.safe_load(write(test, rec.scene.structure))
+    level = stated.get(rec.scene.level_key, "")
+    levels = level if isinstance(level, list) else [level]
+    listed = f"{levels[0]} to {levels[-1]}" if len(levels) > 3 else ", ".join(map(str, levels))
+    return ", ".join(filter(None, [test.kind.replace("_", " "), listed]))
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from analysis.core.responses.channel_changes import Parts
 from analysis.core.responses.curve_checks import delayed_channels, reversed_force
 from analysis.core.responses.estimators import ESTIMATORS
-from analysis.core.responses.measurands import input_location, location_of
+from analysis.core.responses.measurands import input_location, output_point
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response, stack
@@ -114,6 +114,10 @@ def estimator_of(kind: str) -> Estimator:
 
 def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add locations to the curves of one sweep, and warnings of a force with the wrong sign and of a late channel."""
-    curves = [curve.placed(location_of(rec, curve.response), input_location(rec, curve.reference)) for curve in curves]
+    points = [output_point(rec, curve.response, curve.motion) for curve in curves]
+    curves = [
+        curve.placed(point.place, input_location(rec, curve.reference), point.body)
+        for curve, point in zip(curves, points, strict=True)
+    ]
     warnings = [text for text in (reversed_force(curves), delayed_channels(curves)) if text]
     return [curve.warn(*warnings) for curve in curves]

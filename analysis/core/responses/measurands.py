@@ -167,6 +167,13 @@ def location_of(rec: Recording, channel: str) -> str:
     return rec.scene.structure.label(rec.channels[channel].at)
 
 
+def output_point(rec: Recording, channel: str, motion: str) -> Point:
+    """Return the output of responses of a channel, with the number of its body; 0 for another location."""
+    at = rec.channels[channel].at
+    body = int(at.removeprefix("body ")) if at.startswith("body ") else 0
+    return Point(channel, motion, location_of(rec, channel), body)
+
+
 def required_channels(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:
     """Return the channels from which responses and their reference are computed."""
     measurands = [*(motion_of(rec, name) for name in responses), reference_of(rec, reference)]

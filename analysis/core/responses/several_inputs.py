@@ -28,7 +28,7 @@ from analysis.core.responses.budget import assemble_budget
 from analysis.core.responses.estimators import AveragedSpectra, leakage
 from analysis.core.responses.local_models.local_rational import local_fit
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.measurands import Measurand, location_of, motion_of
+from analysis.core.responses.measurands import Measurand, motion_of, output_point
 from analysis.core.responses.multisine import period_spectra
 from analysis.core.responses.random_errors import MatrixErrors
 from analysis.core.responses.scatter import moderate
@@ -239,7 +239,7 @@ def _rows(
 
 
 def _outputs(rec: Recording, names: Sequence[str], motion: str) -> tuple[Point, ...]:
-    return tuple(Point(name, motion, location_of(rec, name)) for name in names)
+    return tuple(output_point(rec, name, motion) for name in names)
 
 
 def _matrix_budget(

@@ -171,7 +171,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         places = [f"node {point}" for point in points]
         if id_line.startswith(RESOLUTION_LINE):
             places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
-        curves.append(curve.placed(*places))
+        curves.append(curve.placed(places[0], places[1]))
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
 

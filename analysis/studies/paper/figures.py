@@ -10,6 +10,7 @@ import numpy as np
 from analysis.core.decays.free_decay import upper_bound
 from analysis.studies.paper.parts import FIGURE_5_SETTING, NOISES
 from rig.core.base.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
+from rig.core.base.palette import BODIES
 from rig.core.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ def figure_4(parts: Parts) -> Figure:
     theory, measured = parts["structure"], parts["rec-bare"]
     with new_figure(6.6) as figure:
         upper, lower = figure.subplots(2, 1)
-        for body, shade in enumerate(COLORS[:3]):
+        for body, shade in enumerate(BODIES[:3]):
             plot_body(upper, theory, body, color=shade, lw=0.9)
             plot_body(upper, measured, body, "o", color=shade, ms=2.2, label=f"body {body + 1}")
             lower.plot(measured["frequency"], abs(measured["transfer"][body]), "o-", color=shade, ms=2.2, lw=0.7)
@@ -121,7 +122,7 @@ def _draw_waveforms(axes: Axes, wave: Columns) -> None:
     t = 1e3 * wave["time"]
     for k, body in enumerate(wave["damper_body"]):
         floor = 1e3 * wave["body"][body]
-        shade = COLORS[int(body)]
+        shade = BODIES[int(body)]
         axes.fill_between(t, floor, floor + 1e3 * wave["clearance"][k], color=shade, alpha=0.10, lw=0)
         axes.plot(t, floor, color=shade, label=f"body {body + 1}: {wave['types'][k]}")
         axes.plot(t, floor + 1e3 * wave["gap"][k], color=shade, lw=0.9, ls="--")

@@ -1,26 +1,26 @@
-"""Colors of drawings and curves: a body and its channels have the same color."""
+"""Colors of drawings and curves: a body and its channels have one color, as in figures (`rig.core.base.palette`)."""
 
 from __future__ import annotations
 
+from rig.core.base import palette
+
 Color = tuple[int, int, int]
+
+
+def _rgb(color: str) -> Color:
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
+
 
 STEEL: Color = (176, 184, 194)
 DARK_STEEL: Color = (96, 104, 116)
 GROUND: Color = (74, 80, 90)
-LEAD: Color = (214, 122, 46)
+DAMPER = _rgb(palette.DAMPER)
 INACTIVE: Color = (120, 112, 104)
-DRIVE: Color = (120, 200, 130)
-HAMMER: Color = (240, 240, 240)
+DRIVE = _rgb(palette.TABLE)
+HAMMER = _rgb(palette.HAMMER)
 MARK: Color = (150, 156, 166)
 BACKGROUND: Color = (22, 24, 29)
-BODIES: tuple[Color, ...] = (
-    (86, 156, 214),
-    (229, 192, 80),
-    (224, 108, 117),
-    (152, 118, 214),
-    (78, 190, 180),
-    (206, 130, 190),
-)
 
 
 def body_color(body: int) -> Color:
@@ -29,7 +29,7 @@ def body_color(body: int) -> Color:
     >>> body_color(1) == body_color(7)
     True
     """
-    return BODIES[(body - 1) % len(BODIES)]
+    return _rgb(palette.body_style(body).color)
 
 
 def channel_color(at: str) -> Color:
@@ -38,9 +38,7 @@ def channel_color(at: str) -> Color:
     >>> channel_color("body 2") == body_color(2)
     True
     """
-    if at.startswith("body "):
-        return body_color(int(at.removeprefix("body ")))
-    return DRIVE if at.startswith(("table", "drive")) else HAMMER
+    return _rgb(palette.place_style(at).color)
 
 
 def hex_color(color: Color) -> str:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.core.drawing.palette import DARK_STEEL, DRIVE, GROUND, HAMMER, INACTIVE, LEAD, MARK, STEEL, Color, body_color
+from daq.core.drawing.palette import DAMPER, DARK_STEEL, DRIVE, GROUND, HAMMER, INACTIVE, MARK, STEEL, Color, body_color
 from daq.core.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 from daq.core.drawing.stack import (
     COIL_LENGTH,
@@ -201,10 +201,10 @@ class RigView:
             text += ", ceiling out of sight"
         moves = self.gaps_known and not damper.locked
         name = self.damper_entity(cavity.damper_index)
-        yield name, boxes([cavity.damper], LEAD if moves else INACTIVE)
+        yield name, boxes([cavity.damper], DAMPER if moves else INACTIVE)
         # The names of several dampers are written below each other, next to their body.
         label_position = _label_position(text, (0.45 - 0.2 * number) * self.stack.heights[body - 1])
-        yield f"{name}_name", label(label_position, text, LEAD if moves else MARK)
+        yield f"{name}_name", label(label_position, text, DAMPER if moves else MARK)
 
     def _shaker(self, table: Table) -> Iterator[tuple[str, rr.AsComponents]]:
         height = table.top - PLATE - 0.012

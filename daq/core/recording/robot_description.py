@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.core.drawing.palette import DRIVE, GROUND, LEAD, Color, body_color
+from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, Color, body_color
 from daq.core.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
 from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, varint, varints
 from rig.core.base.arrays import Array
@@ -103,7 +103,7 @@ class RobotDescription:
         for number, damper in enumerate(scene.dampers if with_dampers else (), start=1):
             points.append(f"damper {number}")
             (x, y, z), size = cavity_of_damper[number - 1].damper
-            self._add_link(f"damper_{number}", [((x, y, z - WALL), size)], LEAD)
+            self._add_link(f"damper_{number}", [((x, y, z - WALL), size)], DAMPER)
             self._add_joint(f"body_{damper.body}", f"damper_{number}", WALL)
         self.points = tuple(points)
 

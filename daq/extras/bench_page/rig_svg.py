@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.core.drawing.palette import DRIVE, GROUND, LEAD, MARK, STEEL, Color, body_color, hex_color
+from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, MARK, STEEL, Color, body_color, hex_color
 from daq.core.drawing.rig_view import Extremes, RigMotion, RigView
 from daq.core.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
@@ -73,7 +73,9 @@ class RigDrawing:
                 if cavity.ceiling is not None:
                     frame += _box(cavity.x, cavity.ceiling + WALL / 2, cavity.width + WALL, WALL, color)
                 (_, _, z), (width, _, damper_height) = cavity.damper
-                frame += _group(view.damper_entity(cavity.damper_index), _box(cavity.x, z, width, damper_height, LEAD))
+                frame += _group(
+                    view.damper_entity(cavity.damper_index), _box(cavity.x, z, width, damper_height, DAMPER)
+                )
             text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
             frame += _text(WIDTH / 2 + 0.012, height / 2, text, color)
             parts.append(_group(f"rig/body_{body}", frame))

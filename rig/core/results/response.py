@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError, suggestion
+from rig.core.base.palette import place_styles, recording_styles
 from rig.core.results.interpolation import interpolate_curve, nearest_lines
 from rig.core.results.ratio_names import display_unit, ratio_name
 from rig.core.results.result import Result, complete_style, missing_package
@@ -41,6 +42,11 @@ MAX_MARKERS = 120
 MOTIONS = ("displacement", "velocity", "acceleration")
 # The highest value counts as the peak if its expanded uncertainty is at most this fraction of it.
 _MAX_PEAK_UNCERTAINTY_RATIO = 0.5
+# A curve between its lines is drawn with this number of points from line to line, where neighboring values differ by
+# more than this fraction. With fewer lines than this in all, the lines are joined.
+_POINTS_BETWEEN = 16
+_MAX_STEP = 0.1
+_MIN_CONTINUED = 6
 
 
 @dataclass(frozen=True)
@@ -54,6 +60,12 @@ class Point:
     name: str  # channel or body
     quantity: str = "displacement"
     place: str = ""  # name of the body, or ``body 1``; empty if unknown
+    body: int = 0  # number of the body; 0 if unknown
+
+    @property
+    def at(self) -> str:
+        """Location without names: ``body 1``."""
+        return f"body {self.body}" if self.body else self.place
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -516,9 +528,13 @@ class Response(Result, Sequence["Response"]):
         """Draw the magnitudes of this and other responses in the same axes: ``a.plot(b)`` or ``a.plot(ax, b)``."""
         if isinstance(ax, Response):
             others, ax = (ax, *others), None
-        axes = super().plot(ax, **style)
-        for other in others:
-            other.draw(axes, **style)
+        # A comparison has the colors of recordings, with this response as the reference.
+        colors = [{"color": color} for color, *_ in recording_styles([True, *(False for _ in others)])]
+        if not others or not self.is_curve:
+            colors = [{} for _ in colors]
+        axes = super().plot(ax, **colors[0] | style)
+        for other, color in zip(others, colors[1:], strict=True):
+            other.draw(axes, **color | style)
         if others:
             axes.legend()
         return axes
@@ -526,11 +542,13 @@ class Response(Result, Sequence["Response"]):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the magnitude with its expanded uncertainty, both axes logarithmic, for each element."""
         if not self.is_curve:
-            for curve in self.curves():
+            place_colors = place_styles([curve.outputs[0].at for curve in self.curves()])
+            for curve, (color, *_) in zip(self.curves(), place_colors, strict=True):
                 curve.draw(
                     ax,
                     **complete_style(
                         style,
+                        color=color,
                         label=curve.response
                         if len(self.inputs) == 1
                         else f"{curve.response} by {curve.inputs[0].name}",
@@ -539,16 +557,13 @@ class Response(Result, Sequence["Response"]):
             return
         curve, (unit, factor) = self.with_gaps(), self.shown_in
         magnitude, expanded = factor * abs(curve.value), factor * np.nan_to_num(curve.expanded())
-        (line,) = ax.loglog(
-            curve.frequency,
-            magnitude,
-            **complete_style(
-                style,
-                label=f"{self.label} {self.response}".strip(),
-                marker="o" if magnitude.size <= MAX_MARKERS else None,
-                ms=2.5,
-            ),
-        )
+        color, *_ = place_styles([self.outputs[0].at])[0]
+        # Another curve of the same body gets the next color of the axes.
+        default = None if any(line.get_color() == color for line in ax.lines) else color
+        dense, through = curve.continued(np.ones(magnitude.size, dtype=bool))
+        style = complete_style(style, color=default, label=f"{self.label} {self.response}".strip(), lw=1.0)
+        markers = {"marker": "o", "ms": 2.5, "markevery": np.flatnonzero(np.isin(dense, curve.frequency)).tolist()}
+        (line,) = ax.loglog(dense, factor * abs(through), **(markers if magnitude.size <= MAX_MARKERS else {}) | style)
         # A logarithmic axis needs positive values.
         lower_edge = np.maximum(magnitude - expanded, 1e-3 * magnitude)
         ax.fill_between(curve.frequency, lower_edge, magnitude + expanded, color=line.get_color(), alpha=0.2, lw=0)
@@ -686,6 +701,27 @@ class Response(Result, Sequence["Response"]):
         )
         return result, np.min([curve.needed_spacing for curve in known], axis=0)
 
+    def continued(self, is_shown: NDArray[np.bool_]) -> tuple[Array, ComplexArray]:
+        """Return frequencies and values of the interpolated curve through the lines of an ordered curve, to draw it.
+
+        `is_shown`: flags of the lines that it contains; the value at other lines is NaN. There are points between
+        lines only where neighboring values differ; their value is NaN where the lines do not resolve the response.
+        """
+        f, value = self.frequency, np.where(is_shown, self.value, np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = np.abs(np.diff(value)) / np.minimum(np.abs(value[1:]), np.abs(value[:-1]))
+        is_steep = np.nan_to_num(step) > _MAX_STEP
+        if self.resolution > 0.0 or not is_steep.any() or np.isfinite(self.value).sum() < _MIN_CONTINUED:
+            return f, value
+        fractions = np.linspace(0.0, 1.0, _POINTS_BETWEEN, endpoint=False)[1:]
+        between = (f[:-1, None] + np.diff(f)[:, None] * fractions)[is_steep].ravel()
+        inner, needed_spacing = self._interpolated(between)
+        is_resolved = np.isinf(needed_spacing) & (inner.expanded() <= _MAX_PEAK_UNCERTAINTY_RATIO * abs(inner.value))
+        is_resolved = np.repeat(is_resolved.reshape(-1, fractions.size).all(axis=1), fractions.size)
+        value = np.append(value, np.where(is_resolved, inner.value, np.nan))
+        order = np.argsort(np.append(f, between), kind="stable")
+        return np.append(f, between)[order], value[order]
+
     def sorted(self) -> Response:
         """Order the lines by increasing frequency."""
         return self.at(np.argsort(self.frequency, kind="stable"))
@@ -752,11 +788,10 @@ class Response(Result, Sequence["Response"]):
         """Remove contributions to the uncertainty."""
         return replace(self, uncertainty=self.uncertainty.without(*names))
 
-    def placed(self, output: str, force: str) -> Response:
-        """Set the locations of output and input of a curve."""
-        return replace(
-            self, outputs=(replace(self.outputs[0], place=output),), inputs=(replace(self.inputs[0], place=force),)
-        )
+    def placed(self, output: str, force: str, body: int = 0) -> Response:
+        """Set the locations of output and input of a curve, and the number of the output's body if it is known."""
+        points = replace(self.outputs[0], place=output, body=body), replace(self.inputs[0], place=force)
+        return replace(self, outputs=points[:1], inputs=points[1:])
 
     def warn(self, *sentences: str) -> Response:
         """Add warnings."""

@@ -163,7 +163,7 @@ def as_response(
     return Response(
         frequency,
         np.ascontiguousarray(frf.T[:, :, None]),
-        tuple(Point(name, "displacement", name) for name in labels),
+        tuple(Point(name, "displacement", name, body) for body, name in enumerate(labels, 1)),
         (Point(reference, reference),),
         amplitude=amplitude,
         unsteady=unsteady,

@@ -15,6 +15,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import cell_edges, new_figure, save_with_table, set_log_scale
 from rig.core.base.output_files import file_stem
+from rig.core.base.palette import MOTIONS
 from rig.core.base.progress import CountProgress
 from rig.core.base.study import Study, digest
 from rig.core.results import Result, format_percent
@@ -49,8 +50,6 @@ MAX_WAIT_DECAY_TIMES = 3.0
 MIN_WAIT_LIMIT_PERIODS = 2000
 #: The limit of the wait is at most this number of periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
-#: Colors of `KINDS`: gray for riding, blue for types I, II and III, warm colors for the other types.
-COLORS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
 LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
 
 
@@ -130,14 +129,14 @@ class MotionMap(Result):
         from matplotlib.colors import ListedColormap
 
         mesh_style: dict[str, Any] = {
-            "cmap": ListedColormap(COLORS),
+            "cmap": ListedColormap(MOTIONS),
             "vmin": -0.5,
             "vmax": len(KINDS) - 0.5,
             "rasterized": True,
         }
         ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
         for kind in sorted(set(self.kind.ravel())):
-            ax.plot([], [], "s", color=COLORS[kind], label=LEGEND[kind])
+            ax.plot([], [], "s", color=MOTIONS[kind], label=LEGEND[kind])
         self.draw_axes(ax)
 
     @property
@@ -369,7 +368,7 @@ def _draw(map_: MotionMap) -> Figure:
         left.set_title("Most complex motion type of the dampers")
         right.set_title("Periods computed, not the duration of a test")
         present = sorted(set(map_.kind.ravel()))
-        handles: list[Patch | Line2D] = [Patch(color=COLORS[k], label=LEGEND[k]) for k in present]
+        handles: list[Patch | Line2D] = [Patch(color=MOTIONS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
             handles.append(Line2D([], [], color="black", lw=1.2, label="1 g; dampers fly above this line"))
         if map_.own_value is not None:

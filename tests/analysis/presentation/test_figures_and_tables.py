@@ -27,7 +27,9 @@ from analysis.commands.presentation.mode_findings import theory_warnings
 from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.modal.lscf import ChartPole
 from analysis.core.modal.modes import Modes
+from analysis.core.recordings.names import belongs_to, excitation_text, reference_label
 from rig.core.base.errors import RecordingError
+from rig.core.base.palette import REFERENCE, recording_styles
 from rig.core.results.response import Response
 from tests.analysis.responses import synthetic
 
@@ -238,14 +240,58 @@ def test_curve_is_interrupted_at_omitted_points():
     assert caption.replace("\n", " ").endswith("Gaps with a mark at the axis: omitted frequencies.")
 
 
-@pytest.mark.parametrize(("limit_um_per_n", "includes_zero"), [(0.8, False), (2.0, True), (np.inf, True)])
-def test_axis_contains_wide_bounds(limit_um_per_n, includes_zero):
-    axes, caption = draw_curve(1e-6 * limit_um_per_n)
+def test_axis_contains_wide_bounds():
+    axes, caption = draw_curve(0.8e-6)
     low, high = axes.get_ylim()
-    # The axis ends at ten times the largest value, 1 µm/N.
-    assert high >= min(1.0 + limit_um_per_n, 10.0)
-    assert low <= max(1.0 - limit_um_per_n, 0.99)
-    assert ("includes zero" in caption) == includes_zero and "sensors' sensitivity" in caption
+    assert high >= 1.8 and low <= 0.2 and "sensors' sensitivity" in caption
+
+
+@pytest.mark.parametrize("limit", [2e-6, np.inf])
+def test_undetermined_curve_is_gray_without_band(limit):
+    axes, caption = draw_curve(limit)
+    bands = [band for band in axes.collections if len(band.get_paths()) and band.get_alpha()]
+    assert not bands and "undetermined" in caption
+    assert {line.get_color() for line in axes.lines if np.isfinite(line.get_ydata()).any()} == {"#c4c4c4"}
+
+
+def test_reference_is_gray_in_any_order(folder):
+    [responses] = analysis.frf(folder / "one.mcap")
+    curve = replace(responses.curves()[0], label="with")
+    reference = reference_label({"with": True, "without": False})
+    curves = [curve, replace(curve, label="without")]
+    styles = recording_styles([belongs_to(curve.label, reference) for curve in curves])
+    axes = frf_figure(curves, "Compliance", styles=styles).axes[0]
+    colors = {line.get_label(): line.get_color() for line in axes.lines}
+    assert colors["without"] == REFERENCE != colors["with"]
+
+
+def test_peak_between_tones_has_a_marker():
+    f = np.linspace(10.0, 30.0, 41)
+    curve = Response.curve(
+        f, 1e-6 / (1.0 - (f / 20.2) ** 2 + 0.02j), "body1", error=1e-12 * np.ones(41), coherence=np.ones(41)
+    )
+    axes = frf_figure([curve], "Compliance").axes[0]
+    [marker] = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
+    assert marker.get_ydata()[0] == pytest.approx(50.0, rel=0.01)
+    [drawn] = [line for line in axes.lines if line.get_xdata().size > f.size]
+    assert np.nanmax(drawn.get_ydata()) == pytest.approx(50.0, rel=0.01)
+
+
+def test_rough_phase_is_not_drawn():
+    f = np.linspace(10.0, 110.0, 401)
+    value = 1e-6 * np.exp(-1j * np.where(f < 60.0, 0.0, 40.0 * f))
+    ones = np.ones(f.size)
+    axes = frf_figure([Response.curve(f, value, "body1", error=1e-9 * ones, coherence=ones)], "Compliance").axes[1]
+    shown = max(line.get_xdata()[np.isfinite(line.get_ydata())].max() for line in axes.lines)
+    assert shown < 62.0
+
+
+def test_figure_names_test_and_level(folder, tmp_path):
+    with daq.open(folder / "one.mcap") as rec:
+        text = excitation_text(rec)
+    present_frf([folder / "one.mcap"], tmp_path)
+    [figure] = tmp_path.glob("*.svg")
+    assert text.endswith(" N") and text in figure.read_text("utf-8")
 
 
 @pytest.mark.parametrize("count", [5, 6])
@@ -274,14 +320,14 @@ def test_titles_of_modes_are_separate(count):
     assert chart.get_legend().get_window_extent().y0 >= chart.get_window_extent().y1
 
 
-def test_differing_modes_are_both_in_title(folder):
+def test_title_has_range_of_differing_modes(folder):
     with daq.open(folder / "hit.mcap") as rec:
         decay = analysis.decay(rec)
     shifted_modes = [replace(mode, frequency=0.97 * mode.frequency) for mode in decay.modes]
     figure = decay_figure([decay, replace(decay, modes=tuple(shifted_modes))], "Free decay")
     titles = [axes.get_title(loc="left") for axes in figure.axes[2:]]
     assert titles == [
-        f"{mode.frequency:.1f}, {shifted.frequency:.1f} Hz"
+        f"mode at {shifted.frequency:.1f} to {mode.frequency:.1f} Hz"
         for mode, shifted in zip(decay.modes, shifted_modes, strict=True)
     ]
 

@@ -1,9 +1,9 @@
 // Draws the charts of a report with uPlot. Each <div class="chart"> names a JSON element that describes its panels:
-// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color}], image}]}.
+// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash}], image}]}.
 "use strict";
 (function () {
-  const LIGHT = { text: "#1b1f24", grid: "#d8dde3" };
-  const DARK = { text: "#dfe4ea", grid: "#3a424c" };
+  const LIGHT = { text: "#1b1f24", grid: "#d8dde3", reference: "#404040" };
+  const DARK = { text: "#dfe4ea", grid: "#3a424c", reference: "#c0c6cd" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
   const PRINT_HEIGHT = 0.62; // of the height on screen: two charts fit on a page
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
@@ -11,6 +11,8 @@
   const plots = [];
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   let printing = false;
+  // The dark gray of a reference is light gray on a dark page.
+  const shade = (color) => (color === LIGHT.reference ? theme("reference") : color);
   const theme = (key) => (scheme.matches && !printing ? DARK : LIGHT)[key];
 
   function digits(value) {
@@ -133,8 +135,8 @@
     for (const curve of panel.curves) {
       const main = shown.length + 1;
       shown.push({
-        label: curve.label, stroke: curve.color, width: 1.4, spanGaps: false,
-        points: { show: curve.x.length !== undefined && curve.x.length <= 160, size: 4, fill: curve.color },
+        label: curve.label, stroke: () => shade(curve.color), dash: curve.dash.map((length) => 1.4 * length), width: 1.4, spanGaps: false,
+        points: { show: curve.x.length !== undefined && curve.x.length <= 160, size: 4, fill: () => shade(curve.color) },
       });
       if (!curve.low) continue;
       for (const edge of ["low", "high"]) {
@@ -193,7 +195,7 @@
     for (const panel of chart.panels) element(head, "td", panel.label);
     for (const [label, { color, places }] of curveRows(chart)) {
       const row = element(table, "tr"), name = element(row, "th", "", "name");
-      element(name, "span", "", "swatch").style.background = color;
+      element(name, "span", "", "swatch").style.background = color === LIGHT.reference ? "currentColor" : color;
       name.append(label);
       name.title = "Hide or show this curve";
       name.addEventListener("click", () => {

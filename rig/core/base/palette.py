@@ -1,0 +1,92 @@
+"""Colors, dashes and markers of the same things in figures, report, bench page and replay.
+
+A body has one color everywhere, and so have tables, hammers and dampers. Curves of recordings have other colors; the
+reference of a comparison is dark gray. Bodies 1 to 3, table and damper remain distinct with any color blindness (Okabe
+and Ito); dashes and markers distinguish curves in gray prints.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+#: Bodies 1, 2, ...; the styles repeat after six bodies.
+BODIES = ("#0072B2", "#D55E00", "#009E73", "#56B4E9", "#9A6324", "#7E6BC4")
+#: Table and drive of a shaker.
+TABLE = "#CC79A7"
+HAMMER = "#6E7681"
+DAMPER = "#E69F00"
+#: Reference of a comparison.
+REFERENCE = "#404040"
+#: Recordings that are compared with a reference.
+RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
+#: Dampers by their type of motion (`rig.studies.motion_map`), from rest to irregular.
+MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
+# Lengths of dashes and gaps, in line widths.
+_DASHES: tuple[tuple[float, ...], ...] = ((), (6, 2), (8, 2, 2, 2), (2, 1.5), (10, 3), (6, 2, 1, 2, 1, 2))
+_MARKERS = "os^DvP"
+_BODY = re.compile(r"body ([1-9][0-9]*)")
+
+
+class CurveStyle(NamedTuple):
+    """Color, dashes (empty: solid) and marker of a curve."""
+
+    color: str
+    dashes: tuple[float, ...] = ()
+    marker: str = "o"
+
+    @property
+    def line(self) -> str | tuple[float, tuple[float, ...]]:
+        """Line style for matplotlib."""
+        return (0.0, self.dashes) if self.dashes else "-"
+
+
+def body_style(body: int) -> CurveStyle:
+    """Return the style of a body, counted from 1."""
+    index = (body - 1) % len(BODIES)
+    return CurveStyle(BODIES[index], _DASHES[index], _MARKERS[index])
+
+
+def place_style(place: str) -> CurveStyle:
+    """Return the style of a location such as ``body 2``, ``table`` or ``hammer``.
+
+    >>> place_style("body 2") == body_style(2), place_style("table").color == TABLE
+    (True, True)
+    """
+    if body := _BODY.fullmatch(place):
+        return body_style(int(body[1]))
+    return CurveStyle(TABLE, (4, 2)) if place.startswith(("table", "drive")) else CurveStyle(HAMMER, (1, 2))
+
+
+def place_styles(places: Sequence[str]) -> list[CurveStyle]:
+    """Return the styles of curves by their locations; an unknown location gets the style of the body of its position.
+
+    Further curves of the same location have other dashes and markers.
+
+    >>> [style.color == BODIES[2] for style in place_styles(["body 3", "node 7", "", "body 3"])]
+    [True, False, True, True]
+    """
+    styles: list[CurveStyle] = []
+    for position, place in enumerate(places, 1):
+        known = _BODY.fullmatch(place) or place.startswith(("table", "drive", "hammer"))
+        style = place_style(place) if known else body_style(position)
+        repeated = sum(style.color == other.color for other in styles)
+        other = body_style(_DASHES.index(style.dashes) + 1 + repeated) if repeated else style
+        styles.append(style._replace(dashes=other.dashes, marker=other.marker))
+    return styles
+
+
+def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:
+    """Return the styles of compared curves: those of the reference are dark gray, whatever their order.
+
+    >>> [style.color == REFERENCE for style in recording_styles([False, True, False])]
+    [False, True, False]
+    """
+    styles = []
+    for position, reference in enumerate(is_reference):
+        index = sum(other == reference for other in is_reference[:position])
+        color = REFERENCE if reference else RECORDINGS[index % len(RECORDINGS)]
+        index = (index if reference else index + 1) % len(_DASHES)
+        styles.append(CurveStyle(color, _DASHES[index], _MARKERS[index]))
+    return styles

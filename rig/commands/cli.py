@@ -171,12 +171,12 @@ def simulate(
     The drive acts in open loop: sensors and controller are not simulated.
     """
     from rig.core.base.output_files import allow_overwriting
-    from rig.core.settings.quantities import FREQUENCY, TIME
+    from rig.core.settings.quantities import FREQUENCY, SAMPLE_RATE, TIME
     from rig.core.simulation.run_output import simulate_to_file, summary
 
     loaded_scene = load_scene(scene, changes)
     duration_s, tone_hz = (_quantity(duration, TIME, "--duration"), _quantity(frequency, FREQUENCY, "--frequency"))
-    sample_rate = _quantity(rate, FREQUENCY, "--rate") or 0.0
+    sample_rate = _quantity(rate, SAMPLE_RATE, "--rate") or 0.0
     with (
         allow_overwriting(overwrite),
         count_progress("computing the motion") as progress,

@@ -12,9 +12,10 @@ from typing import Any
 from rig.core.base.errors import SceneError, suggestion
 from rig.core.base.input_files import read_file
 from rig.core.scene.yaml_reader import read_yaml
-from rig.core.settings.quantities import FREQUENCY, TIME, expected_quantity, parse
+from rig.core.settings.quantities import SAMPLE_RATE, TIME, expected_quantity, parse
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
+PYTHON_EXAMPLE = '{"body1": {"column": "ai0", "unit": "g", "sign": -1}}'
 # Line number, name of the channel, and its keys.
 TableRows = list[tuple[int, str, Mapping[str, Any]]]
 
@@ -64,6 +65,42 @@ def read_table(path: Path) -> dict[str, Column]:
     return table
 
 
+def columns_of(table: Any) -> dict[str, Column]:
+    """Return the column of each channel of a table, which is a mapping in Python or a file.
+
+    A channel's value in a mapping is a `Column`, a mapping with the keys of a line in a file, or the column alone.
+    Raises `SceneError` with all problems.
+
+    >>> columns_of({"body1": {"column": "ai0", "unit": "g"}, "body2": 3})["body2"].column
+    '3'
+    """
+    if table is None:
+        return {}
+    if isinstance(table, str | Path):
+        return read_table(Path(table))
+    if not isinstance(table, Mapping):
+        raise SceneError(f"table: got {table!r:.60}; expected a file or a mapping such as {PYTHON_EXAMPLE}")
+    columns: dict[str, Column] = {}
+    problems = []
+    for name, values in table.items():
+        try:
+            columns[str(name)] = values if isinstance(values, Column) else column(_keys_of(values))
+        except ValueError as error:
+            problems.append(f"table: {name}: {error}")
+    if problems:
+        raise SceneError("\n".join(problems))
+    return columns
+
+
+def _keys_of(values: Any) -> Mapping[str, Any]:
+    """Return the keys of a channel; its column may be stated alone."""
+    if isinstance(values, Mapping):
+        return values
+    if isinstance(values, bool) or not isinstance(values, str | int):
+        raise ValueError(f"got {values!r:.60}; expected a column or a mapping such as {PYTHON_EXAMPLE}")
+    return {"column": values}
+
+
 def column(settings: Mapping[str, Any]) -> Column:
     """Check and convert the keys of one channel; raise `ValueError` for the first problem.
 
@@ -82,7 +119,7 @@ def column(settings: Mapping[str, Any]) -> Column:
         if cell_texts["sign"] not in ("1", "+1", "-1", "+", "-"):
             raise ValueError(f"sign: got {cell_texts['sign']!r}; expected 1 or -1")
         values["sign"] = -1 if cell_texts["sign"].startswith("-") else 1
-    for key, kind in (("delay", TIME), ("rate", FREQUENCY)):
+    for key, kind in (("delay", TIME), ("rate", SAMPLE_RATE)):
         if key in cell_texts:
             try:
                 values[key] = parse(cell_texts[key], kind)

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from daq.core.recording.layout import MAX_VOLTS, require_ordered_times
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.extras.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
-from daq.extras.importing.channel_table import Column, read_table
+from daq.extras.importing.channel_table import Column, columns_of
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
 from daq.extras.importing.joined_files import are_repetitions, join_repetitions
@@ -60,7 +61,7 @@ def import_files(
     scene: SceneLike,
     path: str | Path,
     *,
-    table: Mapping[str, Column] | str | Path | None = None,
+    table: Mapping[str, Column | Mapping[str, Any] | str | int] | str | Path | None = None,
     from_s: float | None = None,
     to_s: float | None = None,
     overwrite: bool = False,
@@ -82,8 +83,9 @@ def import_files(
         The bench: structure, dampers, shaker, test, and channels with their sensors.
     path : str or Path
         Recording to write (MCAP), in an existing folder.
-    table : mapping of str to Column, or str or Path, optional
-        The column of each channel, or a file with it; see `daq.extras.importing.channel_table`.
+    table : mapping, or str or Path, optional
+        The column of each channel, such as ``{"body1": {"column": "ai0", "unit": "g"}}``, or a file with it; see
+        `daq.extras.importing.channel_table`.
     from_s, to_s : float, optional
         Times in s after the first sample between which samples are taken.
     overwrite : bool
@@ -128,7 +130,7 @@ def import_files(
     file_arguments = [files] if isinstance(files, str | Path) or not isinstance(files, Sequence) else files
     paths = [as_path(file, "files") for file in file_arguments]
     target = as_path(path)
-    columns = table if isinstance(table, Mapping) else {} if table is None else read_table(Path(table))
+    columns = columns_of(table)
     for first, duplicate in duplicate_files(paths):
         raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:

@@ -14,8 +14,10 @@ from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.settings import value_at
 
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
+#: Locations of channels other than bodies.
+LOCATIONS = ("table", "hammer", "shaker", "drive")
 #: Reserved words, which a body must not have as its name.
-RESERVED_NAMES = ("body", "table", "hammer", "shaker", "drive", "ground")
+RESERVED_NAMES = ("body", "ground", *LOCATIONS)
 # Number of unknown names for which a similar name is suggested; each is compared with all names.
 _MAX_SUGGESTIONS = 20
 # Locations that contain no body name: a body by its number, or another location on the bench.
@@ -64,9 +66,9 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
     numbers = {name: k + 1 for k, name in reversed([*enumerate(names or ())])}
     problems: list[Problem] = []
 
-    def report_unknown(name: str, key_path: KeyPath) -> None:
-        similar_candidates = (names or ()) if len(problems) < _MAX_SUGGESTIONS else ()
-        problems.append(Problem(key_path, _unknown_name(name, names, n_bodies, similar_candidates)))
+    def report_unknown(name: str, key_path: KeyPath, locations: Sequence[str] = ()) -> None:
+        similar_candidates = (*(names or ()), *locations) if len(problems) < _MAX_SUGGESTIONS else ()
+        problems.append(Problem(key_path, _unknown_name(name, names, n_bodies, similar_candidates, locations)))
 
     def check_number(number: Any, key_path: KeyPath) -> None:
         if n_bodies and str(number).isdecimal() and int(number) > n_bodies:
@@ -95,7 +97,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
         name = value.removeprefix("body ")
         if name in numbers:
             return f"body {numbers[name]}"
-        report_unknown(name, key_path)
+        report_unknown(name, key_path, LOCATIONS if name == value else ())
         return value
 
     def replace_value(section: Any, key: str, replace: Any, key_path: KeyPath) -> Any:
@@ -141,10 +143,18 @@ def _names_and_count(structure: Any) -> tuple[list[str] | None, int]:
     return texts, next(lengths, 0)
 
 
-def _unknown_name(name: str, names: Sequence[str] | None, n_bodies: int, similar_candidates: Sequence[str]) -> str:
+def _unknown_name(
+    name: str,
+    names: Sequence[str] | None,
+    n_bodies: int,
+    similar_candidates: Sequence[str],
+    locations: Sequence[str] = (),
+) -> str:
+    """Return the message for an unknown name; `locations`: further names that are allowed."""
     if names is None:
         alternatives = f"its number, 1 to {n_bodies}" if n_bodies > 1 else "its number, from 1"
         return f"no body has the name {name[:60]!r}: the bodies have no names; expected {alternatives}"
     listed_names = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    listed_names += f" (bodies), {', '.join(locations)}" if locations else ""
     hint = suggestion(name, similar_candidates)
     return f"no body has the name {name[:60]!r}" + (f". {hint}" if hint else f"; expected one of {listed_names}")

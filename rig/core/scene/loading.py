@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from rig.core.base.errors import SceneError, SceneWarning
 from rig.core.scene.changes import Change, parse_changes, parse_options
+from rig.core.scene.implausible_values import implausible_values
 from rig.core.scene.matrices import FOLDER
-from rig.core.scene.missing_units import implausible_values
 from rig.core.scene.scene import Scene
 from rig.core.scene.scene_files import find_scene, read_text
 from rig.core.scene.yaml_reader import Document, read_yaml

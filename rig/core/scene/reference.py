@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -202,6 +202,8 @@ def help_on(key: str | None = None) -> str:
     matches = [dotted_key] if dotted_key in by_name else [name for name in by_name if name.endswith(f".{dotted_key}")]
     if not matches and (kind_help := _help_on_kind(*dotted_key.rpartition(".")[::2])):
         return kind_help
+    if not matches and (of_kind := _key_of_kind(dotted_key, by_name)):
+        return "\n\n".join("\n".join(_describe_key(entry, _dotted(entry.name))) for entry in of_kind)
     if not matches:
         kinds = [f"{_dotted(section)}.{kind}" for section, kind in _kinds()]
         names = [*by_name, *(name.rpartition(".")[2] for name in by_name), *kinds]
@@ -236,6 +238,15 @@ def _help_on_kind(section: str, kind: str) -> str:
             hint = f"  more: rig help {full_section}.KEY, such as {inner[0].name}"
             paragraphs.append("\n".join([*header, *lines, hint]))
     return "\n\n".join(paragraphs)
+
+
+def _key_of_kind(dotted_key: str, by_name: Mapping[str, list[Key]]) -> list[Key]:
+    """Return the entries of a key whose name contains the kind of its section, such as test.impulse.peak."""
+    section, _, rest = dotted_key.partition(".")
+    kind, _, inner = rest.partition(".")
+    if (section, kind) not in _kinds():
+        return []
+    return [entry for entry in by_name.get(f"{section}.{inner}", ()) if kind in entry.kinds]
 
 
 def _default_note(key: Key) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import InitErrorDetails
 
-from rig.core.settings.quantity_field import unexpected_value_message, validation_error
+from rig.core.settings.quantity_field import in_brackets, shorten, unexpected_value_message, validation_error
 
 KeyPath = tuple[int | str, ...]
 
@@ -84,4 +84,6 @@ def message_of(item: Any) -> str:
         "literal_error": f"one of {str(context.get('expected')).replace(chr(39), '')}",
         "tuple_type": "a list",
     }.get(item["type"])
+    if item["type"] == "tuple_type" and (listed := in_brackets(item["input"])):
+        expected_value = f"a list in brackets: {shorten(listed)}"
     return unexpected_value_message(item["input"], expected_value) if expected_value else str(item["msg"])

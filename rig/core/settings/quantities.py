@@ -128,6 +128,7 @@ _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
 _FACTOR = rf"(?:{_NAME}|\({_NAME}(?:{_JOIN}{_NAME})*\){_POWER})"
 _UNIT = re.compile(rf"(?:1\s*/\s*)?{_FACTOR}(?:{_JOIN}{_FACTOR})*")
+_SAMPLES_PER_SECOND = re.compile(r"^([kM]?)(?:(?:S|Sa|samples)/s|SPS)$")
 _GRAVITY = re.compile(r"(?<![A-Za-z])([num]?)g(?![A-Za-z])")
 
 
@@ -413,6 +414,9 @@ def _factor(unit: str, kind: Kind) -> Fraction:
     """Return the exact SI factor of a unit."""
     if unit in ("", kind.si):
         return Fraction(1)
+    if kind is SAMPLE_RATE:
+        # Samples per second, as on data sheets of converters.
+        unit = _SAMPLES_PER_SECOND.sub(r"\1Hz", unit)
     return COMMON_FACTORS.get((unit, kind.si)) or pint_factor(unit, kind)
 
 

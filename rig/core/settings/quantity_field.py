@@ -64,6 +64,10 @@ class Quantity:
             if not value:
                 raise unexpected_value_error(value, f"at least one: {self.description}")
             return tuple(self._read_number(item) for item in value)
+        listed = in_brackets(value) if self.listed else None
+        if listed is not None:
+            expected = expected_quantity(value, self.kinds)
+            raise unexpected_value_error(value, f"{expected}, or a list in brackets: {shorten(listed)}")
         return self._read_number(value)
 
     def _read_number(self, value: Any) -> float:
@@ -109,6 +113,16 @@ def quantity_of(annotation: Any) -> Quantity | None:
         if quantity is not None:
             return quantity
     return None
+
+
+def in_brackets(value: Any) -> str | None:
+    """Write text that is several items with commas as a list; return None for other values.
+
+    >>> in_brackets("10N,20N"), in_brackets("10 N")
+    ('[10N, 20N]', None)
+    """
+    items = [item.strip() for item in value.split(",")] if isinstance(value, str) else []
+    return f"[{', '.join(items)}]" if len(items) > 1 else None
 
 
 def format_value(value: Any) -> str:

@@ -14,7 +14,7 @@ from rig.core.engine.trajectory import Trajectory, event_table
 from rig.core.laws.events import FLOOR
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
-from rig.core.settings.quantities import FREQUENCY, positive_value
+from rig.core.settings.quantities import SAMPLE_RATE, positive_value
 from rig.core.simulation.grains import grains_simulation
 from rig.core.simulation.motion import Motion
 from rig.core.system.assembly import assemble
@@ -44,7 +44,7 @@ class Plant:
     """
 
     def __init__(self, scene: SceneLike, rate: float | str = 5120.0) -> None:
-        scene, self.rate = scene_of(scene), positive_value(rate, FREQUENCY, "rate")
+        scene, self.rate = scene_of(scene), positive_value(rate, SAMPLE_RATE, "rate")
         self.system = assemble(scene)
         self.inputs, self.drive_units = self.system.inputs, self.system.drive_units
         self.points = self.system.points

@@ -21,7 +21,7 @@ from rig.core.numerics.memory import require_memory
 from rig.core.results import Result, complete_style
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
-from rig.core.settings.quantities import FREQUENCY, TIME, number
+from rig.core.settings.quantities import FREQUENCY, SAMPLE_RATE, TIME, number
 from rig.core.simulation.energy import Energy, energy_balance
 from rig.core.simulation.grains import grains_simulation
 from rig.core.system.assembly import assemble
@@ -156,7 +156,7 @@ def simulate(
     ((3, 101), 5)
     """
     scene = scene_of(scene)
-    duration, rate = number(duration, TIME, "duration"), number(rate, FREQUENCY, "rate")
+    duration, rate = number(duration, TIME, "duration"), number(rate, SAMPLE_RATE, "rate")
     frequency = number(frequency, FREQUENCY, "frequency")
     for name, value in (("duration", duration), ("rate", rate)):
         if value is None or not (np.isfinite(value) and value > 0.0):

@@ -20,6 +20,8 @@ from rig.core.steady_response.frequency_response import SteadyResponse
 _NEGLIGIBLE_ERROR = 1e-4
 # Maximum number of listed peaks with few frequencies.
 _MAX_LISTED = 8
+# Parameters in Python, and options on the command line.
+_GIVE_BAND = "Give first and last (--from and --to)."
 
 
 def sweep_frequencies(
@@ -36,13 +38,17 @@ def sweep_frequencies(
         first, last = test_first if first is None else first, test_last if last is None else last
         points = count(points if points is not None else test_points or 101, 2, "points")
         if first is None or last is None:
-            raise SceneError(f"frequencies: {'--from' if first is None else '--to'} is missing. Give --from and --to.")
+            missing = "first (--from)" if first is None else "last (--to)"
+            raise SceneError(f"frequencies: {missing} is missing. {_GIVE_BAND}")
         if not 0.0 < first < last:
-            raise SceneError(f"frequencies: --from {first:g} Hz is not between 0 and --to {last:g} Hz. Change --from.")
+            raise SceneError(
+                f"frequencies: got {first:g} Hz as first (--from) and {last:g} Hz as last (--to); expected values "
+                "above 0, first the lower value"
+            )
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
     if test is not None and test.dwells:
         return tuple(sorted(set(test.dwells))), direction or test.sweep_direction
-    raise SceneError(f"scene {scene.name!r}: the test has no frequencies. Give --from and --to.")
+    raise SceneError(f"scene {scene.name!r}: the test has no frequencies. {_GIVE_BAND}")
 
 
 def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:

@@ -92,7 +92,7 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
 def _test_range(scene: Scene) -> tuple[float, float]:
     band = None if scene.test is None else scene.test.band
     if band is None:
-        raise SceneError("test: has no frequency. Give a range with --from and --to.")
+        raise SceneError("test: has no frequency. Give first and last (--from and --to).")
     low, high = band
     return band if low < high else (0.8 * low, 1.2 * low)
 

@@ -190,6 +190,22 @@ def test_missing_column_and_units_name_file_and_remedy(tmp_path):
         daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table={"body1": Column("body1 [g]")})
 
 
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"body1": {"colum": "body1"}}, r"table: body1: unknown key 'colum'; .*Did you mean 'column'\?"),
+        ({"body1": {"unit": "g"}}, "table: body1: column missing"),
+        ({"body1": None}, "table: body1: got None; expected a column or a mapping such as"),
+        ({"bdy1": {"column": "body1"}}, "bdy1"),
+        ([("body1", "ai0")], "table: got .*; expected a file or a mapping such as"),
+    ],
+)
+def test_mistake_in_table_from_python_is_named(columns, message, tmp_path):
+    np.savetxt(tmp_path / "a.csv", random_samples(100).T, delimiter=",", header="body1,body2,force", comments="")
+    with pytest.raises(SceneError, match=message):
+        daq.import_(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=columns)
+
+
 def test_listing_prints_nothing_before_an_error(tmp_path):
     np.savetxt(tmp_path / "a.csv", random_samples(100).T, delimiter=",")
     for unsuitable in ("missing.csv", "folder.csv"):

@@ -76,6 +76,8 @@ def test_scene_commands_have_the_changes_option(package) -> None:
         ("structure.springs=[1 kN/m]", "with --set structure.springs=[1 kN/m]: structure.springs: got 1 springs"),
         ("structure.masses=[1 kg]", "with --set structure.masses=[1 kg]: structure.springs: got 2 springs"),
         ("gravity=9,81", '--set gravity=9,81: gravity: got "9,81"; expected a decimal point: 9.81'),
+        ("structure.masses=1kg,2kg", 'got "1kg,2kg"; expected a list in brackets: [1kg, 2kg]'),
+        ("structure.damping.modal=1%,2%", "a ratio such as 10 %, or a list in brackets: [1%, 2%]"),
         ("dampers[0].mass=1kg", "--set dampers[0].mass=1kg: no key"),
         ("dampers[3].mass=1kg", "--set dampers[3].mass=1kg: item 3 does not exist"),
     ],

@@ -50,6 +50,8 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
         ("direction", "one of up, down, both"),
         ("integrator.corner", "default: 0.0"),
         ("accelerometer.q", "default: 30"),
+        ("shaker.electrodynamic.amplifier", "mode "),
+        ("test.impulse.peak", "Peak of the pulse"),
     ],
 )
 def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:

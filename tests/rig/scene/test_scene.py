@@ -156,7 +156,7 @@ recording: {samples: counts}
     ("written", "value"), [("1e-5", 1e-5), ("010", 10.0), ("1_000", 1000.0), ("1.5e3 N/m", 1500.0)]
 )
 def test_numbers_that_yaml_misreads_load_as_written(written: str, value: float) -> None:
-    scene = rig.loads(f"structure: {{masses: [1], springs: [{written}]}}")
+    scene = rig.loads(f"structure: {{masses: [1e-5], springs: [{written}]}}")
     assert scene.structure.springs == (value,)
 
 

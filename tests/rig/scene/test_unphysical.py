@@ -67,6 +67,46 @@ def test_implausible_clearance_without_unit_causes_warning() -> None:
         rig.loads(chain % clearance)
 
 
+CHAIN = "structure: {masses: [%s, 0.7 kg], springs: [%s, 20 kN/m]}\ndampers: [{body: 1, mass: %s, clearance: 1 mm}]"
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (("0.8 kg", "2.4 mN/m", "74 g"), r"springs\[1\]: got 2.4 mN/m, .* resonates at 0.00872 Hz. .* 2.4 MN/m\?"),
+        (("0.8 kg", "2.4", "74 g"), r"springs\[1\]: got 2.4 without a unit, .* such as 2.4 kN/m"),
+        (("800", "24 kN/m", "99 kg"), r"masses\[1\]: got 800 without a unit, read as 800 kg: .* such as 800 g"),
+        (("0.8 kg", "24 kN/m", "100"), r"dampers\[1\].mass: got 100 .*, 125 times the mass .* such as 100 g"),
+        (("0.8 kg", "24 kN/m", "74 mg"), r"dampers\[1\].mass: got 74 mg, .* Did you mean 74 g\?"),
+    ],
+)
+def test_improbable_spring_or_mass_names_likely_intent(values, message) -> None:
+    with pytest.warns(SceneWarning, match=message):
+        rig.loads(CHAIN % values)
+
+
+def test_soft_spring_among_si_values_is_accepted() -> None:
+    rig.loads("structure: {masses: [0.8, 0.7], springs: [10, 24000]}")
+    rig.loads("structure: {masses: [0.8 kg, 0.7 kg], springs: [10, 24000]}")
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (("width: 4 s", "sensitivity: 100 mV/g"), r"test.width: got 4 s, .* Did you mean 4 ms\?"),
+        (("width: 4 ms", "sensitivity: 100"), r"accelerometer.sensitivity: got 100 without .* such as 100 mV/g"),
+        (("width: 4 ms", "resonance: 30"), r"accelerometer.resonance: got 30 without .* such as 30 kHz"),
+        (("width: 4 ms", "noise: 20"), r"accelerometer.noise: got 20 without .* such as 20 ug/sqrt\(Hz\)"),
+    ],
+)
+def test_improbable_pulse_or_sensor_names_likely_intent(keys, message) -> None:
+    pulse, sensor = keys
+    test = f"test: {{kind: impulse, body: 1, peak: 50 N, interval: 9 s, {pulse}}}"
+    channel = f"channels: [{{name: a, at: body 1, accelerometer: {{{sensor}}}}}]"
+    with pytest.warns(SceneWarning, match=message):
+        rig.loads("\n".join([CHAIN % ("0.8 kg", "24 kN/m", "74 g"), test, channel]))
+
+
 @pytest.mark.parametrize(
     ("damping", "message"),
     [

@@ -27,6 +27,7 @@ from rig.core.settings.quantities import (
     RATE,
     RATIO,
     RESISTANCE,
+    SAMPLE_RATE,
     STIFFNESS,
     TIME,
     TRANSCONDUCTANCE,
@@ -57,6 +58,10 @@ KINDS = [value for value in vars(quantities).values() if isinstance(value, Kind)
         ("10 %", RATIO, 0.1),
         ("10%", RATIO, 0.1),
         ("20 ppm", RATIO, 2e-5),
+        ("12.8 kS/s", SAMPLE_RATE, 12800.0),
+        ("1 MS/s", SAMPLE_RATE, 1e6),
+        ("500 Sa/s", SAMPLE_RATE, 500.0),
+        ("2 kSPS", SAMPLE_RATE, 2000.0),
         ("10 V/V", RATIO, 10.0),
         (".inf", LENGTH, math.inf),
         (".inf mm", LENGTH, math.inf),
@@ -106,6 +111,7 @@ def test_angular_frequency_becomes_hertz() -> None:
     ("written", "kind"),
     [
         ("0.98 kg", LENGTH),
+        ("50 S/s", FREQUENCY),
         ("50 1/s", FREQUENCY),  # radians or cycles is ambiguous
         ("2 kg", ACCELERATION),
         ("5 khz", FREQUENCY),

@@ -422,7 +422,7 @@ WRONG_TABLES = {
     "body1: {column: 1, sign: up}": "expected 1 or -1",
     "body1: {column: 1, offset: little}": "expected a number",
     "body1: {column: 1, delay: 2 kg}": "expected a time",
-    "body1: {column: 1, rate: -3}": "expected a frequency",
+    "body1: {column: 1, rate: -3}": "expected a sample rate",
     "body1: {column: 1, unit: furlong}": "unknown unit 'furlong'",
     "body1: {column: 1, sensitivity: 100 mV/g}": "only for a signal in volts",
     "body1: {column: 1, unit: V, sensitivity: 1 kg}": "not a unit of voltage per acceleration",

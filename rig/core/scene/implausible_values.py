@@ -21,8 +21,10 @@ from rig.core.settings.quantities import (
     parse,
 )
 
-# Limits of the mass ratio of real beds (damper to body); below the lower limit, mg was probably not meant.
+# Limits of the mass ratio of real beds (damper to body), and for masses with a unit.
 _MAX_MASS_RATIO = 2.0
+_MAX_MASS_RATIO_WITH_UNIT = 50.0
+# Below this ratio, mg was probably not meant.
 _MIN_MASS_RATIO = 1e-4
 # Lowest resonance of a body on its spring in real rigs, Hz.
 _MIN_RESONANCE_HZ = 0.1
@@ -91,10 +93,11 @@ def _dampers(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
         body_mass = _mass(scene, damper.body)
         if damper.mass is None:
             continue
-        is_light = damper.mass / body_mass < _MIN_MASS_RATIO and _unit(written) in ("mg", "ug")
-        if is_light or damper.mass / body_mass > _MAX_MASS_RATIO:
-            ratio = f"{damper.mass / body_mass:.3g} times the mass of its body ({body_mass:.3g} kg)"
-            yield _warning(key_path, written, "g", f"read as {damper.mass:g} kg, {ratio}")
+        ratio, unit = damper.mass / body_mass, _unit(written)
+        is_light = ratio < _MIN_MASS_RATIO and unit in ("mg", "ug")
+        if is_light or ratio > (_MAX_MASS_RATIO_WITH_UNIT if unit else _MAX_MASS_RATIO):
+            ratio_text = f"{ratio:.3g} times the mass of its body ({body_mass:.3g} kg)"
+            yield _warning(key_path, written, "g", f"read as {damper.mass:g} kg, {ratio_text}")
 
 
 def _springs(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:

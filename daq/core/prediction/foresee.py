@@ -19,7 +19,7 @@ from daq.core.prediction.chain_limits import reading_limit, without_limits
 from daq.core.prediction.flights import flight_lines, onset_level, outside_band
 from daq.core.prediction.foresight import Expectation, Foresight, format_quantity
 from daq.core.prediction.linear import LowestSignalToNoise, lowest_signal_to_noise, required_drive
-from daq.core.prediction.rehearsal import POWER_ON_RATIO, Rehearsal, recording_size
+from daq.core.prediction.rehearsal import POWER_ON_RATIO, Rehearsal, loads_of, recording_size
 from daq.core.prediction.rehearsal_plan import (
     RehearsalPlan,
     affordable_seconds,
@@ -165,7 +165,7 @@ class _Assessment:
 
     def foresight(self) -> Foresight:
         """Return the prediction."""
-        expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._tables())
+        expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._loads())
         dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
         by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)
         limiting = by_ratio_to_limit[-1] if by_ratio_to_limit else None
@@ -286,12 +286,13 @@ class _Assessment:
                     "amplifier", unit, magnitude, frequency, time, amplifier.limit, "amplifier", is_limited
                 )
 
-    def _tables(self) -> Iterable[Expectation]:
-        """Yield the largest displacement of each shaker table."""
-        for row, name in enumerate(self.bench.points):
-            magnitude, frequency, time = self.unlimited_test.largest("displacements", row)
-            if name.startswith("table") and magnitude > 0.0:
-                yield Expectation(f"{name} travel", "m", magnitude, frequency, time)
+    def _loads(self) -> Iterable[Expectation]:
+        """Yield the largest value of each quantity that loads a shaker."""
+        for row, (name, quantity, *_) in enumerate(loads_of(self.scene, self.bench.points)):
+            magnitude, frequency, time = self.unlimited_test.largest("loads", row)
+            if magnitude > 0.0:
+                unit, limit = quantity.unit, quantity.limit
+                yield Expectation(name, unit, magnitude, frequency, time, limit, "shaker", magnitude > limit)
 
     def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
         """Return the largest level without overload, and whether dampers fly at this level or at the level of the test.

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import tempfile
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ from daq.core.recording.recorder import Recorder
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
+from rig.core.scene.shaker import Load, at_shaker
+from rig.core.simulation.motion import Motion
 
 #: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
 POWER_ON_RATIO = 0.5
@@ -58,11 +60,45 @@ class Step:
     settled: bool  # whether the steady state was reached
 
 
+class ShakerLoad(NamedTuple):
+    """A quantity that loads a shaker; its name contains the shaker's number if there are several."""
+
+    name: str
+    load: Load
+    table: int  # row of its table
+    body: int  # row of its body
+
+    def values(self, motion: Motion) -> Array:
+        """Return the quantity in a motion, shape (samples,)."""
+        displacement, weights = motion.displacement, self.load.weights
+        return (
+            weights[0] * displacement[self.table]
+            + weights[1] * motion.velocity[self.table]
+            + weights[2] * motion.acceleration[self.table]
+            + weights[3] * displacement[self.body]
+        )
+
+
+def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
+    """Return the loads of all shakers; `points`: names of the rows of the motion."""
+    count = len(scene.shakers)
+    return [
+        ShakerLoad(
+            f"{at_shaker(load.place, number, count)} {load.name}",
+            load,
+            points.index(at_shaker("table", number, count)),
+            shaker.bodies[0] - 1,
+        )
+        for number, shaker in enumerate(scene.shakers, 1)
+        for load in shaker.loads
+    ]
+
+
 class Rehearsal(BenchLoop):
     """A test on the bench that is not recorded; only the extremes of each quantity are stored.
 
     The first `excluded_steps` steps are run but not evaluated. Each quantity has a row for each channel (`readings`, in
-    its unit), input (`drives`), or body and table (`accelerations`, m/s^2, and `displacements`, m).
+    its unit), input (`drives`), body and table (`accelerations`, m/s^2), or load of a shaker (`loads`).
     """
 
     def __init__(self, scene: Scene, excluded_steps: int = 0, bench: Bench | None = None) -> None:
@@ -77,7 +113,9 @@ class Rehearsal(BenchLoop):
         self.overloaded = [False] * len(bench.channels)
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
-        self.accelerations, self.displacements = Extremes(len(bench.points)), Extremes(len(bench.points))
+        self.accelerations = Extremes(len(bench.points))
+        self._loads = loads_of(scene, bench.points)
+        self.loads = Extremes(len(self._loads))  # as `loads_of`
         # Largest closing speed of each damper before an impact, m/s.
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
@@ -136,7 +174,7 @@ class Rehearsal(BenchLoop):
             is_driven = block.first >= self._powered_on
             self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
         self.accelerations.add(motion.first, motion.acceleration)
-        self.displacements.add(motion.first, motion.displacement)
+        self.loads.add(motion.first, np.array([load.values(motion) for load in self._loads]))
         if motion.events.size:
             self._add_events(motion.events)
 

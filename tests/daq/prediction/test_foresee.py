@@ -23,6 +23,9 @@ VOLTS_PER_UNIT = 0.1 / 9.80665  # sensitivity of the accelerometer, V per m/s^2
 STEPS = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 150, "force": "1 N"}
 
 
+V203_SPRING = 6600.0  # N/m
+
+
 def one_body(test: dict[str, Any], **changes: Any) -> rig.Scene:
     """Return a body of 1 kg at 20 Hz with 2 % damping and ideal sensors, excited by a force."""
     scene = rig.loads(
@@ -127,6 +130,36 @@ def test_sensor_limit_is_compared_with_acceleration() -> None:
         scene.replace(channels=accelerometer(accelerometer=sensor, integrator={"order": 2, "corner": "1 Hz"}))
     )
     assert foresight["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
+
+
+V203 = {"kind": "electrodynamic", "preset": "LDS V203", "body": 1, "spring": "6.6 kN/m"}
+
+
+def test_current_of_preset_limits_the_force() -> None:
+    foresight = daq.foresee(one_body({**TONE, "force": "2 N"}, shaker=V203))
+    current = foresight["coil current"]
+    # The coil's voltage is R i + L i' + force factor * velocity of the table.
+    omega = 2 * np.pi * 30.0
+    table_receptance = 1.0 / V203_SPRING + receptance(one_body(TONE), np.array([30.0]))[0, 0]
+    armature = 2897.0 + 6.846j * omega - 0.03118 * omega**2
+    assert current.largest == pytest.approx(2.0 * abs(1.0 + armature * table_receptance) / 3.744, rel=0.02)
+    assert foresight.largest_level == pytest.approx(2.0 * 5.2 / current.largest, rel=0.02)
+    assert foresight.limited_by is not None and foresight.limited_by.name == "coil current"
+
+
+def test_coil_current_equals_that_of_current_amplifier() -> None:
+    shaker = {**V203, "amplifier": {"mode": "current", "gain": "2 A/V"}, "limits": {"force": "10 N"}}
+    foresight = daq.foresee(one_body({**TONE, "force": "2 N"}, shaker=shaker))
+    current = foresight["amplifier"].largest
+    assert foresight["coil current"].largest == pytest.approx(current, rel=1e-3)
+    assert foresight["coil force"].largest == pytest.approx(3.744 * current, rel=1e-3)
+
+
+@pytest.mark.parametrize(("limits", "name"), [({"travel": "1 um"}, "travel"), ({"velocity": "1 um/s"}, "velocity")])
+def test_travel_and_velocity_of_table_are_limited(limits, name) -> None:
+    shaker = {**V203, "limits": {"current": "1 kA", "force": "1 kN", **limits}}
+    foresight = daq.foresee(one_body(TONE, shaker=shaker))
+    assert not foresight.fits and f"overloads table {name}" in foresight.summary()
 
 
 def test_required_drive_exceeds_weak_amplifier() -> None:

@@ -7,6 +7,7 @@ from typing import Annotated, get_args
 from rig.core.scene.shaker.electrodynamic import ElectrodynamicShaker as ElectrodynamicShaker
 from rig.core.scene.shaker.force import ForceShaker as ForceShaker
 from rig.core.scene.shaker.kind import KindOfShaker as KindOfShaker
+from rig.core.scene.shaker.kind import Load as Load
 from rig.core.scene.shaker.parts import DRIVE_PER_VOLT as DRIVE_PER_VOLT
 from rig.core.scene.shaker.parts import Body as Body
 from rig.core.scene.shaker.parts import Output as Output

@@ -12,8 +12,8 @@ from rig.core.base.arrays import ComplexArray
 from rig.core.data_sheets.data_sheets import Preset, check_preset, data_sheet
 from rig.core.equations import Current, Equations
 from rig.core.scene.shaker.coil_spring import CoilSpringShaker
-from rig.core.scene.shaker.kind import AmplifierOutput, Glyph, ShakerEffect
-from rig.core.scene.shaker.parts import Amplifier, Armature, Body, Coil, CoilSpring, Output
+from rig.core.scene.shaker.kind import AmplifierOutput, Glyph, Load, ShakerEffect
+from rig.core.scene.shaker.parts import Amplifier, Armature, Body, Coil, CoilSpring, Output, ShakerLimits
 from rig.core.settings.problems import Problem
 from rig.core.settings.quantities import VOLTAGE
 
@@ -31,6 +31,8 @@ class ElectrodynamicShaker(CoilSpringShaker):
     coil: Coil = Coil()
     armature: Armature = Armature()
     amplifier: Amplifier = Amplifier()
+    limits: ShakerLimits = ShakerLimits()
+    """Limits from the data sheet."""
     output: Output = Output()
     """The analog output whose voltage is the drive."""
 
@@ -69,6 +71,24 @@ class ElectrodynamicShaker(CoilSpringShaker):
         """Force of the coil at rest."""
         newtons = self.coil.force_factor * self.amplifier.gain
         return newtons if self._sets_current else newtons / self.coil.resistance
+
+    @property
+    def loads(self) -> tuple[Load, ...]:
+        """Travel, the coil's current where the amplifier does not set it, and other quantities with a limit."""
+        armature, limits, factor = self.armature, self.limits, self.coil.force_factor
+        stiffness = armature.stiffness + self.spring
+
+        def coil_force(scale: float) -> tuple[float, float, float, float]:
+            return scale * stiffness, scale * armature.damping, scale * armature.mass, -scale * self.spring
+
+        travel, current, force, velocity = (
+            Load("table", "travel", "m", (1.0, 0.0, 0.0, 0.0), limits.travel or np.inf),
+            Load("coil", "current", "A", coil_force(1.0 / factor), limits.current or np.inf),
+            Load("coil", "force", "N", coil_force(1.0), limits.force or np.inf),
+            Load("table", "velocity", "m/s", (0.0, 1.0, 0.0, 0.0), limits.velocity or np.inf),
+        )
+        others = [load for load in (force, velocity) if np.isfinite(load.limit)]
+        return (travel, *([current] if np.isfinite(current.limit) or not self._sets_current else []), *others)
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:
         """Add the spring, the armature on its suspension and, with a voltage amplifier, the current of the coil."""

@@ -32,6 +32,20 @@ class AmplifierOutput(NamedTuple):
     limit: float  # largest output
 
 
+class Load(NamedTuple):
+    """A quantity that loads a shaker, with its limit in the data sheet.
+
+    It is the sum of displacement, velocity and acceleration of the shaker's table and the displacement of its body,
+    times the `weights`.
+    """
+
+    place: str  # part of the shaker
+    name: str
+    unit: str
+    weights: tuple[float, float, float, float]
+    limit: float  # infinite without a limit
+
+
 class ShakerEffect(NamedTuple):
     """A physical effect of a shaker, for `rig explain`."""
 
@@ -93,6 +107,11 @@ class KindOfShaker(Settings):
         """Largest drive within the range of the amplifier."""
         amplifier = self.power_amplifier
         return np.inf if amplifier is None else amplifier.limit / amplifier.gain
+
+    @property
+    def loads(self) -> tuple[Load, ...]:
+        """The quantities that a prediction shows."""
+        return (Load("table", "travel", "m", (1.0, 0.0, 0.0, 0.0), np.inf),) if "table" in self.points else ()
 
     @property
     def newtons_per_drive(self) -> float:

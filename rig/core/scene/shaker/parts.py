@@ -13,13 +13,16 @@ from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import (
     CURRENT,
     DASHPOT,
+    FORCE,
     FORCE_FACTOR,
     INDUCTANCE,
+    LENGTH,
     MASS,
     RATIO,
     RESISTANCE,
     STIFFNESS,
     TRANSCONDUCTANCE,
+    VELOCITY,
     VOLTAGE,
     Kind,
 )
@@ -105,6 +108,19 @@ class Armature(Settings):
     """Stiffness of the suspension [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 8.0
     """Damping of the suspension [N s/m]."""
+
+
+class ShakerLimits(Settings):
+    """Limits from the data sheet of a shaker. They do not change the motion; predictions are compared with them."""
+
+    current: Annotated[float, Quantity(CURRENT, above=0.0)] | None = None
+    """Largest current of the coil [A], peak."""
+    force: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
+    """Largest force of the coil [N], peak."""
+    travel: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
+    """Largest displacement of the table from rest [m]; half of the travel from peak to peak."""
+    velocity: Annotated[float, Quantity(VELOCITY, above=0.0)] | None = None
+    """Largest velocity of the table [m/s], peak."""
 
 
 class Amplifier(Settings):

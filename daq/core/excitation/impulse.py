@@ -37,7 +37,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
     yield station.zero_drive(station.samples(BASELINE_S))
     yield from _wait_for_sensors(station)
-    for hit, pulse in enumerate(pulses, 1):
+    for hit, (pulse, peak) in enumerate(zip(pulses, test.peaks, strict=True), 1):
         force = np.zeros(interval)
         force[: pulse.size] = pulse
         first = station.now
@@ -47,7 +47,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
             yield station.drive(force[start:stop], "hammer")
             if start == 0:
                 station.mark(
-                    "hit", first, first + pulse.size, number=hit, body=test.body, peak=test.peak, width=test.width,
+                    "hit", first, first + pulse.size, number=hit, body=test.body, peak=peak, width=test.width,
                     double=test.is_double(hit),
                 )  # fmt: skip
             station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
@@ -101,12 +101,16 @@ def _is_drifting(readings: Array) -> bool:
 
 
 def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
-    """Return the test with another number of hits and another interval between them, s; missing hits do not bounce."""
+    """Return the test with another number of hits and another interval between them, s; missing hits do not bounce.
+
+    If hits are missing, all have the highest peak.
+    """
+    peak = test.peak if repeats == test.repeats else max(test.levels)
     double_hit = test.double_hit
     if double_hit is not None and double_hit.hits is not None:
         hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
         double_hit = double_hit.replace(hits=hits) if hits else None
-    return test.replace(repeats=repeats, interval=interval, double_hit=double_hit)
+    return test.replace(peak=peak, repeats=repeats, interval=interval, double_hit=double_hit)
 
 
 class ImpulseProcedure(Procedure["Impulse"]):

@@ -190,6 +190,23 @@ def test_hits_follow_at_their_interval() -> None:
     )
 
 
+def test_each_hit_has_its_listed_peak() -> None:
+    bench_run = run_hits(peak=["50 N", "80 N"], double_hit={"hits": [2], "ratio": 0.5})
+    hammer = bench_run.drive[list(bench_run.bench.inputs).index("hammer")]
+    marks = bench_run.marks_of("hit")
+    assert [(hammer[start:stop].max(), fields["peak"]) for start, stop, fields in marks] == [(50.0, 50.0), (80.0, 80.0)]
+    assert hammer[marks[1][0] + round(20e-3 * RATE) :].max() == pytest.approx(40.0)
+
+
+def test_level_of_listed_peaks_is_the_highest() -> None:
+    test = (
+        rig.load("fig10b-no-damper")
+        .replace(test={"kind": "impulse", "body": 1, "peak": ["50 N", "80 N"], "width": "4 ms", "repeats": 2})
+        .test
+    )
+    assert max(test.levels) == 80.0 and test.at_level(40.0).peak == (25.0, 40.0)
+
+
 def test_double_hit_is_applied_and_marked() -> None:
     bench_run = run_hits(double_hit={"hits": [2], "after": "20 ms", "ratio": 0.4})
     hammer = bench_run.drive[list(bench_run.bench.inputs).index("hammer")]

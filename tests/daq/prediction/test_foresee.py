@@ -132,6 +132,16 @@ def test_sensor_limit_is_compared_with_acceleration() -> None:
     assert foresight["a1 sensor"].share == pytest.approx(0.5, rel=0.02)
 
 
+def test_one_clipped_hit_among_good_ones_is_predicted(short_rehearsals) -> None:
+    hits = {"kind": "impulse", "body": 1, "peak": ["600 N", "2.6 kN", "700 N"], "width": "4 ms", "repeats": 3}
+    channels = [{"name": "h", "at": "hammer", "hammer": {"sensitivity": "2.25 mV/N"}}]
+    scene = one_body({**hits, "interval": "2 s"}, channels=channels, converter={"rate": "5120 Hz", "range": "5 V"})
+    foresight = daq.foresee(scene)
+    assert foresight["h"].largest == pytest.approx(2600.0, rel=0.01) and not foresight.fits
+    # At the largest level, the highest peak is within 5 V.
+    assert foresight.largest_level == pytest.approx(5.0 / 2.25e-3, rel=0.02)
+
+
 V203 = {"kind": "electrodynamic", "preset": "LDS V203", "body": 1, "spring": "6.6 kN/m"}
 
 

@@ -128,6 +128,8 @@ MISTAKES = [
      ":3: test.from: got 9 Hz, which is not below to, 8 Hz"),
     (STRUCTURE + FORCE + "test: {kind: multisine, from: 8.1, to: 8.9, period: 1 s, force: 1}",
      ":3: test.period: no line of the multisine (multiple of 1 Hz) lies between from and to. Give a longer period."),
+    (STRUCTURE + "test: {kind: impulse, body: 1, peak: [1 N, 2 N], width: 1 ms, repeats: 3}",
+     ":2: test.peak: got 2 values; expected 3, one for each hit (repeats)"),
     (STRUCTURE + "converter: {rate: 25.6 kS}",
      """:2: converter.rate: got "25.6 kS"; expected a sample rate such as 25.6 kHz"""),
     (STRUCTURE + "test: {kind: impulse, body: 1, peak: 1, width: 9 s}",

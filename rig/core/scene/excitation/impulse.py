@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -40,8 +40,8 @@ class Impulse(KindOfTest):
     start: Start = "settled"
     body: Body
     """The body hit, by its number from 1 or its name."""
-    peak: Annotated[float, Quantity(FORCE, above=0.0)]
-    """Peak of the pulse [N]."""
+    peak: Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
+    """Peak of the pulse [N], or a list with one for each hit."""
     width: Duration
     """Duration of the half sine [s]; a softer tip makes it longer."""
     repeats: Count = 1
@@ -59,6 +59,9 @@ class Impulse(KindOfTest):
                 f"got {self.width:g} s, which is not shorter than the interval between hits, {self.interval:g} s. Give "
                 "a shorter width or a longer interval.",
             )
+        if isinstance(self.peak, tuple) and len(self.peak) != self.repeats:
+            message = f"got {len(self.peak)} values; expected {self.repeats}, one for each hit (repeats)"
+            yield Problem(("peak",), message)
         if self.double_hit is None:
             return
         if self.double_hit.after < self.width or self.double_hit.after + self.width >= self.interval:
@@ -90,20 +93,38 @@ class Impulse(KindOfTest):
         """Time of all hits, s."""
         return self.shortest
 
+    @property
+    def peaks(self) -> tuple[float, ...]:
+        """Peak of each hit, N."""
+        return self.peak if isinstance(self.peak, tuple) else (self.peak,) * self.repeats
+
+    def at_level(self, level: float) -> Self:
+        """Return the test with another highest peak, N, and the same ratios of the peaks."""
+        if not isinstance(self.peak, tuple):
+            return self.replace(peak=level)
+        return self.replace(peak=tuple(peak * (level / max(self.peak)) for peak in self.peak))
+
     def is_double(self, hit: int) -> bool:
         """Return whether the hammer bounces at a hit; `hit`: its number, from 1."""
         return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
 
     def pulses(self, rate: float) -> list[Array]:
         """Return the force of each hit with its bounce, N, from its first sample; `rate`: samples per second."""
-        single = double = half_sine(self.peak, self.width, rate)
-        if self.double_hit is not None:
-            second = half_sine(self.peak * self.double_hit.ratio, self.width, rate)
+        shape = half_sine(1.0, self.width, rate)
+
+        def pulse(peak: float, is_double: bool) -> Array:
+            if self.double_hit is None or not is_double:
+                return peak * shape
             delay = max(1, round(self.double_hit.after * rate))
-            double = np.zeros(delay + second.size)
-            double[: single.size] += single
-            double[delay:] += second
-        return [double if self.is_double(hit) else single for hit in range(1, self.repeats + 1)]
+            double = np.zeros(delay + shape.size)
+            double[: shape.size] += peak * shape
+            double[delay:] += (peak * self.double_hit.ratio) * shape
+            return double
+
+        hits = [(peak, self.is_double(hit)) for hit, peak in enumerate(self.peaks, 1)]
+        # Equal pulses share their memory.
+        pulses = {hit: pulse(*hit) for hit in dict.fromkeys(hits)}
+        return [pulses[hit] for hit in hits]
 
     def wave(self, samples: int, rate: float) -> Pulses:
         """Return the force, N: the hits of a recording, of which the first begins at t = 0."""

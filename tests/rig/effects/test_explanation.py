@@ -7,6 +7,7 @@ import re
 import pytest
 
 import rig
+from rig.core.base.errors import SceneWarning
 from rig.core.scene.scene_files import bundled_scenes
 from rig.core.system.assembly import assemble
 
@@ -56,7 +57,8 @@ def test_natural_frequencies_are_listed_first_and_last() -> None:
         structure={"masses": [1.0] * 9, "springs": [4e3] * 9}, channels=None
     )
     assert "13.04, 34.78, 49.66 Hz" in str(rig.explain("fig9"))
-    extreme_masses = rig.load("bare-structure", {"structure.masses": [1e-9, 1e9, 1.0]})
+    with pytest.warns(SceneWarning, match="1e\\+09 kg"):
+        extreme_masses = rig.load("bare-structure", {"structure.masses": [1e-9, 1e9, 1.0]})
     assert "0.0005395, 22.4, 1.081e+06 Hz" in str(rig.explain(extreme_masses))
     assert re.search(r"9 bodies on springs, ([\d.]+, ){6}\.\.\., 19\.\d+ Hz", str(rig.explain(nine_bodies)))
 

@@ -17,6 +17,7 @@ from daq.core.excitation.impulse import settling_time
 from daq.core.measurement.estimate import estimate
 from daq.core.prediction.chain_limits import reading_limit, without_limits
 from daq.core.prediction.flights import flight_lines, onset_level, outside_band
+from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.foresight import Expectation, Foresight, format_quantity
 from daq.core.prediction.linear import LowestSignalToNoise, lowest_signal_to_noise, required_drive
 from daq.core.prediction.rehearsal import POWER_ON_RATIO, Rehearsal, loads_of, recording_size
@@ -191,7 +192,11 @@ class _Assessment:
             nonlinear=dampers_fly,
             aborts=self.rehearsed_test.aborted,
             signals=signals,
-            unread=(*self._below_resolution(expectations), *self._below_noise(signals)),
+            unread=(
+                *self._below_resolution(expectations),
+                *self._below_noise(signals),
+                *unresolved_force(self.scene, self.system, self.bench.channels),
+            ),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
             seconds=seconds,
             disk=recording_size(self.scene, self.bench, last_blocks, seconds),

@@ -89,7 +89,7 @@ class Foresight(Result):
     nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by name of the channel
-    unread: tuple[str, ...] = ()  # warnings of channels below the resolution of the converter
+    unread: tuple[str, ...] = ()  # warnings of signals that are not resolved
     flights: tuple[str, ...] = ()  # lines about dampers in flight
     seconds: float = 0.0  # duration of the test, s
     disk: float = 0.0  # size of its recording, bytes

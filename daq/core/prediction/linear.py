@@ -106,7 +106,7 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
         return {}
     lowest = {}
     for info, amplitude in zip(channels, amplitudes, strict=True):
-        density = _noise_density(scene, settings.get(info.name), info, frequencies)
+        density = noise_density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
             ratio = amplitude * min(test.levels) * noise_gain / np.maximum(density, np.finfo(float).tiny)
             index = int(np.argmin(ratio))
@@ -114,7 +114,7 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     return lowest
 
 
-def _noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
+def noise_density(scene: Scene, channel: Channel | None, info: ChannelInfo, frequencies: Array) -> Array:
     """Return the one-sided noise density of a channel, in its unit per sqrt(Hz), shape (frequencies,)."""
     converter, noise_power = complete_from_preset(scene.converter), np.zeros(frequencies.size)
     voltage_noise_power = (converter.noise or 0.0) ** 2

@@ -11,9 +11,11 @@ import pytest
 import daq
 import rig
 from daq.core.prediction import rehearsal_plan
+from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.linear import channel_readings
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.errors import SceneError
+from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
 from tests.gauntlet.scenes import draw
@@ -140,6 +142,32 @@ def test_one_clipped_hit_among_good_ones_is_predicted(short_rehearsals) -> None:
     assert foresight["h"].largest == pytest.approx(2600.0, rel=0.01) and not foresight.fits
     # At the largest level, the highest peak is within 5 V.
     assert foresight.largest_level == pytest.approx(5.0 / 2.25e-3, rel=0.02)
+
+
+STEEL_ROD = {"kind": "electrodynamic", "body": 1, "spring": "10 MN/m"}
+
+
+@pytest.mark.parametrize("sensor", [{"sensitivity_tolerance": "1 %"}, {"noise": "1 mg/sqrt(Hz)"}])
+def test_stiff_stinger_without_measurable_force_is_named(sensor) -> None:
+    sensor = {"sensitivity": "100 mV/g", **sensor}
+    channels = [{"name": "t", "at": "table"}, {"name": "b", "at": "body 1"}]
+    scene = one_body(STEPS, shaker=STEEL_ROD, channels=[{**channel, "accelerometer": sensor} for channel in channels])
+
+    def warnings_of(scene: rig.Scene) -> list[str]:
+        return list(unresolved_force(scene, assemble(scene), Bench(scene).channels))
+
+    (warning,) = warnings_of(scene)
+    assert "coil spring: at 20 Hz (every resonance of the test), the spring is so stiff" in warning
+    softer = float(warning.split("at most ")[1].split(" N/m")[0])
+    assert not warnings_of(scene.replace(shaker={**STEEL_ROD, "spring": 0.9 * softer}))
+
+
+def test_unresolved_spring_force_is_in_the_prediction() -> None:
+    sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": "10 %"}
+    channels = [{"name": name, "at": at, "accelerometer": sensor} for name, at in (("t", "table"), ("b", "body 1"))]
+    steps = {"kind": "stepped_sine", "frequencies": ["19 Hz", "21 Hz"], "force": "1 N"}
+    scene = one_body(steps, shaker={**STEEL_ROD, "spring": "1 MN/m"}, channels=channels)
+    assert "the spring is so stiff" in str(daq.foresee(scene))
 
 
 V203 = {"kind": "electrodynamic", "preset": "LDS V203", "body": 1, "spring": "6.6 kN/m"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -122,6 +123,10 @@ class ImpulseProcedure(Procedure["Impulse"]):
     def excite(self, station: Station, test: Impulse) -> Excitation:
         """Run the test."""
         return excite(station, test)
+
+    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
+        """Return the longest wait before the first hit, s."""
+        return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
         """Return the test with the first hits, as many as fit into `seconds`, at least one; later hits are equal."""

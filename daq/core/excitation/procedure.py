@@ -5,6 +5,7 @@ The module of a kind in this package defines a subclass of `Procedure` and its o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
@@ -13,6 +14,7 @@ from rig.core.base.arrays import Array
 from rig.core.scene.excitation.kind import KindOfTest
 
 if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.scene import Scene
 
 TestT = TypeVar("TestT", bound=KindOfTest)
@@ -72,6 +74,10 @@ class Procedure(Generic[TestT]):
 
     def waits(self, test: TestT, scene: Scene) -> float:
         """Return the expected time of all waits for steady states, s."""
+        return 0.0
+
+    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
+        """Return the longest time until the sensors have settled after power-on, s, if the test waits for this."""
         return 0.0
 
     def control_seconds(self, test: TestT) -> float:

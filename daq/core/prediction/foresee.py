@@ -125,7 +125,8 @@ def rehearse_test(scene: Scene, channels: tuple[ChannelInfo, ...], bench: Bench 
     `channels`: those of its bench; `bench`: the bench of the scene, at rest, if it exists.
     """
     plan, seconds = plan_rehearsal(scene, channels), affordable_seconds(scene)
-    parts = _rehearse_parts(plan, bench, _MAX_TIME_RATIO * max(seconds, expected_seconds(plan.parts[0][0])))
+    expected = expected_seconds(plan.parts[0][0], channels)
+    parts = _rehearse_parts(plan, bench, _MAX_TIME_RATIO * max(seconds, expected))
     test = scene.test
     if plan.is_complete and (parts[0].complete or parts[0].aborted is not None):
         return RehearsedTest(parts, True)

@@ -8,6 +8,7 @@ beginning, equal hits by the first hits, and repeated periods by one period.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,18 +79,19 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> Rehearsal
     procedure = procedure_of(test)
     seconds *= procedure.budget
     control_cpu_s = procedure.control_seconds(test) if scene.controlled_terms else 0.0
-    if expected_seconds(scene) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
+    if expected_seconds(scene, channels) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
         return RehearsalPlan(((scene, 0),), is_complete=True)
     if procedure.rehearsal == "peaks":
         return plan_about_peaks(scene, channels, seconds)
     return RehearsalPlan(((scene.replace(test=procedure.part(test, seconds, scene)), 0),))
 
 
-def expected_seconds(scene: Scene) -> float:
-    """Return the expected duration of a test with its waits for steady state, s."""
+def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:
+    """Return the expected duration of a test with its waits for sensors and steady states, s."""
     test = scene.test
     assert test is not None
-    return test.shortest + procedure_of(test).waits(test, scene)
+    procedure = procedure_of(test)
+    return test.shortest + procedure.waits(test, scene) + procedure.power_on_wait(channels)
 
 
 def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:

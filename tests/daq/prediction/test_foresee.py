@@ -144,6 +144,15 @@ def test_one_clipped_hit_among_good_ones_is_predicted(short_rehearsals) -> None:
     assert foresight.largest_level == pytest.approx(5.0 / 2.25e-3, rel=0.02)
 
 
+def test_duration_contains_wait_for_sensors(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(rehearsal_plan, "_CPU_BUDGET_S", 3e-4)
+    hits = {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "repeats": 5, "interval": "2 s"}
+    sensor = {"sensitivity": "100 mV/g", "bias": "9 V", "bias_settling": "1 s", "noise": "1 mg/sqrt(Hz)"}
+    scene = one_body(hits, channels=accelerometer(accelerometer=sensor))
+    with daq.open(daq.record(scene, tmp_path / "hits.mcap")) as recording:
+        assert daq.foresee(scene).seconds == pytest.approx(recording.samples / recording.rate, rel=0.02)
+
+
 STEEL_ROD = {"kind": "electrodynamic", "body": 1, "spring": "10 MN/m"}
 
 

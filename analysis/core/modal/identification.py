@@ -48,6 +48,9 @@ _MAX_NOISE_RATIO = 4.0
 _MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
+# Maximum number of covariances of two responses at a line; a larger model is not refined, because their arrays would
+# take half a gigabyte.
+_MAX_COVARIANCES = 1 << 22
 # The error of a line with fewer degrees of freedom than this is combined with the errors of neighboring lines.
 _MIN_DEGREES = 10.0
 
@@ -308,8 +311,10 @@ def _remove_spurious_poles(
 
 
 def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Refinement | None:
-    """Refine the model with the covariance of all responses; return None if only standard deviations are known."""
+    """Refine the model with the covariance of all responses; return None if it is not known or too large."""
     if any(frf.uncertainty.errors is None for frf in frfs):
+        return None
+    if len(frfs) ** 2 * weighted.frequency.size > _MAX_COVARIANCES:
         return None
     lines = np.searchsorted(frfs[0].frequency, weighted.frequency)
     curves = [frf.at(lines) for frf in frfs]

@@ -50,15 +50,13 @@ def poles_by_order(
     f_min, f_max = float(frequency.min()), float(frequency.max())
     phase = np.pi * (frequency - f_min) / (f_max - f_min)
     basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
-    bases = [
-        (basis * scale[:, None], -basis * (row * scale)[:, None]) for row, scale in zip(value, weight, strict=True)
-    ]
     for order in orders:
         # The numerators are eliminated from the normal equations.
         reduced_normal_matrix = np.zeros((order + 1, order + 1), dtype=complex)
-        for numerator, denominator in bases:
-            numerator_basis, _ = np.linalg.qr(numerator[:, : order + 1])
-            residual = denominator[:, : order + 1]
+        columns = basis[:, : order + 1]
+        for row, scale in zip(value, weight, strict=True):
+            numerator_basis, _ = np.linalg.qr(columns * scale[:, None])
+            residual = -columns * (row * scale)[:, None]
             residual = residual - numerator_basis @ (numerator_basis.conj().T @ residual)
             reduced_normal_matrix += residual.conj().T @ residual
         matrix, right_side = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]

@@ -6,8 +6,8 @@ terms* for the modes outside the band. Poles are nonlinear parameters; residues 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ MAX_EVALUATIONS = 25
 UPPER_TERMS = 3
 # At least this number of lines determines all of these terms; fewer lines determine only the first.
 _MIN_LINES = 20
+# Maximum number of elements of the weighted terms of the responses that are in memory at a time.
+_MAX_ELEMENTS = 1 << 22
 # The remainder of a unit column is a rounding error if its squared norm is below this.
 _ROUNDING = 1e-20
 
@@ -50,6 +52,13 @@ class Curves:
     def unknowns(self, poles: int) -> int:
         """Count the real parameters of a model with `poles` poles: poles, residues, and residual terms."""
         return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.upper_terms)
+
+    def blocks(self, terms: int) -> Iterator[tuple[slice, Curves]]:
+        """Split the responses so that a number of weighted terms of each block remains small."""
+        step = max(1, _MAX_ELEMENTS // (2 * self.frequency.size * terms))
+        for first in range(0, len(self.value), step):
+            rows = slice(first, first + step)
+            yield rows, replace(self, value=self.value[rows], weight=self.weight[rows])
 
     def degrees_of_freedom(self, poles: int) -> int:
         """Count the degrees of freedom of the misfit of a model with `poles` poles."""
@@ -121,6 +130,12 @@ def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Ar
     An added pole lowers the misfit by the squared projection of the residual onto the component of its two columns that
     is orthogonal to all other columns.
     """
+    parts = [_misfits_with(part, poles, added) for _, part in curves.blocks(2 * (poles.size + added.size))]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def _misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:
+    """Compute the misfits of a few responses."""
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
     basis, residual = np.linalg.qr(problem.basis(x))[0], problem.residual(x)[..., None]
@@ -208,16 +223,24 @@ class Projection:
 
         The shape is (responses, 2 n, unknowns): real and imaginary parts of each response.
         """
-        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (1,)))
-        return np.concatenate([terms, self.residual_terms], axis=1).swapaxes(1, 2)
+        return self._basis(x, slice(None), self.curves)
+
+    def _basis(self, x: Array, rows: slice, part: Curves) -> Array:
+        """Return the basis of some responses, `part`, which are these rows."""
+        terms = _weighted(part, _mode_terms(self.s, self.poles(x), (1,)))
+        return np.concatenate([terms, self.residual_terms[rows]], axis=1).swapaxes(1, 2)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
-            columns, count = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (1, 2))), x.size
-            rows = [columns[:, :count], self.residual_terms, columns[:, count:], self.target[:, None]]
-            # The orthogonal factor is not needed, which takes half of the time.
-            factor = np.asarray(np.linalg.qr(np.concatenate(rows, axis=1).swapaxes(1, 2), mode="r"))
+            mode_terms, count = _mode_terms(self.s, self.poles(x), (1, 2)), x.size
+            triangles = []
+            for rows, part in self.curves.blocks(len(mode_terms) + self.residual_terms.shape[1] + 1):
+                columns = _weighted(part, mode_terms)
+                parts = [columns[:, :count], self.residual_terms[rows], columns[:, count:], self.target[rows, None]]
+                # The orthogonal factor is not needed, which takes half of the time.
+                triangles.append(np.linalg.qr(np.concatenate(parts, axis=1).swapaxes(1, 2), mode="r"))
+            factor = np.concatenate(triangles)
             n = count + self.residual_terms.shape[1]
             size = np.linalg.norm(factor[:, :n, :n], axis=1)
             self._factorized = (
@@ -245,7 +268,10 @@ class Projection:
 
     def residual(self, x: Array) -> Array:
         """Return the weighted residuals, shape (responses, 2 n): real and imaginary parts of each response."""
-        return np.asarray(self.target - (self.basis(x) @ self.unknowns(x)[..., None])[..., 0])
+        unknowns, residual = self.unknowns(x)[..., None], self.target.copy()
+        for rows, part in self.curves.blocks(unknowns.shape[1]):
+            residual[rows] -= (self._basis(x, rows, part) @ unknowns[rows])[..., 0]
+        return residual
 
     def reduced_residual(self, x: Array) -> Array:
         """Return the residuals after the rotation in which only the first is not zero; see `reduced_jacobian`."""
@@ -268,14 +294,17 @@ class Projection:
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
-        q = np.linalg.qr(self.basis(x))[0]
-        terms = _weighted(self.curves, _mode_terms(self.s, self.poles(x), (2,))).swapaxes(1, 2)
-        change = self._by_parameter(x, terms)
-        return np.asarray(q @ (np.swapaxes(q, 1, 2) @ change) - change)
+        mode_terms = _mode_terms(self.s, self.poles(x), (2,))
+        derivatives = np.empty((*self.target.shape, x.size))
+        for rows, part in self.curves.blocks(2 * x.size + self.residual_terms.shape[1]):
+            q = np.linalg.qr(self._basis(x, rows, part))[0]
+            change = self._by_parameter(x, _weighted(part, mode_terms).swapaxes(1, 2), rows)
+            derivatives[rows] = q @ (np.swapaxes(q, 1, 2) @ change) - change
+        return derivatives
 
-    def _by_parameter(self, x: Array, terms: Array) -> Array:
+    def _by_parameter(self, x: Array, terms: Array, rows: slice = slice(None)) -> Array:
         """Convert derivatives by the poles of the terms of Re R and Im R to derivatives of the model by parameters."""
-        unknown = self.unknowns(x)[:, None, : x.size]
+        unknown = self.unknowns(x)[rows, None, : x.size]
         real, imag = unknown[..., ::2], unknown[..., 1::2]
         first, second = terms[..., ::2], terms[..., 1::2]
         by_decay = self.poles(x).real * (real * first + imag * second)

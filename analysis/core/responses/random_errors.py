@@ -145,24 +145,19 @@ class LocalErrors:
         bins, center = int(self.first_bin.max()) + width, self.first_bin + width // 2
         nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
         reference_ratio: Array | None = None
+        bins_noise = BinNoise(power, nearest)
         if self.has_single_reference:
             reference, variances, ratio = _separate_noise(power, self.fitted_response, self.reference_power, center)
             reference_ratio = self.measured_share * ratio
             within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
-            response = self.fitted_response[nearest, :, within]
-            bin_covariance = reference[nearest, None, None] * response[:, :, None] * response[:, None].conj()
-            index = np.arange(elements)
-            bin_covariance[:, index, index] += variances[nearest]
-        else:
-            bin_covariance = power[nearest]
+            own_noise = np.einsum("ka,ab->kab", variances, np.eye(elements)).astype(complex)
+            bins_noise = BinNoise(own_noise, nearest, reference, self.fitted_response, within)
         covariance = np.empty((n_lines, elements, elements), dtype=complex)
         step = max(1, _MAX_ELEMENTS // (width * elements**2))
         for begin in range(0, n_lines, step):
             lines = slice(begin, begin + step)
-            local_noise, bin_weights = (
-                bin_covariance[self.first_bin[lines, None] + np.arange(width)],
-                self.bin_weights[lines],
-            )
+            local_noise = bins_noise.covariance(self.first_bin[lines, None] + np.arange(width))
+            bin_weights = self.bin_weights[lines]
             covariance[lines] = np.einsum(
                 "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
             )
@@ -173,7 +168,7 @@ class LocalErrors:
             stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
             scale = np.sqrt(np.maximum(1.0, stated_ratio))
             covariance = covariance * scale[:, :, None] * scale[:, None]
-        return LocalCovariance(_add_uncorrelated(covariance), shared, self, bin_covariance, reference_ratio)
+        return LocalCovariance(_add_uncorrelated(covariance), shared, self, bins_noise, reference_ratio)
 
 
 @dataclass(frozen=True)
@@ -253,13 +248,39 @@ class SharedErrors:
 
 
 @dataclass(frozen=True)
+class BinNoise:
+    """Covariance of the readings at each bin, computed where it is needed: there are many more bins than lines."""
+
+    lines: ComplexArray  # noise of the readings around each line; shape (lines, elements, elements)
+    nearest: NDArray[np.int64]  # nearest line of each bin; shape (bins,)
+    reference: Array | None = None  # noise power of the reference, common to all elements; shape (lines,)
+    fitted_response: ComplexArray | None = None  # as in `LocalErrors`
+    within: NDArray[np.int64] | None = None  # position of each bin in the fit of its nearest line; shape (bins,)
+
+    def select(self, elements: Sequence[int]) -> BinNoise:
+        """Select some elements."""
+        fitted = None if self.fitted_response is None else self.fitted_response[:, elements]
+        return replace(self, lines=self.lines[:, elements][:, :, elements], fitted_response=fitted)
+
+    def covariance(self, bins: NDArray[np.int64]) -> ComplexArray:
+        """Return the covariance at some bins, shape (*bins.shape, elements, elements)."""
+        nearest = self.nearest[bins]
+        covariance = self.lines[nearest]
+        if self.reference is not None and self.fitted_response is not None and self.within is not None:
+            response = self.fitted_response[nearest, :, self.within[bins]]
+            common = self.reference[nearest][..., None, None] * response[..., :, None] * response[..., None, :].conj()
+            covariance += common
+        return covariance
+
+
+@dataclass(frozen=True)
 class LocalCovariance:
     """Covariance of the errors of local fits, whose lines have bins in common; attributes as in `Covariance`."""
 
     lines: ComplexArray
     shared: float
     errors: LocalErrors
-    bin_covariance: ComplexArray  # covariance of the readings at each bin; shape (bins, elements, elements)
+    noise: BinNoise  # noise of the readings at each bin
     # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
     reference: Array | None
 
@@ -278,7 +299,7 @@ class LocalCovariance:
             self,
             lines=self.lines[:, elements][:, :, elements],
             errors=self.errors.select(elements),
-            bin_covariance=self.bin_covariance[:, elements][:, :, elements],
+            noise=self.noise.select(elements),
         )
 
     def of_sums(self, weights: ComplexArray) -> Array:
@@ -286,18 +307,26 @@ class LocalCovariance:
         from scipy.sparse import csr_array
 
         errors = self.errors
-        bins, width = len(self.bin_covariance), errors.bin_weights.shape[3]
-        total = np.zeros((weights.shape[2],) * 2)
-        columns = (errors.first_bin[:, None] + np.arange(width)).ravel()
-        row_pointer = np.arange(0, columns.size + 1, width)
-        for segment in range(errors.bin_weights.shape[2]):
-            by_element = []
-            for k in range(errors.bin_weights.shape[1]):
-                bin_weights = errors.bin_weights[:, k, segment].ravel()
-                matrix = csr_array((bin_weights, columns, row_pointer), shape=(len(errors.first_bin), bins))
-                by_element.append((matrix.T @ weights[:, k].conj()).T)
-            by_bin = np.stack(by_element, axis=2)
-            total += np.einsum("pbi,bij,qbj->pq", by_bin, self.bin_covariance, by_bin.conj(), optimize=True).real
+        width, elements, sums = errors.bin_weights.shape[3], *weights.shape[1:]
+        total = np.zeros((sums, sums))
+        bins = int(errors.first_bin.max()) + width
+        step = max(width, _MAX_ELEMENTS // (elements * (elements + sums)))
+        for begin in range(0, bins, step):
+            end = min(begin + step, bins)
+            # Lines whose fits use these bins.
+            lines = np.flatnonzero((errors.first_bin < end) & (errors.first_bin > begin - width))
+            columns = errors.first_bin[lines, None] + np.arange(width) - begin
+            is_inside = (columns >= 0) & (columns < end - begin)
+            row_pointer = np.append(0, np.cumsum(is_inside.sum(axis=1)))
+            noise = self.noise.covariance(np.arange(begin, end))
+            for segment in range(errors.bin_weights.shape[2]):
+                by_element = []
+                for k in range(elements):
+                    bin_weights = errors.bin_weights[lines, k, segment][is_inside]
+                    matrix = csr_array((bin_weights, columns[is_inside], row_pointer), shape=(lines.size, end - begin))
+                    by_element.append((matrix.T @ weights[lines, k].conj()).T)
+                by_bin = np.stack(by_element, axis=2)
+                total += np.einsum("pbi,bij,qbj->pq", by_bin, noise, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,ka->p", weights.conj(), errors.common_error)
         total *= 0.5 * errors.shared
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))

@@ -1,0 +1,90 @@
+"""Modal identification of many responses, and of long tests: bounded memory and the same modes."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+
+import analysis
+from analysis.core.modal import pole_residue
+from analysis.core.responses import random_errors
+from analysis.core.responses.random_errors import LocalErrors
+from rig.core.results.response import Response, stack
+
+
+def many_curves(count):
+    """Return receptances of two modes at a number of points, with noise."""
+    random, frequency = np.random.default_rng(3), np.linspace(5.0, 60.0, 400)
+    s = 2j * np.pi * frequency
+    value = np.zeros((count, frequency.size), dtype=complex)
+    for natural in (15.0, 40.0):
+        pole = 2 * np.pi * natural * (-0.01 + 1j)
+        residue = random.standard_normal(count)[:, None] * -1j
+        value += residue / (s - pole) + residue.conj() / (s - pole.conjugate())
+    error = np.full(frequency.size, 1e-4 * abs(value).max())
+    value += error * (random.standard_normal(value.shape) + 1j * random.standard_normal(value.shape))
+    return stack(
+        [
+            Response.curve(frequency, row, f"p{k}", error=error, degrees=np.full(frequency.size, 100.0))
+            for k, row in enumerate(value)
+        ]
+    )
+
+
+def peak_memory(function, *arguments):
+    tracemalloc.start()
+    try:
+        result = function(*arguments)
+        return tracemalloc.get_traced_memory()[1], result
+    finally:
+        tracemalloc.stop()
+
+
+def test_blocks_of_responses_give_the_same_modes(monkeypatch):
+    curves = many_curves(12)
+    whole = analysis.identify(curves)
+    monkeypatch.setattr(pole_residue, "_MAX_ELEMENTS", 1)
+    by_response = analysis.identify(curves)
+    np.testing.assert_allclose(by_response.frequency, whole.frequency, rtol=1e-9)
+    np.testing.assert_allclose(by_response.damping, whole.damping, rtol=1e-6)
+
+
+def test_candidates_need_no_memory_for_all_responses(monkeypatch):
+    monkeypatch.setattr(pole_residue, "_MAX_ELEMENTS", 1 << 18)
+    peaks = []
+    for count in (32, 64):
+        curves = many_curves(count)
+        part = pole_residue.Curves(curves.frequency, curves.value[:, :, 0].T, np.ones((count, 400)))
+        poles = 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j)
+        added = 2 * np.pi * np.linspace(10.0, 50.0, 40) * (-0.01 + 1j)
+        peaks.append(peak_memory(pole_residue.misfits_with, part, poles, added)[0])
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def gaussian(*shape):
+    random = np.random.default_rng(5)
+    return random.standard_normal(shape) + 1j * random.standard_normal(shape)
+
+
+def covariance_of_lines(spacing):
+    """Return the covariance of local fits to lines with a number of bins from line to line."""
+    lines, elements, width = 50, 4, 25
+    errors = LocalErrors(
+        gaussian(lines, elements, 1, width), spacing * np.arange(lines), gaussian(lines, elements, 1, width),
+        gaussian(lines, elements, width), np.ones(lines), 10.0, 1.0, True, np.zeros((lines, elements)),
+    )  # fmt: skip
+    return errors.covariance(np.ones((lines, elements)), 1.0)
+
+
+def test_covariance_of_long_test_needs_little_memory(monkeypatch):
+    monkeypatch.setattr(random_errors, "_MAX_ELEMENTS", 1 << 14)
+    peaks = [peak_memory(covariance_of_lines(spacing).of_sums, gaussian(50, 4, 3))[0] for spacing in (100, 10_000)]
+    assert peaks[1] < 1.5 * peaks[0]
+
+
+def test_covariance_of_sums_does_not_depend_on_blocks(monkeypatch):
+    covariance = covariance_of_lines(10)
+    whole = covariance.of_sums(gaussian(50, 4, 3))
+    monkeypatch.setattr(random_errors, "_MAX_ELEMENTS", 1)
+    np.testing.assert_allclose(covariance.of_sums(gaussian(50, 4, 3)), whole, rtol=1e-12)

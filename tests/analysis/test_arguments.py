@@ -54,6 +54,12 @@ def test_recording_can_be_given_by_path(kind: type[Path | str], tmp_path: Path) 
     assert analysis.sep005(path, ["body1"], 0.0, 0.1)[0]["name"] == "body1"
 
 
+def test_mac_compares_identified_modes() -> None:
+    modes = analysis.identify(analysis.frfs(SWEEP))
+    assert np.array_equal(analysis.mac(modes, modes), analysis.mac(modes.shapes, modes.shapes))
+    assert np.diag(analysis.mac(modes, modes)) == pytest.approx(1.0)
+
+
 @pytest.fixture(scope="module")
 def hit_responses(hit: Path) -> Response:
     return analysis.frfs(hit)
@@ -93,6 +99,10 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.export([SWEEP, SWEEP], "a.npz"), "recording: got 2 recordings; expected one"),
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with one row for each point"),
+        (
+            lambda: analysis.mac(analysis.frfs(SWEEP), analysis.frfs(SWEEP)),
+            "mac: got Response; expected modes or their shapes, such as analysis.identify",
+        ),
         (lambda: daq.open(7), "path: got 7; expected the path of a file"),
         (lambda: daq.open(SWEEP).read("body4"), "no channel 'body4'. Did you mean 'body"),
         (lambda: daq.record(BRACKET, 7), "path: got 7; expected the path of a file"),

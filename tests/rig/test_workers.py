@@ -17,7 +17,7 @@ import pytest
 from distributed import LocalCluster
 
 from rig.core.base.errors import RunError, SceneError
-from rig.core.base.workers import Workers
+from rig.core.base.workers import Workers, free_cores
 from tests.rig.worker_pieces import (
     exit_at_first_call,
     exit_process,
@@ -58,6 +58,13 @@ def test_appended_pieces_are_computed_as_well() -> None:
                 pieces.append(result)
 
     assert pieces == [2, 4, 16]
+
+
+@pytest.mark.parametrize(("load", "free"), [(0.0, 2.0), (2.0, 1.0), (14.0, 0.25)])
+def test_load_of_other_programs_takes_cores(load: float, free: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.core.base.workers.cores", lambda: 2)
+    monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
+    assert free_cores() == free
 
 
 def test_one_worker_reports_that_it_compiles(

@@ -139,12 +139,15 @@ class Fit(Result):
     warnings: tuple[str, ...]
 
     def __getitem__(self, key: str) -> Fitted:
-        """Return a value by its key."""
+        """Return a value by its key, such as ``structure.masses.board`` or ``structure.masses[1]``."""
         by_key = {value.key: value for value in self.parameters}
-        if key not in by_key:
+        # A mass of a named body has its number as a second key.
+        names = enumerate(self.scene.structure.names or (), 1)
+        named_key = {f"structure.masses[{number}]": f"structure.masses.{name}" for number, name in names}.get(key, key)
+        if named_key not in by_key:
             hint = suggestion(key, by_key, f"Give one of {', '.join(by_key)}.")
             raise SceneError(f"no value {key!r} in the fit. {hint}")
-        return by_key[key]
+        return by_key[named_key]
 
     def summary(self) -> str:
         """Return one line: whether the scene fits, and how many values are determined."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +14,7 @@ from analysis.core.modal.pole_residue import residual_terms
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.results import Result, complete_style, format_percent, format_quantity
+from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
@@ -173,18 +175,30 @@ class Modes(Result):
         return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])
 
 
-def mac(first: NDArray[np.generic], second: NDArray[np.generic]) -> Array:
-    """Compute the modal assurance criterion between the columns of two shape matrices.
+def mac(first: NDArray[np.generic] | Modes, second: NDArray[np.generic] | Modes) -> Array:
+    """Compute the modal assurance criterion between the columns of two shape matrices, or between identified modes.
+
+    Raises `SceneError` if an argument is neither, or if the numbers of points differ.
 
     Examples
     --------
     >>> mac(np.eye(2), np.array([[1.0, 1.0], [0.0, 1.0]])).round(6).tolist()
     [[1.0, 0.5], [0.0, 0.5]]
     """
-    a, b = np.asarray(first, dtype=complex), np.asarray(second, dtype=complex)
+    a, b = (_shape_matrix(shapes) for shapes in (first, second))
     if a.ndim != 2 or b.ndim != 2 or len(a) != len(b):
         raise SceneError(
             f"mac: got arrays of shape {a.shape} and {b.shape}; expected two matrices with one row for each point"
         )
     cross = abs(a.conj().T @ b) ** 2
     return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))
+
+
+def _shape_matrix(shapes: NDArray[np.generic] | Modes) -> ComplexArray:
+    if isinstance(shapes, Modes):
+        return shapes.shapes
+    if isinstance(shapes, Response) or not isinstance(shapes, np.ndarray | Sequence):
+        raise SceneError(
+            f"mac: got {type(shapes).__name__}; expected modes or their shapes, such as analysis.identify(frfs)"
+        )
+    return np.asarray(shapes, dtype=complex)

@@ -46,6 +46,8 @@ _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
 # Two lines are distinct if their relative frequency difference is at least this.
 _MIN_SPACING_RATIO = 1e-9
+# Remedy if a file may contain time histories instead of responses.
+_IMPORT = "If the file contains time histories, make a recording of it with `daq import`."
 # Beginning of the names of columns without a heading.
 _NO_NAME = UNNAMED.format("")
 _NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
@@ -291,14 +293,14 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
         raise RecordingError(
-            f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'"
+            f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
         )
     components: dict[str, dict[str, tuple[str, Array]]] = {}
     for name, column_unit, values in columns:
         match = _COLUMN_NAME.fullmatch(name)
         if match is None:
             raise RecordingError(
-                f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase"
+                f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase. {_IMPORT}"
             )
         component = _COMPONENTS[match[2][0].lower()]
         components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)

@@ -58,10 +58,10 @@ SWEEP_GRID = np.unique(
 )
 # Computing time of the parts on one core, s; all other parts take a few seconds at most.
 EFFORT = {
-    "approx-peaks": 70.0, "rec-one": 32.0, "rec-two": 31.0, "rec-three": 30.0, "rec-bare": 27.0, "scan-three": 26.0,
-    "optimum": 20.0, "rec-fig9": 14.0, "rec-fig9-down": 14.0, "scan-single": 10.0, "best-03": 7.0, "best-06": 7.0,
-    "best-10": 7.0, "fig9-damping": 6.0, "least-affected": 25.0, "rec-noise-20": 5.0, "rec-noise-200": 5.0,
-    "rec-noise-2000": 5.0, "sim-three": 5.0, "orbit-fig9": 3.0, "sim-fig5-three": 3.0,
+    "approx-peaks": 50.0, "scan-three": 17.0, "least-affected": 16.0, "optimum": 9.0, "rec-one": 7.0, "rec-two": 7.0,
+    "rec-three": 7.0, "rec-bare": 5.0, "rec-fig9": 5.0, "rec-fig9-down": 5.0, "scan-single": 4.0, "best-03": 4.0,
+    "best-06": 3.0, "best-10": 3.0, "rec-noise-20": 1.5, "rec-noise-200": 1.5, "rec-noise-2000": 2.0,
+    "fig9-damping": 1.5, "sim-three": 1.5,
 }  # fmt: skip
 # Clearances at which a body on a spring shows each type of motion at one force and frequency, in Fig 3.
 TYPES = {"I": 0.98e-3, "II": 0.5e-3, "III": 0.25e-3}

@@ -17,7 +17,7 @@ from analysis.studies.paper.store import Arrays, PaperPart, remove_partial
 from rig.core.base.errors import SceneError
 from rig.core.base.figure_style import save_figure
 from rig.core.base.output_files import prepare_outputs
-from rig.core.base.workers import Workers, cores
+from rig.core.base.workers import Workers, cores, free_cores
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,11 +71,11 @@ def reproduce(
             missing.append(part)
         else:
             stored[part.name] = results
-    duration = sum(part.effort for part in missing) / cores()
+    duration = sum(part.effort for part in missing) / free_cores()
     print_line(
         f"{len(stored)} of {len(parts)} parts are stored; {len(missing)} are computed now"
         + (
-            f": about {_format_duration(duration)} on {cores()} free cores, the longest parts first."
+            f": about {_format_duration(duration)} on {cores()} cores at their present load, the longest parts first."
             if missing
             else "."
         )

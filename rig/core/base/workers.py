@@ -48,6 +48,13 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def free_cores() -> float:
+    """Return the number of cores that workers, one for each core, get beside the present load of other programs."""
+    # The operating system shares the cores equally among all running processes.
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return cores() ** 2 / (cores() + load)
+
+
 class Workers:
     """Workers that compute pieces of a study; leaving the context ends them immediately.
 

@@ -640,7 +640,7 @@ class Response(Result, Sequence["Response"]):
         )
 
     def interpolated(self, frequency: ArrayLike) -> Response:
-        """Return the response at one or several other frequencies, Hz; NaN outside its range.
+        """Return the response at one or several other frequencies, Hz or as ``"30 Hz"``; NaN outside its range.
 
         Between lines it is a local rational function. The uncertainty contains the errors of the lines and the error
         of the interpolation, which is the contribution "spacing of the lines".
@@ -658,6 +658,8 @@ class Response(Result, Sequence["Response"]):
         >>> abs(frf.interpolated(15.1).value).round(4).tolist()
         [0.2208]
         """
+        if isinstance(frequency, str):
+            frequency = number(frequency, FREQUENCY, "frequency")
         result, needed = self._interpolated(np.atleast_1d(np.asarray(frequency, dtype=float)))
         if np.isfinite(needed).any():
             raise SceneError(

@@ -29,6 +29,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
 from rig.core.results.text import round_to_bound
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
@@ -495,8 +496,14 @@ def circle_factor(confidence: float, degrees: Array) -> Array:
     [2.45, 19.97, 2.58]
     """
     # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
+    _check_confidence(confidence)
     known = known_degrees(degrees)
     return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
+
+
+def _check_confidence(confidence: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise SceneError(f"confidence: got {confidence:g}; expected a fraction between 0 and 1, such as 0.95")
 
 
 def known_degrees(degrees: Array) -> Array:

@@ -308,6 +308,16 @@ def test_undetermined_damping_is_described():
     assert row.endswith("0.01000 ± 0.00010, undetermined")
 
 
+def test_mass_of_named_body_has_name_and_number():
+    structure = {"masses": {"base": 4.2, "arm": 1.1}, "springs": [8e5, 9e5], "damping": {"modal": 0.01}}
+    scene = rig.load("fig9").replace(structure=structure, dampers=(), shaker=None, test=None, channels=None)
+    parameter = Fitted("structure.masses.arm", "kg", 1.1, 1.1, 1.0, 1.2, "determined")
+    result = Fit(scene, (parameter,), np.eye(1), {}, (), (), (), 1.0, "", (), ())
+    assert result["structure.masses[2]"] is result["structure.masses.arm"] is parameter
+    with pytest.raises(SceneError, match=r"structure\.masses\[1\]"):
+        result["structure.masses[1]"]
+
+
 def test_clearance_without_ceiling_impacts_has_one_line():
     clearances = [SimpleNamespace(key=f"dampers[{k}].clearance", damper=k) for k in range(2)]
     problem = SimpleNamespace(parameters=clearances, groups=[SimpleNamespace(orbits=object())])

@@ -286,6 +286,12 @@ def test_missing_systematic_errors_are_reported(tmp_path):
         assert "Systematic errors are not in the file" in text
 
 
+def test_table_of_time_histories_should_be_imported(tmp_path) -> None:
+    (tmp_path / "a.csv").write_text("time,force,acc\n0,1,2\n0.1,2,3\n0.2,3,4\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"time histories.*daq import"):
+        analysis.read_frfs(tmp_path / "a.csv")
+
+
 def test_table_without_heading_is_read(tmp_path) -> None:
     frequency = 2.0 * np.arange(1, 51)
     value = 1.0 / (2000.0 - frequency**2 + 4j * frequency)

@@ -56,6 +56,19 @@ def test_value_of_line_is_unchanged() -> None:
     assert np.isnan(there.value[2])
 
 
+def test_frequency_may_have_its_unit() -> None:
+    frf = measured(0.3)
+    assert frf.interpolated("30.49 Hz").value == frf.interpolated(30.49).value
+    with pytest.raises(SceneError, match="frequency: "):
+        frf.interpolated("30.49 m")
+
+
+@pytest.mark.parametrize("confidence", [95, 1.0, 0.0])
+def test_confidence_must_be_a_fraction(confidence: float) -> None:
+    with pytest.raises(SceneError, match=r"confidence: got .*expected a fraction between 0 and 1"):
+        measured(0.3, 1e-3).bound(confidence)
+
+
 def test_budget_states_the_requested_frequency() -> None:
     table = measured(0.3, 1e-4).budget("board", "30.49 Hz")
     assert "30.49 Hz" in table.title and SPACING in [row[0] for row in table.rows]

@@ -87,10 +87,10 @@ def test_protected_file_is_not_replaced(tmp_path: Path, kind: str) -> None:
     assert path.exists()
 
 
-def test_long_scene_names_give_short_distinct_files() -> None:
+def test_scene_names_give_readable_files() -> None:
     name = "Fig 9, a damper in body 2 of clearance "
-    stems = [file_stem("design", scene) for scene in (f"{name}1 mm", f"{name}2 mm", "x" * 300, f"{'x' * 300}y")]
-    assert len(set(stems)) == 4 and max(map(len, stems)) <= len("design-") + 32
+    assert file_stem("design", f"{name}1 mm") == "design-fig-9-a-damper-in-body-2-of-clearance-1-mm"
+    assert len(file_stem("design", "word " * 100)) <= len("design-") + 80
     assert file_stem("design", "bracket") == "design-bracket"
 
 

@@ -47,7 +47,7 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
                     decay.time[shown], sign * envelope[shown], color=color, lw=1.4,
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
-            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2, ls=style.line)
+            envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2)
             lowest = min(lowest, float(envelope[shown].min()))
             envelope_axes.plot(
                 decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=color, lw=1.6, ls="--"

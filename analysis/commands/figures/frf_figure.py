@@ -37,7 +37,7 @@ _MAX_PHASE_STEP = 0.3
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.015
 # Curves with more lines than this are drawn without points.
-_MAX_POINTS = 600
+MAX_POINTS = 600
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
 _THEORY_COLOR = "#555555"
@@ -150,7 +150,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     points: dict[str, Any] = {"ls": "", "marker": style.marker, "color": color, "ms": 2.6, "mew": 0.0, "zorder": 3}
     if is_downward:
         points |= {"mfc": "none", "ms": 5.0, "mew": 0.9, "zorder": 2.9}
-    if frf.frequency.size > _MAX_POINTS:
+    if frf.frequency.size > MAX_POINTS:
         points["marker"] = ""
     line: dict[str, Any] = {"color": color, "ls": style.line, "lw": 1.3, "zorder": 2.8}
     if points["marker"]:
@@ -292,7 +292,7 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     """
     magnitude = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
-        return np.asarray((frf.error < _MAX_ERROR_RATIO * magnitude) & (frf.coherence > _MIN_COHERENCE))
+        return np.asarray((frf.error < _MAX_ERROR_RATIO * magnitude) & ~(frf.coherence <= _MIN_COHERENCE))
     if magnitude.size < 2 * _ROUGHNESS_POINTS:
         return np.ones(magnitude.size, dtype=bool)
     roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)

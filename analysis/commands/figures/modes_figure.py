@@ -8,16 +8,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.core.modal.modes import Modes
+from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.palette import place_styles
 from rig.core.results.response import MAX_MARKERS, Response
+from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+# Shapes with a larger bound of an element, relative to the largest element, are faded.
+MAX_SHAPE_BOUND = 0.5
+_FADED = 0.35
+# Longer error bars are cut: they are wider than the panel.
+_WIDEST_BAR = 3.0
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
+
+
+def is_known_shape(bounds: Array) -> bool:
+    """Return whether a shape is drawn without fading: no element has a larger 95 % bound than half the largest."""
+    return bool(np.all(bounds <= MAX_SHAPE_BOUND))
 
 
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
@@ -75,7 +87,11 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         for i in range(count):
             row, column = divmod(i, columns)
             axes = figure.add_subplot(rows[2 + row, column])
-            axes.plot(np.append(0, bodies.shapes[:, i].real), np.append(0, heights), "o-", color="#333333")
+            shape, bound = bodies.shapes[:, i].real, expand(bodies.errors[:, i])
+            opacity = 1.0 if is_known_shape(bound) else _FADED
+            axes.plot(np.append(0, shape), np.append(0, heights), "o-", color="#333333", alpha=opacity)
+            xerr = np.minimum(np.nan_to_num(bound, posinf=_WIDEST_BAR), _WIDEST_BAR)
+            axes.errorbar(shape, heights, xerr=xerr, fmt="none", ecolor="#333333", capsize=2, lw=0.9, alpha=opacity)
             axes.set(xlim=(-1.25, 1.25), xlabel="shape" if row == shape_rows - 1 else "")
             axes.axvline(0.0, color="#777777", lw=0.7)
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)

@@ -53,6 +53,7 @@ class Curve:
     low: ArrayLike | None = None  # lower bound of `y`
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
+    draw: str = "line"  # "points" of separate tones, or the thin line "through" them, which has no value of its own
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,7 @@ def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
         "label": curve.label,
         "color": curve.style.color,
         "dash": curve.style.dashes,
+        "draw": curve.draw,
         "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, digits=_ABSCISSA_DIGITS),
         "y": _column(curve.y, positive_only),
     }

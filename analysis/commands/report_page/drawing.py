@@ -6,9 +6,11 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+from analysis.commands.figures.modes_figure import is_known_shape
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import DAMPER, TABLE, place_style
 from rig.core.results import format_number
+from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.core.modal.modes import BodyShapes
@@ -143,22 +145,27 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
 
 def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
     """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest."""
-    count = len(shapes.names)
+    count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
+    opacity = 1.0 if is_known_shape(bounds) else 0.4
     height = count * (_SHAPE_HEIGHT + 22) + 30
     parts = []
     for k, name in enumerate(shapes.names):
         y = height - 30 - k * (_SHAPE_HEIGHT + 22) - _SHAPE_HEIGHT
-        element = float(shapes.shapes[k, mode].real)
+        element, bound = float(shapes.shapes[k, mode].real), float(bounds[k])
+        bar = _MAX_AMPLITUDE * min(bound, 1.0)
+        interval = f" ± {bound:.2f}" if bound >= 0.005 else ""
         box = f'x="24" y="{y}" width="{_SHAPE_WIDTH}" height="{_SHAPE_HEIGHT}" rx="3"'
         parts.append(
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
             f'<g class="moving" style="--swing:{_MAX_AMPLITUDE * element:.2f}px">'
             f'<rect {box} stroke="currentColor" fill="currentColor" fill-opacity="0.12"/>'
-            f'<text x="30" y="{y + 17}">{escape_html(name)}</text></g>'
-            f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}</text>'
+            f'<text x="30" y="{y + 17}">{escape_html(name)}</text>'
+            f'<path class="bound" stroke="currentColor" d="M{_SHAPE_WIDTH + 18} '
+            f'{y + _SHAPE_HEIGHT / 2 - bar:.2f}v{2 * bar:.2f}m-3 0h6m0 {-2 * bar:.2f}h-6"/></g>'
+            f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}{interval}</text>'
         )
     return (
-        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 170 {height}" '
-        f'width="170" height="{height}" fill="none">{"".join(parts)}</svg>'
+        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '
+        f'width="210" height="{height}" fill="none" opacity="{opacity}">{"".join(parts)}</svg>'
         f"<figcaption>{escape_html(title)}</figcaption></figure>"
     )

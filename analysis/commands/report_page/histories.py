@@ -45,7 +45,7 @@ def time_histories(rec: Recording) -> Chart:
     styles = dict(zip(names, place_styles([rec.channels[name].at for name in names]), strict=True))
     for unit in units:
         selected = [name for name in names if rec.channels[name].unit == unit]
-        scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit)
+        scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
         curves = [Curve(name, time, scale * rows[names.index(name)], style=styles[name]) for name in selected]
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.frf_figure import break_at_wraps, phase_degrees
+from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.damper_motion.dampers import Dampers
@@ -15,6 +15,8 @@ from analysis.core.recordings.names import belongs_to
 from rig.core.base.palette import DAMPER, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results.response import Response
 
+# The axis of bounds relative to the value ends here.
+_MAX_PERCENT = 100.0
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
@@ -51,12 +53,17 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Seque
     magnitude, phase, coherence, relative = [], [], [], []
     for frf, name, style in zip(thinned, names, styles, strict=True):
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
-        # A logarithmic axis cannot show a lower limit of zero or below.
-        low = np.maximum(modulus - expanded, 1e-3 * modulus)
-        magnitude.append(Curve(name, f, modulus, low, modulus + expanded, style=style))
-        phase.append(Curve(name, *break_at_wraps(f, phase_degrees(frf.value)), style=style))
+        known = is_determined(frf) & np.isfinite(frf.value)
+        low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
+        draw = "points" if known.size <= MAX_POINTS else "line"
+        magnitude.append(Curve(name, f, modulus, low, high, style, draw))
+        if draw == "points":
+            through = frf.continued(np.isfinite(frf.value))
+            magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
+        angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)
+        phase.append(Curve(name, *break_at_wraps(f, angle), style=style))
         coherence.append(Curve(name, f, frf.coherence, style=style))
-        relative.append(Curve(name, f, 100.0 * expanded / modulus, style=style))
+        relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
@@ -68,10 +75,15 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Seque
             Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
             Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
-            Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True),
+            Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True, limits=_percent_limits(relative)),
         ],
         logarithmic=needs_logarithmic_axis(band),
     )
+
+
+def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return the limits of the axis of relative bounds, which ends at 100 %: there the value is undetermined."""
+    return min(_limits(curves)[0], 0.1 * _MAX_PERCENT), _MAX_PERCENT
 
 
 def _limits(curves: Sequence[Curve]) -> tuple[float, float]:

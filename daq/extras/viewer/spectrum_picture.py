@@ -70,13 +70,13 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
             )
         for natural_frequency in natural_hz[natural_hz > 1.0]:
             panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
-        panel.set_ylabel(f"{quantity} [{unit}]", color=_FOREGROUND)
+        panel.set_ylabel(f"{quantity} / ({unit})".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
         panel.grid(which="both", color=_FOREGROUND, alpha=0.10)
         panel.tick_params(colors=_FOREGROUND, which="both")
         panel.spines[:].set_color(_FOREGROUND)
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
-    panels[-1].set_xlabel("frequency [Hz]", color=_FOREGROUND)
+    panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
     panels[0].set_title(
         "largest amplitude (Hann); dotted: natural frequencies, no dampers",
         color=_FOREGROUND, fontsize="medium",

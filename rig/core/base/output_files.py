@@ -22,7 +22,7 @@ from rig.core.base.errors import RunError, SceneError, ShotrigError
 from rig.core.base.escaping import escape_cell
 
 #: Maximum length of a scene's name in a file name.
-_MAX_SCENE_LENGTH = 32
+_MAX_SCENE_LENGTH = 80
 #: Suffixes of output files, which are not accepted for folders.
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
 # Returns whether existing files may be replaced.
@@ -236,18 +236,12 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 
 
 def file_stem(study: str, scene: str) -> str:
-    """Return the file stem for a study and the name of its scene.
+    """Return the file stem for a study and the name of its scene; a very long name is cut after a word.
 
-    A long name is shortened to its first words, and a digest that distinguishes it from names with the same words.
-
-    >>> file_stem("cost", "Fig 9, a damper in body 2")
-    'cost-fig-9-a-damper-in-body-2'
     >>> file_stem("cost", "Fig 9, a damper in body 2 of clearance 0.98 mm")
-    'cost-fig-9-a-damper-in-body-2-of-4a69'
+    'cost-fig-9-a-damper-in-body-2-of-clearance-0-98-mm'
     """
     name = "-".join("".join(letter if letter.isalnum() else " " for letter in scene.lower()).split())
     if len(name) > _MAX_SCENE_LENGTH:
-        digest = sha256(os.fsencode(name)).hexdigest()[:4]
-        start = name[: _MAX_SCENE_LENGTH - len(digest)]
-        name = f"{start.rpartition('-')[0] or start[:-1]}-{digest}"
+        name = name[:_MAX_SCENE_LENGTH].rpartition("-")[0] or name[:_MAX_SCENE_LENGTH]
     return f"{study}-{name}" if name else study

@@ -12,10 +12,12 @@ import numpy as np
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
 from rig.core.base.output_files import atomic_write, file_stem
+from rig.core.base.palette import REFERENCE
 from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.scene import STANDARD_GRAVITY, Scene
+from rig.core.system.structural_model import receptance
 from rig.studies.design.check import Expected
 from rig.studies.design.choice import Choice, mass_unit
 from rig.studies.design.design import Design
@@ -26,7 +28,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, RED, GRAY = *COLORS[:2], "#a0a0a0"
+BLUE, RED = COLORS[:2]
+# Number of frequencies of the drawn response without dampers.
+_RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02
 _OTHER_MOTION = (
@@ -194,13 +198,13 @@ def _expected_line(expected: Expected) -> str:
 
 def _draw(design: Design) -> Figure:
     with new_figure(7.0, 10.0) as figure:
-        (front, chart), (reductions, backbone) = figure.subplots(2, 2)
+        (front, chart), (reductions, responses) = figure.subplots(2, 2)
         design.draw(front)
         front.legend()
         _draw_chart(chart, design)
         _draw_reductions(reductions, design)
-        _draw_backbone(backbone, design)
-        figure.suptitle(f"{escape_figure(design.scene.name)}: {design.best.choice}")
+        _draw_responses(responses, design)
+        figure.suptitle(f"{escape_figure(design.scene.name)}\n{headline(design)}")
         return figure
 
 
@@ -244,27 +248,42 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
         axes.plot(
-            bare_acceleration, [design.bare.compliance / peak.compliance for peak in row], f"{marker}-", ms=4,
+            bare_acceleration, [design.reduction(peak) for peak in row], f"{marker}-", ms=4,
             color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
-    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="largest peak without / with dampers")
+    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="reduction of the largest peak / dB")
     set_log_scale(axes.xaxis)
-    axes.set_ylim(0.0, None)
-    axes.axhline(1.0, color="black", lw=0.8)
+    axes.axhline(0.0, color="black", lw=0.8)
     axes.legend()
     axes.set_title("Acceleration level")
 
 
-def _draw_backbone(axes: Axes, design: Design) -> None:
-    """Draw the frequency of the largest peak over force, with and without dampers."""
-    chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
-    row = design.chart[chosen]
-    axes.plot(design.levels, [peak.frequency for peak in row], "o-", color=BLUE, ms=4, label="with dampers")
-    axes.axhline(design.bare.frequency, color=GRAY, ls="--", label="without")
-    axes.set(xlabel="force / N", ylabel="frequency / Hz")
+def _draw_responses(axes: Axes, design: Design) -> None:
+    """Draw the largest compliance of all bodies without dampers, and the peaks of each mode with dampers."""
+    scene, (low, high) = design.question.scenes[0], design.question.band
+    peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
+    frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
+    bare = abs(receptance(scene.replace(dampers=[]), frequency)).max(axis=0)
+    axes.plot(frequency, 1e6 * bare, color=REFERENCE, lw=1.0, label="without dampers")
+    for number, level in enumerate(design.question.levels):
+        damped = [mode.damped[number] for mode in design.modes if mode.in_band]
+        axes.plot(
+            [peak.frequency for peak in damped], [1e6 * peak.compliance for peak in damped], "os^DvP"[number % 6],
+            color=BLUE, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} N",
+        )  # fmt: skip
+    axes.set(xlabel="frequency / Hz", ylabel="largest compliance / (µm/N)", xlim=(low, high))
     set_log_scale(axes.xaxis)
+    set_log_scale(axes.yaxis, 5)
     axes.legend()
-    axes.set_title("Frequency of the largest peak")
+    axes.set_title("Response with and without dampers")
+
+
+def headline(design: Design) -> str:
+    """State the dampers, the largest peak without and with them, and its change in dB."""
+    peak = design.best.peak
+    heights = " to ".join(f"{1e6 * each.compliance:.4g}" for each in (design.bare, peak))
+    change = f"{-design.reduction(peak):+.1f}".replace("-", "−")
+    return f"{design.best.choice}: {heights} µm/N ({change} dB)"
 
 
 class Agreement(NamedTuple):

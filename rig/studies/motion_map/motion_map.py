@@ -154,6 +154,14 @@ class MotionMap(Result):
             value = level_of(self.scene)
         return value if self.value[0] <= value <= self.value[-1] else None
 
+    @property
+    def settling_time(self) -> Array:
+        """Return the time to reach steady state from the motion at the previous frequency, s; NaN without repetition.
+
+        The wait has the resolution of the computation, and begins at another motion than on the rig.
+        """
+        return np.where(self.repetition > 0, self.periods / self.frequency, np.nan)
+
     def draw_axes(self, ax: Axes) -> None:
         """Label the axes; draw the take-off level, and the level or clearance of the scene."""
         (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
@@ -359,14 +367,16 @@ def _draw(map_: MotionMap) -> Figure:
     with new_figure(4.6, 10.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         map_.draw(left)
-        low, high = map_.periods.min(), max(map_.periods.max(), map_.periods.min() + 1)
-        mesh = right.pcolormesh(*map_.borders, map_.periods, cmap="viridis", norm=LogNorm(low, high), rasterized=True)
-        bar = figure.colorbar(mesh, ax=right, label="periods computed until steady or irregular", pad=0.02)
+        settling = map_.settling_time
+        known = settling[np.isfinite(settling)] if np.isfinite(settling).any() else np.ones(1)
+        norm = LogNorm(known.min(), max(known.max(), 1.01 * known.min()))
+        mesh = right.pcolormesh(*map_.borders, settling, cmap="viridis", norm=norm, rasterized=True)
+        bar = figure.colorbar(mesh, ax=right, label="settling time / s", pad=0.02)
         set_log_scale(bar.ax.yaxis)
         map_.draw_axes(right)
         right.set_ylabel("")
         left.set_title("Most complex motion type of the dampers")
-        right.set_title("Periods computed, not the duration of a test")
+        right.set_title(f"Settling within {STEADY_TOLERANCE:.0e} after a frequency step".replace("1e-06", "10⁻⁶"))
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=MOTIONS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":

@@ -312,6 +312,8 @@ def test_titles_of_modes_are_separate(count):
         for name, value in zip(names, modes.receptance(frequency), strict=True)
     ]
     figure = modes_figure(curves, modes, "Modes: five bodies")
+    uncertain = modes_figure(curves, replace(modes, shape_error=0.3 * np.eye(5)[:, [1] * count]), "Modes")
+    assert [figure.axes[2].lines[0].get_alpha() for figure in (figure, uncertain)] == [1.0, 0.35]
     figure.canvas.draw()
     titles = [axes._left_title.get_window_extent() for axes in figure.axes[2:]]
     assert not any(first.overlaps(second) for first, second in combinations(titles, 2))

@@ -234,6 +234,15 @@ def test_change_has_the_digits_of_its_interval() -> None:
     ]  # fmt: skip
 
 
+def test_undetermined_values_have_no_band() -> None:
+    f = np.linspace(10.0, 20.0, 21)
+    bound = np.where(f < 15.0, 2e-6, 1e-8)
+    curve = Response.curve(f, np.full(f.size, 1e-6 + 0j), "body1", limits={"sensors": bound})
+    magnitude, *_, relative = response_chart([curve], ["body1"]).panels
+    assert np.array_equal(np.isnan(np.asarray(magnitude.curves[0].high)), f < 15.0)
+    assert relative.limits is not None and relative.limits[1] == 100.0 == np.max(np.asarray(relative.curves[0].y))
+
+
 def test_drawing_names_bodies_and_sensors() -> None:
     drawing = rig_drawing(rig.load("fig8-three-dampers"))
     assert "6.6 kN/m" in drawing and "body 3" in drawing and ">body3<" in drawing

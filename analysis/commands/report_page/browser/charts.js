@@ -1,5 +1,5 @@
 // Draws the charts of a report with uPlot. Each <div class="chart"> names a JSON element that describes its panels:
-// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash}], image}]}.
+// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash, draw}], image}]}.
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", reference: "#404040" };
@@ -135,8 +135,10 @@
     for (const curve of panel.curves) {
       const main = shown.length + 1;
       shown.push({
-        label: curve.label, stroke: () => shade(curve.color), dash: curve.dash.map((length) => 1.4 * length), width: 1.4, spanGaps: false,
-        points: { show: curve.x.length !== undefined && curve.x.length <= 160, size: 4, fill: () => shade(curve.color) },
+        label: curve.label, stroke: () => shade(curve.color), spanGaps: false,
+        ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.4 * length), width: 1.4 } : { width: 0.8 }),
+        ...(curve.draw === "points" ? { paths: () => null } : {}),
+        points: { show: curve.draw === "points", size: 4, fill: () => shade(curve.color) },
       });
       if (!curve.low) continue;
       for (const edge of ["low", "high"]) {
@@ -163,7 +165,7 @@
       let series = 1;
       for (const curve of panel.curves) {
         if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [] });
-        rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low) });
+        rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low), shown: curve.draw !== "through" });
         series += curve.low ? 3 : 1;
       }
     });
@@ -205,7 +207,7 @@
         }
       });
       const cells = chart.panels.map(() => element(row, "td", "–"));
-      for (const { k, series, bounded } of places) {
+      for (const { k, series, bounded } of places.filter((place) => place.shown)) {
         update.push((x, i) => {
           const at = i == null ? null : nearest(drawn[k].data[series], i), value = at == null ? null : drawn[k].data[series][at];
           const high = value == null || !bounded ? null : drawn[k].data[series + 2][at];

@@ -30,6 +30,8 @@ _SAME_TOLERANCE = 1e-6
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
 # The height of a peak is stated if its relative bound is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
+# Stands for an unbounded error, m/N: products of the largest floating-point number would overflow.
+_UNBOUNDED = 1e100
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
@@ -117,8 +119,8 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     f, inverse_frf, magnitude = in_band.frequency, 1.0 / in_band.value, abs(in_band.value)
     if f.size < 3:
         return None
-    random_bound = np.nan_to_num(in_band.random_bound())
-    point_bound = np.nan_to_num(in_band.bound())
+    random_bound = np.nan_to_num(in_band.random_bound(), posinf=_UNBOUNDED)
+    point_bound = np.nan_to_num(in_band.bound(), posinf=_UNBOUNDED)
     highest = _highest_local_maximum(magnitude, random_bound)
     five_points = np.arange(max(highest - 2, 0), min(highest + 3, f.size))
     if highest in (0, f.size - 1):
@@ -261,7 +263,7 @@ def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
     random_bound = expand(np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), degrees=points.degrees.min())
     # Equal relative errors of all points add up in the height, and cancel in the frequency.
-    in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound())
+    in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound(), posinf=_UNBOUNDED)
     return np.hypot(random_bound, [in_height.sum(), np.linalg.norm(in_frequency)])
 
 

@@ -20,6 +20,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import hits
 from analysis.core.responses.measurands import motion_channel, response_channels
 from analysis.core.responses.systematic import clock_deviation
+from daq.core.recording.markers import faulty_hits
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results import Result, complete_style, format_percent
@@ -186,6 +187,8 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
     samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
     warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
+    if fault := faulty_hits(rec.markers, ()).get(hit):
+        warnings.append(f"Hit {hit} was {fault}. Choose another hit, or record again.")
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))

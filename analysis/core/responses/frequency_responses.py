@@ -16,6 +16,7 @@ from analysis.core.responses.measurands import (
     strong_forces,
     weak_force_warnings,
 )
+from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import TestKind
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
@@ -106,6 +107,8 @@ def frequency_responses(
         request = Request(rec, names, reference, motion, blocks, progress, used, measured)
         computed = own_estimator.compute(request)
     warnings = weak_force_warnings(levels)
+    if faulty := describe_faulty_hits(rec.markers, used):
+        warnings.append(faulty)
     warnings += [text for parts in own_estimator.parts(request) for text in change_warnings(rec, parts, used)]
     warnings += [
         f"The test ended early ({marker.fields['reason']}): points or averages are missing. Record it again to its end."

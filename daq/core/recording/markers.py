@@ -6,7 +6,8 @@ Gaps (missing samples) are determined from the markers.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -165,6 +166,39 @@ class Gap:
     last_sample: int  # last missing sample
     channels: tuple[str, ...]  # names of the channels that lack them; for true motion, its topics
     reason: str  # `never acquired`, or how they were lost
+
+
+def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
+    """Return the faults of hits by the number of the hit: a second pulse followed, or channels were overloaded.
+
+    `channels`: those whose overloads count; by default all.
+
+    >>> hits = [Marker("hit", 100, 120), Marker("hit", 900, 920, {"double": True})]
+    >>> faulty_hits([*hits, Marker("overload", 105, 130, {"channel": "hammer"})])
+    {1: 'clipped (hammer)', 2: 'double'}
+    """
+    hits = sorted((marker for marker in markers if marker.kind == "hit"), key=lambda marker: marker.first_sample)
+    starts = [hit.first_sample for hit in hits]
+    faults: dict[int, dict[str, None]] = {
+        number: {"double": None} for number, hit in enumerate(hits, 1) if hit.fields.get("double")
+    }
+    for marker in markers:
+        if marker.kind != "overload" or (channels is not None and marker.fields.get("channel") not in channels):
+            continue
+        # An overload belongs to the hits before or in it, because the response follows the hit.
+        first = max(bisect_right(starts, marker.first_sample), 1)
+        for number in range(first, bisect_left(starts, marker.stop) + 1):
+            faults.setdefault(number, {})[f"clipped ({marker.fields.get('channel', '')})"] = None
+    return {number: " and ".join(faults[number]) for number in sorted(faults)}
+
+
+def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
+    """Describe the result of `faulty_hits` in one sentence; an empty string without faults."""
+    faults: dict[str, list[str]] = {}
+    for number, text in faulty_hits(markers, channels).items():
+        faults.setdefault(text, []).append(str(number))
+    texts = [f"hit{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items()]
+    return f"Faulty hits: {'; '.join(texts)}." if texts else ""
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:

@@ -17,6 +17,8 @@ _HIT_RATIO = 0.1
 _MAX_CONTACT_SHARE = 0.2
 # Time after a hit in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2
+# A hit is double if such a pulse has at least this fraction of its peak.
+_DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse, s.
 _CHATTER_S = 1e-3
 # Maximum number of stored pulses.
@@ -29,6 +31,7 @@ class Pulse(NamedTuple):
     first: int
     stop: int
     peak: float
+    is_double: bool = False  # whether a second pulse follows
 
 
 class ForcePulses:
@@ -64,7 +67,11 @@ class ForcePulses:
         hits: list[Pulse] = []
         for first, stop in merge_spans([(pulse.first, pulse.stop) for pulse in pulses], round(_CHATTER_S * rate)):
             peak = max(pulse.peak for pulse in pulses if first <= pulse.first < stop)
-            if peak < _HIT_RATIO * self._peak or (hits and first - hits[-1].first < _BOUNCE_S * rate):
+            if hits and first - hits[-1].first < _BOUNCE_S * rate:
+                if peak >= _DOUBLE_RATIO * hits[-1].peak:
+                    hits[-1] = hits[-1]._replace(is_double=True)
+                continue
+            if peak < _HIT_RATIO * self._peak:
                 continue
             # The ends of a pulse are below the threshold.
             flank = 2 + (stop - first) // 5

@@ -391,8 +391,11 @@ class _RecordingWriter:
             return
         hits = [hit for pulses in self._force_pulses.values() for hit in pulses.hits(self._rate)]
         for number, hit in enumerate(hits, 1):
-            recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak)
+            recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak, double=hit.is_double)
         if hits:
+            doubles = [str(number) for number, hit in enumerate(hits, 1) if hit.is_double]
+            if doubles:
+                yield f"hit {', '.join(doubles)}: double (a second pulse of the force follows)"
             return
         if test is not None and self._detection == "hits":
             yield (

@@ -129,6 +129,14 @@ def test_warning_of_coarse_points_gives_required_step() -> None:
     assert estimate is not None and math.isinf(estimate.bound)
 
 
+def test_unbounded_errors_do_not_overflow() -> None:
+    f = np.linspace(9.0, 11.0, 41)
+    curve = measured_curve(f, 1e3 * two_modes(f, 10.0, 0.01), 1e-3)
+    with np.errstate(over="raise"):
+        estimate = peak(curve.with_limits({"aliasing": np.full(f.size, np.inf)}), 9.0, 11.0)
+    assert estimate is not None and estimate.bound > 1e50 * estimate.value
+
+
 def test_tolerances_of_a_peak_are_combined_as_variances() -> None:
     one, two = (Peak(1.0, 0.0, 10.0, 9.9, 10.1, lower_limit=1.0, tolerances=(0.05,) * count) for count in (1, 2))
     # No error exceeds its limit; two rectangular distributions have k = 2.

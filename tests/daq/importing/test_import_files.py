@@ -119,7 +119,8 @@ def test_unmarked_hits_are_detected(tmp_path):
             hit.first_sample < index and hit.end >= index + 7
             for hit, index in zip(hits, (1000, 5000, 9000), strict=True)
         )
-    assert not messages
+        assert [hit.fields["double"] for hit in hits] == [True, False, False]
+    assert messages == ["hit 1: double (a second pulse of the force follows)"]
 
 
 @pytest.mark.parametrize(

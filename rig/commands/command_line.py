@@ -37,6 +37,8 @@ MAX_OPTION_VALUE = 1e12
 _GC_THRESHOLD = 500_000
 # Exit code after Ctrl-C: 128 plus the signal number.
 _INTERRUPTED_CODE = 128 + signal.SIGINT
+# Whether a command is running, which an interrupt may end.
+_is_running = threading.Event()
 
 
 def create_application(help_text: str) -> Application:
@@ -77,6 +79,7 @@ def run_command(module: str) -> NoReturn:
     # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
     gc.set_threshold(_GC_THRESHOLD)
     received_signals.clear()
+    _is_running.set()
     arguments = sys.argv[1:]
     debug = arguments[:1] == ["--debug"]
     with ExitStack() as cleanup:
@@ -90,8 +93,10 @@ def run_command(module: str) -> NoReturn:
             code = _execute(module, arguments[debug:])
             sys.stdout.flush()
             # From here on, also after an error, a signal ends the process immediately.
+            _is_running.clear()
             _set_termination_handler(signal.SIG_DFL)
         except BaseException as error:
+            _is_running.clear()
             _set_termination_handler(signal.SIG_DFL)
             code = _report(error, debug)
     gc.freeze()
@@ -258,13 +263,21 @@ def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
     """Report an error that Python cannot raise, because it occurred in a destructor or another cleanup."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         # Ctrl-C arrived at that moment; forward it to the command.
-        threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
+        timer = threading.Timer(0.01, _interrupt_again)
+        timer.daemon = True
+        timer.start()
     else:
         print(
             f"warning: an unexpected error while resources were released was ignored ({unraisable.exc_value!r}). "
             "Please report it as a bug.",
             file=sys.stderr,
         )
+
+
+def _interrupt_again() -> None:
+    """Interrupt the command, unless it has ended in the meantime: its exit code and message are then complete."""
+    if _is_running.is_set():
+        signal.raise_signal(signal.SIGINT)
 
 
 def _report_thread_error(failure: threading.ExceptHookArgs) -> None:

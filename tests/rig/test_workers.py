@@ -50,6 +50,29 @@ def test_each_piece_is_computed_once() -> None:
     assert not multiprocessing.active_children()
 
 
+def test_interrupt_does_not_stop_the_start_of_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
+    workers = Workers()
+    submit = workers._pool.submit
+
+    def interrupted_submit(*arguments: object) -> object:
+        signal.raise_signal(signal.SIGTERM)
+        started.append(arguments)
+        return submit(*arguments)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(workers._pool, "submit", interrupted_submit)
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with pytest.raises(KeyboardInterrupt), workers:
+            list(workers.compute(square, [1, 2]))
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    assert len(started) == 2 and not multiprocessing.active_children()
+
+
 def test_appended_pieces_are_computed_as_well() -> None:
     pieces = [2]
     with Workers() as workers:

@@ -100,7 +100,8 @@ class Workers:
             submitted = 0
             try:
                 while len(completed) < len(pieces):
-                    with _without_main_module(), _blocked_sigint():
+                    # An interrupt while a process starts would leave it with half of its pipes.
+                    with _deferred_signals(), _without_main_module(), _blocked_sigint():
                         for number in (n for n in range(submitted, len(pieces)) if n not in completed):
                             job = self._pool.submit(function, pieces[number])
                             jobs[job] = number
@@ -175,10 +176,12 @@ class _OwnProcesses(SpawnContext):
 def _start_processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine."""
     context = _OwnProcesses()
-    pool = ProcessPoolExecutor(
-        cores(), mp_context=context, initializer=_initialize_worker, initargs=(context.Semaphore(1),)
-    )
+    with _deferred_signals():
+        pool = ProcessPoolExecutor(
+            cores(), mp_context=context, initializer=_initialize_worker, initargs=(context.Semaphore(1),)
+        )
 
+    @_deferred_signals()
     def end() -> None:
         # Waiting pieces are canceled before the workers end, because the pool would otherwise notify them.
         pool.shutdown(wait=False, cancel_futures=True)

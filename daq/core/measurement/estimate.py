@@ -28,6 +28,8 @@ PROGRAM_BYTES = 0.33e9
 # Measured memory of the signal path of a channel without and with a decimation filter.
 CHANNEL_BYTES = 0.15e6
 FILTERED_CHANNEL_BYTES = 0.4e6
+# Measured memory of the matrices of a structure, per product of two bodies.
+STRUCTURE_BYTES = 180.0
 # Number of copies of a block in memory during recording: of each channel, of the motion, and of true motion that is
 # recorded.
 CHANNEL_COPIES = 5.0
@@ -35,6 +37,7 @@ MOTION_COPIES = 2.0
 TRUTH_COPIES = 7.0
 # Number of copies of a stored drive in memory.
 DRIVE_COPIES = 12.0
+_MEMORY_PURPOSE = "the test, with the matrices of its structure and half a second of all its channels,"
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def estimate(scene: Scene) -> Estimate:
     memory = (
         PROGRAM_BYTES + channels * channel_bytes + 8.0 * buffer_length * (CHANNEL_COPIES * channels + motion_copies)
     )
-    memory += 8.0 * DRIVE_COPIES * stored * rate
+    memory += 8.0 * DRIVE_COPIES * stored * rate + STRUCTURE_BYTES * scene.structure.bodies**2
     points = scene.structure.bodies + len(scene.tables)
     n_true_quantities = 3 * points + len(scene.dampers) if scene.recording.truth else 0
     storage_type = scene.recording.samples or ("float64" if scene.converter.bits is None else "counts")
@@ -84,7 +87,7 @@ def check_resources(resources: Estimate, path: Path) -> None:
             f"test: in {duration_text(resources.seconds)}, each channel has {resources.samples:.3g} samples; the "
             f"maximum is {MAX_SAMPLES:.0e}. Choose a shorter test or a lower rate."
         )
-    require_memory(resources.memory, "the test, which keeps half a second of all its channels until they are written,")
+    require_memory(resources.memory, _MEMORY_PURPOSE)
     folder = next(folder for folder in path.absolute().parents if folder.is_dir())
     free = shutil.disk_usage(folder).free
     if resources.disk * MIN_COMPRESSION_RATIO + RESERVE > free:

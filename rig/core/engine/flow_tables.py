@@ -53,6 +53,8 @@ MAX_STEP_MATRIX_DAMPERS = 6
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
+#: Memory, in bytes, of the terms of the matrix exponential for an element, of one configuration at a time.
+TERM_BYTES = 9 * TERMS
 #: An array contains the table index of every possible configuration up to this number of configurations.
 MAX_DIRECT_LOOKUP = 4096
 #: Envelopes (`rig.core.engine.screening`) save time up to this phase advance of the drive per step.
@@ -101,7 +103,7 @@ class FlowTables:
         if self.size <= MAX_STEP_MATRIX_STATES:
             return True
         dense = len(self._column) * TERMS > self.size**2
-        return dense and self.size**2 * ELEMENT_BYTES * configurations <= MAX_STEP_MATRIX_BYTES
+        return dense and self.size**2 * (ELEMENT_BYTES * configurations + TERM_BYTES) <= MAX_STEP_MATRIX_BYTES
 
     def table_index(self, configuration: int) -> int:
         """Return the table index of a configuration; compute its tables if new."""
@@ -372,10 +374,12 @@ def _exponential_terms(matrix: np.ndarray) -> np.ndarray:
     n_computed = 2
     while n_computed < TERMS:
         count = min(n_computed - 1, TERMS - n_computed)
-        powers[n_computed : n_computed + count] = powers[n_computed - 1] @ powers[1 : 1 + count]
+        np.matmul(powers[n_computed - 1], powers[1 : 1 + count], out=powers[n_computed : n_computed + count])
         n_computed += count
     factorials = np.cumprod(np.maximum(np.arange(TERMS), 1).astype(matrix.dtype))
-    return powers / factorials[:, None, None]
+    # In place, because the terms of a structure of hundreds of bodies take hundreds of megabytes.
+    powers /= factorials[:, None, None]
+    return powers
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

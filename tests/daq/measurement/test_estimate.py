@@ -34,6 +34,14 @@ def test_memory_grows_with_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     check_resources(too_many, tmp_path / "a.mcap")
 
 
+def test_thousands_of_bodies_are_rejected_before_the_test(tmp_path: Path) -> None:
+    count = 2000
+    scene = rig.load("bare-structure")
+    structure = {"masses": [1.0] * count, "springs": [1e6] * count, "damping": {"modal": 0.01}}
+    with pytest.raises(RunError, match=r"matrices of its structure.*SHOTRIG_MEMORY"):
+        check_resources(estimate(scene.replace(structure=structure)), tmp_path / "a.mcap")
+
+
 def test_recorder_uses_estimated_memory(tmp_path: Path) -> None:
     n_channels, n_samples = 300, flush_length(RATE)
     infos = [ChannelInfo(f"c{i}", "body 1", "acceleration", 0.01, RATE) for i in range(n_channels)]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -29,3 +31,14 @@ def test_steps_by_product_equal_steps_by_series(monkeypatch: pytest.MonkeyPatch)
     by_series = chain_displacement()
     assert abs(by_product).max() > 1e-5
     np.testing.assert_allclose(by_product, by_series, atol=1e-10 * abs(by_series).max())
+
+
+def test_terms_of_exponential_have_no_copies() -> None:
+    matrix = np.random.default_rng(1).standard_normal((120, 120))
+    tracemalloc.start()
+    try:
+        terms = flow_tables._exponential_terms(matrix)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1.2 * terms.nbytes <= 1.2 * flow_tables.TERM_BYTES * matrix.size

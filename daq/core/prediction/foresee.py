@@ -20,6 +20,7 @@ from daq.core.prediction.flights import flight_lines, onset_level, outside_band
 from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.foresight import Expectation, Foresight, format_quantity
 from daq.core.prediction.linear import LowestSignalToNoise, lowest_signal_to_noise, required_drive
+from daq.core.prediction.linear_waits import linear_waits
 from daq.core.prediction.rehearsal import POWER_ON_RATIO, Rehearsal, loads_of, recording_size
 from daq.core.prediction.rehearsal_plan import (
     RehearsalPlan,
@@ -354,31 +355,30 @@ class _Assessment:
             return procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
         if not test.dwells:
             return test.shortest
-        # A step between the peaks is assumed to settle in the 25 % quantile of the settling times about the peaks.
-        settling_times = [wait for part in rehearsed_test.parts for wait in self._settling_times(part)] or [1.0]
-        steps = len(test.levels) * len(test.dwells)
-        typical_time = float(np.percentile(settling_times, 25))
-        # Time by which the steps about the peaks take longer than the typical step, s.
-        excess = sum(wait - typical_time for wait in settling_times)
-        complete_seconds = estimate(self.scene).seconds + steps * typical_time + max(excess, 0.0)
+        waits = linear_waits(self.scene, self.system, self.bench.channels)
+        order, steps = np.array(test.dwells), len(test.levels) * len(test.dwells)
+        for part in rehearsed_test.parts:
+            for frequency, wait in self._nonlinear_waits(part):
+                waits[np.isclose(order, frequency)] = wait
+        complete_seconds = estimate(self.scene).seconds + len(test.levels) * float(waits.sum())
         if rehearsed_test.aborted is None:
             return complete_seconds
         # The test aborts near the last rehearsed tone.
         last_part = rehearsed_test.parts[-1]
         last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
-        order = np.array(test.dwells)
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
         return max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
 
-    def _settling_times(self, part: Rehearsal) -> Iterable[float]:
-        """Yield the times until the tones of a part are steady, s.
+    def _nonlinear_waits(self, part: Rehearsal) -> Iterable[tuple[float, float]]:
+        """Yield the frequency of each tone of a part in which dampers fly, and the wait until it is steady, s.
 
         If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
         The geometric mean of both times is assumed.
         """
         assert self.scene.test is not None
         longest = self.scene.test.steady_state.longest
+        times = np.array([time for damper in part.impact_times for time in damper]) * self.bench.rate
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate
-            is_irregular = not measure.settled and any(part.impact_times)
-            yield float(np.sqrt(wait * max(longest, wait))) if is_irregular else wait
+            if ((times >= settle.first) & (times < measure.stop)).any():
+                yield settle.frequency, wait if measure.settled else float(np.sqrt(wait * max(longest, wait)))

@@ -13,6 +13,7 @@ import rig
 from daq.core.prediction import rehearsal_plan
 from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.linear import channel_readings
+from daq.core.prediction.rehearsal import Rehearsal
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.errors import SceneError
 from rig.core.system.assembly import assemble
@@ -151,6 +152,17 @@ def test_duration_contains_wait_for_sensors(tmp_path, monkeypatch) -> None:
     scene = one_body(hits, channels=accelerometer(accelerometer=sensor))
     with daq.open(daq.record(scene, tmp_path / "hits.mcap")) as recording:
         assert daq.foresee(scene).seconds == pytest.approx(recording.samples / recording.rate, rel=0.02)
+
+
+@pytest.mark.parametrize("shaker", [{"kind": "force", "body": 1}, {"kind": "table", "body": 1, "spring": "3 kN/m"}])
+def test_duration_is_predicted_with_long_waits(shaker, monkeypatch) -> None:
+    monkeypatch.setattr(rehearsal_plan, "_CPU_BUDGET_S", 0.1)
+    structure = {"masses": ["1 kg", "0.8 kg"], "springs": ["20 kN/m", "15 kN/m"], "damping": {"modal": "0.1 %"}}
+    steps = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 30, "force": "1 N"}
+    scene = one_body(TONE).replace(structure=structure, shaker=shaker, test=steps)
+    foresight, complete = daq.foresee(scene), Rehearsal(scene).run(np.inf)
+    assert foresight.rehearsed and complete.seconds > 300.0
+    assert foresight.seconds == pytest.approx(complete.seconds, rel=0.1)
 
 
 STEEL_ROD = {"kind": "electrodynamic", "body": 1, "spring": "10 MN/m"}

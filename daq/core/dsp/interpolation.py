@@ -10,7 +10,7 @@ A jump of velocity at a break is an impulse of acceleration. A force is interpol
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,6 +121,25 @@ class ForceInterpolator:
         segments = allocate_segments(1) if self._is_first_block else _NO_SEGMENTS
         self._last, self._is_first_block = float(force[-1]), False
         return CubicInput(interval_cubics, *segments)
+
+
+def cubic_coefficients(start: Any, end: Any, mean: Any, moment: Any) -> tuple[Any, Any, Any]:
+    """Return the coefficients of t, t^2 and t^3 of a cubic over a segment, t from 0 to 1; that of 1 is `start`."""
+    return (
+        -9.0 * start + 3.0 * end - 24.0 * mean + 60.0 * moment,
+        18.0 * start - 12.0 * end + 84.0 * mean - 180.0 * moment,
+        -10.0 * start + 10.0 * end - 60.0 * mean + 120.0 * moment,
+    )
+
+
+def parabola_moment(start: Any, end: Any, mean: Any) -> Any:
+    """Return the moment of the parabola with given ends and mean."""
+    return (start - end) / 12.0 + 0.5 * mean
+
+
+#: The same functions for kernels.
+cubic_coefficients_kernel = unfused_kernel(cubic_coefficients)
+_parabola_moment = unfused_kernel(parabola_moment)
 
 
 @unfused_kernel
@@ -259,7 +278,6 @@ def _describe_segment(begin_state: Array, end_state: Array, fraction: float, h: 
     t = fraction * h
     out[2] = (end_state[1] - begin_state[1]) / t
     if fraction < MIN_CUBIC_FRACTION:
-        # Of the parabola with the same ends and mean.
-        out[3] = (begin_state[0] - end_state[0]) / 12.0 + 0.5 * out[2]
+        out[3] = _parabola_moment(begin_state[0], end_state[0], out[2])
     else:
         out[3] = ((end_state[2] - begin_state[2]) / t - begin_state[1]) / t

@@ -8,7 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.dsp.interpolation import IMPULSE, LENGTH, CubicInput, allocate_segments, copy_into
+from daq.core.dsp.interpolation import (
+    IMPULSE,
+    LENGTH,
+    CubicInput,
+    allocate_segments,
+    copy_into,
+    cubic_coefficients_kernel,
+)
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.numerics.fma import fused
@@ -218,10 +225,7 @@ def _split(cubic: Array, begin: float, end: float, length: float, impulse: float
     """
     out[LENGTH], out[IMPULSE] = length, impulse
     a, b, mean, moment = cubic[0], cubic[1], cubic[2], cubic[3]
-    # Coefficients of the powers of time, from 0 to 1; the constant is `a`.
-    c1 = -9.0 * a + 3.0 * b - 24.0 * mean + 60.0 * moment
-    c2 = 18.0 * a - 12.0 * b + 84.0 * mean - 180.0 * moment
-    c3 = -10.0 * a + 10.0 * b - 60.0 * mean + 120.0 * moment
+    c1, c2, c3 = cubic_coefficients_kernel(a, b, mean, moment)
     out[0] = a + begin * (c1 + begin * (c2 + begin * c3))
     out[1] = a + end * (c1 + end * (c2 + end * c3))
     # Coefficients of the powers of the segment's own time, from 0 to 1.

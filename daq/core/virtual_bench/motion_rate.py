@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.dsp.interpolation import MIN_CUBIC_FRACTION
+from daq.core.dsp.interpolation import MIN_CUBIC_FRACTION, cubic_coefficients, parabola_moment
 from rig.core.base.arrays import Array
 from rig.core.simulation.motion import Motion
 
@@ -126,10 +126,8 @@ def _between_ticks(
     a0, a1, v0 = a_after[:, left], a_before[:, right], v_after[:, left]
     mean = (v_before[:, right] - v0) / dt
     moment = ((displacement[:, right] - displacement[:, left]) / dt - v0) / dt
-    moment = np.where(dt < MIN_CUBIC_FRACTION * tick, (a0 - a1) / 12.0 + 0.5 * mean, moment)
-    c1 = -9.0 * a0 + 3.0 * a1 - 24.0 * mean + 60.0 * moment
-    c2 = 18.0 * a0 - 12.0 * a1 + 84.0 * mean - 180.0 * moment
-    c3 = -10.0 * a0 + 10.0 * a1 - 60.0 * mean + 120.0 * moment
+    moment = np.where(dt < MIN_CUBIC_FRACTION * tick, parabola_moment(a0, a1, mean), moment)
+    c1, c2, c3 = cubic_coefficients(a0, a1, mean, moment)
     acceleration = a0 + u * (c1 + u * (c2 + u * c3))
     velocity = v0 + dt * u * (a0 + u * (c1 / 2 + u * (c2 / 3 + u * c3 / 4)))
     increment = dt * u * (v0 + dt * u * (a0 / 2 + u * (c1 / 6 + u * (c2 / 12 + u * c3 / 20))))

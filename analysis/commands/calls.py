@@ -85,8 +85,12 @@ def frf(
     window: str | None = None,
     unit: str | None = None,
     progress: CountProgress | None = None,
+    level: float | str | None = None,
+    direction: str | None = None,
 ) -> Results[Response]:
     """Estimate frequency responses with 95 % intervals and coherence, as `analysis frf`.
+
+    This is the entry for any test and any number of shakers: each response is a matrix of outputs over inputs.
 
     Parameters
     ----------
@@ -108,11 +112,13 @@ def frf(
         Unit of the values, such as ``"g/N"``, for files that do not give it.
     progress : callable, optional
         Called with (completed, total).
+    level, direction
+        Sweep to select if a test ran several: its level, such as ``"2.6 N"``, and ``"up"`` or ``"down"``.
 
     Returns
     -------
     Results of Response
-        A response for each sweep, with all outputs.
+        A matrix for each sweep: all outputs over all inputs; one input is one column.
 
     Examples
     --------
@@ -133,7 +139,7 @@ def frf(
             continue
         with source as rec:
             for sweep in frequency_responses(
-                rec, response, reference, motion, estimator, block, progress, overlap, window
+                rec, response, reference, motion, estimator, block, progress, overlap, window, level, direction
             ):
                 responses.append(_labeled(sweep, label, rec.scene.name))
     return Results(responses)

@@ -16,13 +16,15 @@ from analysis.core.responses.estimators import ESTIMATORS
 from analysis.core.responses.measurands import input_location, output_point
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
-from rig.core.results.response import Response, stack
+from rig.core.results.response import Point, Response, stack
 
 if TYPE_CHECKING:
     from daq.core.recording.markers import Marker
     from daq.core.recording.recording import Recording
 
-#: Module of the estimator of each kind of recording (`TestKind`).
+#: Module of the estimator of a recording with several driving forces.
+SEVERAL_INPUTS = "several_inputs"
+#: Module of the estimator of each kind of recording (`TestKind`) with one input.
 MODULES = {
     "tones": "stepped_sine",
     "none": "stepped_sine",
@@ -71,6 +73,9 @@ class Request:
     progress: CountProgress | None
     channels: Sequence[str]  # channels of the responses and of their reference
     measured: Sequence[Marker]  # markers of the measured intervals
+    inputs: Sequence[Point] = ()  # the forces, if several drive the structure
+    level: float | None = None  # of the sweep, if the recording has several; None: every level
+    direction: str | None = None  # up or down, likewise
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
         """Compute the response of each source, with all outputs."""
@@ -103,9 +108,12 @@ class Estimator:
     line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."
 
 
-def estimator_of(kind: str) -> Estimator:
-    """Return the estimator of a kind of recording; an empty `kind` is that of curves without a recording."""
-    module = MODULES.get(kind or "none")
+def estimator_of(kind: str, inputs: int = 1) -> Estimator:
+    """Return the estimator of a kind of recording with a number of inputs.
+
+    An empty `kind` is that of curves without a recording.
+    """
+    module = MODULES.get(kind or "none") if inputs < 2 else SEVERAL_INPUTS
     if module is None:
         raise RecordingError(f"a recording of kind {kind} has no frequency responses. Use another analysis.")
     estimator: Estimator = import_module(f"analysis.core.responses.{module}").ESTIMATOR

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.channel_changes import change_warnings
-from analysis.core.responses.estimator import Blocks, Request, annotate, estimator_of
+from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
     force_levels,
     required_channels,
@@ -21,7 +21,7 @@ from daq.core.recording.recorded_test import TestKind
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.numerics.blas_threads import with_one_blas_thread
-from rig.core.results.response import MOTIONS, stack
+from rig.core.results.response import MOTIONS
 from rig.core.results.response import Response as Response
 from rig.core.settings.quantities import FORCE, number
 
@@ -41,8 +41,10 @@ def frequency_responses(
     progress: CountProgress | None = None,
     overlap: float | None = None,
     window: str | None = None,
+    level: float | str | None = None,
+    direction: str | None = None,
 ) -> list[Response]:
-    """Estimate all frequency responses of a recording.
+    """Estimate the frequency responses of one recording; `analysis.frf` is this function for any number of recordings.
 
     Parameters
     ----------
@@ -66,11 +68,15 @@ def frequency_responses(
         Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
     window : str, optional
         Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for hits.
+    level : float or str, optional
+        Level to select if the test ran several, such as ``"2.6 N"``; if omitted, all levels.
+    direction : {'up', 'down'}, optional
+        Direction to select if the test ran both; if omitted, both.
 
     Returns
     -------
     list of Response
-        A response for each sweep (level and direction), with all outputs.
+        A matrix of all outputs over all inputs for each sweep (level and direction); one input is one column.
 
     Raises
     ------
@@ -94,18 +100,26 @@ def frequency_responses(
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind.marked and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
+    if (level is not None or direction is not None) and not kind.steady and kind is not TestKind.NONE:
+        raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
     levels = force_levels(rec) if reference == "force" else []
     inputs = strong_forces(levels)
-    if len(inputs) > 1:
-        from analysis.core.responses.several_inputs import response_matrix
-
-        used = [*names, *(point.name for point in inputs)]
-        request = Request(rec, names, reference, motion, blocks, progress, used, measured)
-        computed = [response_matrix(rec, names, inputs, motion, estimator, block, overlap, window)]
-    else:
-        used = required_channels(rec, names, reference)
-        request = Request(rec, names, reference, motion, blocks, progress, used, measured)
-        computed = own_estimator.compute(request)
+    has_one = len(inputs) < 2
+    used = required_channels(rec, names, reference) if has_one else [*names, *(point.name for point in inputs)]
+    request = Request(
+        rec,
+        names,
+        reference,
+        motion,
+        blocks,
+        progress,
+        used,
+        measured,
+        inputs,
+        number(level, FORCE, "level"),
+        direction,
+    )
+    computed = estimator_of(kind, len(inputs)).compute(request)
     warnings = weak_force_warnings(levels)
     if faulty := describe_faulty_hits(rec.markers, used):
         warnings.append(faulty)
@@ -134,7 +148,7 @@ def frfs(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Estimate the frequency responses of one sweep of a test, with all outputs.
+    """Short form of `analysis.frf` for one sweep of one recording: return its response, with all outputs.
 
     Every channel is corrected for its sensor, amplifier and converter. The force is measured by a force channel if
     there is one. Otherwise it is the force in the coil spring, F1 = k0 (x0 - x1), from the channels on the table and on
@@ -142,14 +156,8 @@ def frfs(
 
     Parameters
     ----------
-    rec : daq.Recording, str or Path
-        As for `frequency_responses`, which returns all sweeps of a recording and has more options.
-    channels, reference, motion
+    rec, channels, reference, motion, level, direction
         As in `frequency_responses`; a response may also be named by the body that carries the sensor.
-    level : float or str, optional
-        Level to select if the test ran several, such as ``"2.6 N"``.
-    direction : {'up', 'down'}, optional
-        Direction to select if the test ran both.
 
     Raises
     ------
@@ -163,32 +171,16 @@ def frfs(
     >>> frfs["body3"].name, analysis.identify(frfs).frequency.round(2).tolist()
     ('compliance', [13.04, 34.78, 49.66])
     """
-    from analysis.core.responses.stepped_sine import sweeps
+    from analysis.core.responses.stepped_sine import describe_sweeps, sweeps
 
-    if motion not in MOTIONS:
-        raise SceneError(f"motion: got {motion!r}; expected {', '.join(MOTIONS)}")
-    names = select_channels(rec, channels)
-    if not rec.test.kind.steady and rec.test.kind is not TestKind.NONE:
-        if level is not None or direction is not None:
-            raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
-        (group,) = frequency_responses(rec, names, reference, motion)
-        return group
-    force_level = number(level, FORCE, "level")
-    all_sweeps = sweeps(rec, required_channels(rec, names, reference))
-    selected = [
-        sweep
-        for sweep in all_sweeps
-        if (force_level is None or abs(sweep.level - force_level) <= 1e-6 * abs(force_level))
-        and (direction is None or sweep.direction == direction)
-    ]
-    if len(selected) != 1:
-        available = "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in all_sweeps)
-        problem = "several sweeps match" if selected else "no sweep matches"
+    responses = frequency_responses(rec, channels, reference, motion, level=level, direction=direction)
+    if len(responses) != 1:
+        available = describe_sweeps(sweeps(rec, required_channels(rec, select_channels(rec, channels), reference)))
+        problem = "several sweeps match" if responses else "no sweep matches"
         raise SceneError(
             f"{rec.path}: {problem}. Choose one of {available}, or use all of them with analysis.frequency_responses."
         )
-    group = stack(annotate(rec, [selected[0].lines.frf(rec, name, reference, motion) for name in names]))
-    return replace(group, test=rec.test.kind.value)
+    return responses[0]
 
 
 @takes_path
@@ -199,17 +191,13 @@ def compliance(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Estimate the compliance of the structure at one channel: displacement per force, X_j / F_1.
+    """Short form of `analysis.frf` for one channel of one sweep: return its curve, X_j / F_1 or X_j / X_0.
 
     Parameters
     ----------
-    rec : daq.Recording, str or Path
-        As for `frfs`.
+    rec, reference, level, direction
+        As in `frfs`.
     response : str
         Channel, or the body that carries the sensor.
-    reference : {'force', 'table'}
-        ``"table"`` selects X_j / X_0 instead.
-    level, direction
-        As in `frfs`.
     """
     return frfs(rec, [response], reference, level=level, direction=direction)[0]

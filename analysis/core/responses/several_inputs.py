@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from analysis.core.responses import random
 from analysis.core.responses.budget import assemble_budget
+from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, leakage
 from analysis.core.responses.local_models.local_rational import local_fit
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
@@ -65,30 +66,19 @@ COHERENT_INPUTS = (
 )
 
 
-def response_matrix(
-    rec: Recording,
-    names: Sequence[str],
-    inputs: Sequence[Point],
-    motion: str,
-    estimator: str | None,
-    block: float | None,
-    overlap: float | None,
-    window: str | None,
-) -> Response:
-    """Estimate the response of some channels to several forces.
-
-    `names`: channels; `inputs`: forces, as from `driven_forces`; `motion`: displacement, velocity or acceleration;
-    `estimator`: H1 or Hv; `block`: length of a block, s; `overlap`: overlap of successive blocks, as a fraction of
-    their length; `window`: name of their window. Any of these four selects block averaging of a random test, by default
-    with H1. Without them, the local rational method is used.
-    """
-    markers = [marker for marker in rec.markers if marker.kind == "measure"]
+def _compute(request: Request) -> list[Response]:
+    """Estimate the responses to several forces: by local models, from averaged blocks, or from experiments."""
+    rec, markers, blocks = request.rec, request.measured, request.blocks
+    points = request.names, request.inputs, request.motion
     if "experiment" in markers[0].fields:
-        return _from_experiments(rec, markers, names, inputs, motion)
-    if (estimator, block, overlap, window) == (None,) * 4:
-        return _from_local_fits(rec, markers[0], names, inputs, motion)
-    spectra = input_output_spectra(rec, names, inputs, motion, block, overlap, window)
-    return spectra.response(rec, estimator or "H1")
+        return [_from_experiments(rec, markers, *points)]
+    if blocks == Blocks():
+        return [_from_local_fits(rec, markers[0], *points)]
+    spectra = input_output_spectra(rec, *points, blocks.block, blocks.overlap, blocks.window)
+    return [spectra.response(rec, blocks.estimator or "H1")]
+
+
+ESTIMATOR = Estimator(_compute, "the matrix of the responses to several forces is estimated at once")
 
 
 @dataclass(frozen=True)
@@ -208,7 +198,10 @@ def input_output_spectra(
     overlap: float | None = None,
     window: str | None = None,
 ) -> SpectralMatrix:
-    """Average the spectra of a random test with several shakers; arguments as in `response_matrix`."""
+    """Average the spectra of a random test with several shakers.
+
+    `motion`: displacement, velocity or acceleration; the other arguments are as in `averaged_spectra`.
+    """
     marker = next(marker for marker in rec.markers if marker.kind == "measure")
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     spectra = random.averaged_spectra(rec, marker, channels, block, overlap, window=window)

@@ -7,7 +7,7 @@ pass through the frequencies at one *level* (nominal amplitude of the force or d
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,7 +23,7 @@ from analysis.core.responses.scatter import Scatter, stacked
 from analysis.core.responses.spectral_lines import Lines, residual_transient
 from analysis.core.responses.systematic import quantization_steps, reproducible_rounding
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.errors import RecordingError
+from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_number
 from rig.core.results.response import Response
@@ -516,8 +516,27 @@ def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise:
 
 
 def _compute(request: Request) -> list[Response]:
-    """Estimate the response of each sweep."""
-    return request.compute(sweep.lines for sweep in sweeps(request.rec, request.channels, request.progress))
+    """Estimate the response of each requested sweep."""
+    return request.compute(sweep.lines for sweep in _selected_sweeps(request))
+
+
+def _selected_sweeps(request: Request) -> list[Sweep]:
+    """Return the sweeps of the requested level and direction; raise `SceneError` if there is none."""
+    all_sweeps = sweeps(request.rec, request.channels, request.progress)
+    selected = [
+        sweep
+        for sweep in all_sweeps
+        if (request.level is None or abs(sweep.level - request.level) <= 1e-6 * abs(request.level))
+        and (request.direction is None or sweep.direction == request.direction)
+    ]
+    if all_sweeps and not selected:
+        raise SceneError(f"{request.rec.path}: no sweep matches. Choose one of {describe_sweeps(all_sweeps)}.")
+    return selected
+
+
+def describe_sweeps(all_sweeps: Iterable[Sweep]) -> str:
+    """List levels and directions of sweeps, as arguments."""
+    return "; ".join(f"level={sweep.level:g}, direction={sweep.direction!r}" for sweep in all_sweeps)
 
 
 def _peak_remedy(needed: float) -> str:

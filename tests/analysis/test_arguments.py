@@ -111,7 +111,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: daq.import_files(7, "fig9", "a.mcap"), "files: got 7; expected the path of a file"),
         (lambda: rig.explain(7), "scene: got 7; expected a name"),
         (lambda: rig.Plant("fig99"), "Did you mean 'fig9'"),
-        (lambda: rig.Plant(BRACKET, "5 V"), "is not a unit of frequency"),
+        (lambda: rig.Plant(BRACKET, "5 V"), "is not a unit of sample rate"),
         (lambda: daq.Recorder("a.mcap", 7, [ChannelInfo("a", "body 1", "force", 1.0, 9.0)], 9.0), "scene: got 7"),
         (lambda: daq.Recorder("a.mcap", BRACKET, [], 9.0), "a.mcap: no channels"),
         (lambda: rig.simulate(BRACKET, None), "duration: got None"),

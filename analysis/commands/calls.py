@@ -207,6 +207,7 @@ def report(
     output: str | Path | None = None,
     overwrite: bool = False,
     progress: CountProgress | None = None,
+    note: str = "",
 ) -> Path:
     """Write an interactive HTML page about recordings, as `analysis report`; return its path.
 
@@ -216,12 +217,14 @@ def report(
         Folder, or .html file; if omitted, the folder of the first recording.
     overwrite : bool
         Whether an existing page may be replaced.
+    note : str
+        Text below the summary, such as date, operator and remarks.
     """
     from analysis.commands.report_page.report import write_report
     from rig.core.base.output_files import allow_overwriting
 
     with allow_overwriting(overwrite):
-        return write_report(_paths(recordings), None if output is None else Path(output), progress).files[0]
+        return write_report(_paths(recordings), None if output is None else Path(output), progress, note).files[0]
 
 
 def export(

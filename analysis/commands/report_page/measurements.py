@@ -73,6 +73,7 @@ class SweepChange(NamedTuple):
     after: str  # label of the other sweep
     recording: str  # label of the other recording
     change: PeakChange
+    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
 
     @property
     def level(self) -> str:
@@ -222,7 +223,7 @@ def _peak_changes(first: Measurement, other: Measurement) -> list[SweepChange]:
     points.comparable_with(first_points)
     same_sensors = points.same_sensors(first_points)
     return [
-        SweepChange(before.label, after.label, other.label, change)
+        SweepChange(before.label, after.label, other.label, change, tuple(before.modes.frequency.tolist()))
         for after in other.sweeps
         for change in peak_changes(before.modes, before.frfs, after.frfs, same_sensors)
     ]

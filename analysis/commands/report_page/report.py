@@ -14,9 +14,17 @@ from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.measurements import Measurement, Measurements
-from analysis.commands.report_page.responses import damper_chart, decay_charts, response_charts
+from analysis.commands.report_page.responses import damper_chart, decay_charts, force_charts, response_charts
 from analysis.commands.report_page.summary import summarize
-from analysis.commands.report_page.tables import budget, changes_table, decays, resonances, settings, test_text
+from analysis.commands.report_page.tables import (
+    budget,
+    changes_table,
+    decays,
+    mac_table,
+    resonances,
+    settings,
+    test_text,
+)
 from analysis.core.recordings.names import require_file
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
@@ -25,14 +33,14 @@ from rig.core.base.progress import CountProgress
 
 
 def write_report(
-    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
+    paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None, note: str = ""
 ) -> CommandOutput:
     """Write one self-contained HTML report about recordings.
 
     `paths`: recordings; the first without moving dampers, otherwise the first, is the reference of the comparisons.
     `output`: folder for the page, or its file name if it ends in .html; default: the folder of the first recording.
-    Returns the page, the sentences of its summary, and the warnings. Raises `RecordingError` if a file is not a
-    recording. Raises `SceneError` if the page exists and may not be replaced.
+    `note`: text below the summary. Returns the page, the sentences of its summary, and the warnings. Raises
+    `RecordingError` if a file is not a recording. Raises `SceneError` if the page exists and may not be replaced.
     """
     if not paths:
         raise SceneError("report: no recordings. Give at least one.")
@@ -40,7 +48,7 @@ def write_report(
         require_file(path)
     target = _page(paths, output)
     with Measurements(paths, progress) as measurements:
-        sentences, body = _body(measurements, paths)
+        sentences, body = _body(measurements, paths, note)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
     templates = files("analysis.commands.report_page") / "browser"
 
@@ -68,7 +76,7 @@ def _page(paths: Sequence[Path], output: Path | None) -> Path:
     return page
 
 
-def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str], str]:
+def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], str]:
     """Return the sentences of the summary, and all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
     changes, first = measurements.changes(), measurements.reference
@@ -77,10 +85,13 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
     dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
     # Title and content of each section; a section without content is omitted.
     sections = {
-        "Frequency responses": [charts.write(chart) for chart in response_charts(results, first.label)],
+        "Frequency responses": [
+            charts.write(chart)
+            for chart in (*response_charts(results, first.label), *force_charts(results, first.label))
+        ],
         "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
-        "Mode shapes": _modes(results),
+        "Mode shapes": [*_modes(results), *_macs(results, first)],
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),
@@ -98,6 +109,7 @@ def _body(measurements: Measurements, paths: Sequence[Path]) -> tuple[list[str],
         '<section class="answer">',
         *(f"<p>{escape_html(text)}</p>" for text in sentences),
         "</section>",
+        f'<p class="test">{escape_html(note)}</p>' if note else "",
         tests if len(results) == 1 else f"<details><summary>{len(results)} tests</summary>{tests}</details>",
         f'</div><figure class="rig">{rig_drawing(first.rec.scene)}</figure></div>',
         f"<nav><ul>{links}</ul></nav>",
@@ -143,6 +155,13 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
     return sections
+
+
+def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:
+    """Compare the shapes of the first sweep of each recording with those of the reference, as HTML."""
+    modes = {each.label: each.sweeps[0].modes for each in (first, *results) if each.sweeps}
+    known = [each for each in modes.values() if each is not None and each.frequency.size]
+    return [mac_table(known[0], each) for each in known]
 
 
 def _budgets(results: Sequence[Measurement]) -> list[str]:

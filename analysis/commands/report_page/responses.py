@@ -13,8 +13,11 @@ from analysis.commands.report_page.measurements import Measurement
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.recordings.names import belongs_to
 from rig.core.base.palette import DAMPER, CurveStyle, place_style, place_styles, recording_styles
+from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.scene.excitation import FORCE_TOLERANCE
 
+_REQUIRED = CurveStyle("#6E7681", (2, 2))
 # The axis of bounds relative to the value ends here.
 _MAX_PERCENT = 100.0
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
@@ -79,6 +82,39 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Seque
         ],
         logarithmic=needs_logarithmic_axis(band),
     )
+
+
+def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
+    """Return a chart of the force of separate tones over frequency, with the tolerance of its controller."""
+    sweeps = [
+        (measurement, sweep.frfs[0])
+        for measurement in measurements
+        if measurement.rec.scene.level_key == "force"
+        for sweep in measurement.sweeps
+        if sweep.frfs[0].amplitude is not None and sweep.frfs[0].reference == "force"
+    ]
+    if not sweeps:
+        return []
+    styles = recording_styles([belongs_to(frf.label, reference) for _, frf in sweeps])
+    curves = []
+    for (_, measured), style in zip(sweeps, styles, strict=True):
+        frf = measured.sorted()
+        assert frf.amplitude is not None
+        curves.append(Curve(frf.label, frf.frequency, frf.amplitude, style=style, draw="points"))
+    tests = [measurement.rec.scene.test for measurement, _ in sweeps]
+    frequency = np.concatenate([np.asarray(curve.x, dtype=float) for curve in curves])
+    for level in sorted({level for test in tests if test is not None for level in test.levels}):
+        ends, force = [frequency.min(), frequency.max()], np.full(2, level)
+        low, high = ((1.0 + sign * FORCE_TOLERANCE) * force for sign in (-1.0, 1.0))
+        curves.append(Curve(f"required {level:g} N", ends, force, low, high, _REQUIRED))
+    return [
+        Chart(
+            f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}.",
+            f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
+            [Panel("force", "N", curves, height=150)],
+            logarithmic=needs_logarithmic_axis(frequency),
+        )
+    ]
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
-from analysis.commands.report_page.tables import peak_height, with_bound
+from analysis.commands.report_page.tables import change_interval, peak_height, with_bound
 from analysis.core.damper_motion.comparison import Peak
 from analysis.core.damper_motion.dampers import Dampers
 from rig.core.results import format_decimals, format_frequencies, round_to_bound
@@ -88,10 +88,26 @@ def _change_sentence(changes: Sequence[SweepChange]) -> str:
             f"(95 % interval {smallest:.{decimals}f} to {largest_db:.{decimals}f} dB), "
             f"from {' to '.join(heights)} µm/N"
         )
+    return f"{text}{_other_modes(changes, change.mode)}."
+
+
+def _other_modes(changes: Sequence[SweepChange], stated: float) -> str:
+    """Name the other modes of the reference: the change of the highest peak of each in dB, or why there is none."""
+    parts = []
     highest = max(changes, key=_initial_height).change
-    if highest.mode != change.mode:
-        text += f"; the change of the highest peak ({format_decimals(highest.mode, 2)} Hz) cannot be determined"
-    return f"{text}."
+    if highest.mode == stated and not all(map(isfinite, highest.decibel)):
+        parts.append(f"{format_decimals(stated, 2)} Hz ({highest.response}, the highest), {change_interval(highest)}")
+    for mode in sorted({*changes[0].modes, *(sweep.change.mode for sweep in changes)} - {stated}):
+        of_mode = [sweep for sweep in changes if sweep.change.mode == mode]
+        name = f"{format_decimals(mode, 2)} Hz"
+        if not of_mode:
+            parts.append(f"{name}, not compared, because its peak is not inside the common band")
+            continue
+        highest = max(of_mode, key=_initial_height).change
+        parts.append(
+            f"{name} ({highest.response}), {change_interval(highest)}{' dB' * all(map(isfinite, highest.decibel))}"
+        )
+    return f"; other peaks, 95 % intervals of the change: {'; '.join(parts)}" if parts else ""
 
 
 def _initial_height(sweep: SweepChange) -> float:
@@ -158,7 +174,9 @@ def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
         share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
         largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
         if share[largest] > bound[largest] > 0:
-            value = with_bound(100 * float(share[largest]), 100 * float(bound[largest]))
+            # The chart shows whole percents.
+            percent, percent_bound = 100 * float(share[largest]), 100 * float(bound[largest])
+            value = f"{percent:.0f}" if percent_bound < 0.5 else with_bound(percent, percent_bound)
             text += f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
     return [f"{text}."]
 

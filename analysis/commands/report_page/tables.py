@@ -10,7 +10,8 @@ import numpy as np
 import yaml
 
 from analysis.commands.report_page.measurements import Measurement, SweepChange
-from analysis.core.damper_motion.comparison import Peak
+from analysis.core.damper_motion.comparison import Peak, PeakChange
+from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.systematic import tolerance
 from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
@@ -95,7 +96,7 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
         exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
         decimals = change.decibel_decimals
         decibel = f"{best:+.{decimals}f}" if isfinite(low) or isfinite(high) else "unknown"
-        interval = _interval(low, high, decimals)
+        interval = change_interval(change)
         decimals = change.shift_decimals
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
@@ -104,13 +105,36 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 
-def _interval(low: float, high: float, decimals: int) -> str:
+def change_interval(change: PeakChange) -> str:
+    """Write the interval of the change of a peak, dB; a limit on one side in words."""
+    _, low, high = change.decibel
+    decimals = change.decibel_decimals
     low_text, high_text = f"{low:+.{decimals}f}", f"{high:+.{decimals}f}"
     if isfinite(low) and isfinite(high):
         return f"{low_text} to {high_text}"
-    if isfinite(low):
-        return f"at least {low_text}"
-    return f"at most {high_text}" if isfinite(high) else "unbounded"
+    if not isfinite(low) and not isfinite(high):
+        return "unbounded"
+    # A lower limit of the change is an upper limit of a reduction.
+    limit, is_lower = (low, True) if isfinite(low) else (high, False)
+    direction = "reduction" if limit < 0.0 else "increase"
+    at_most = is_lower == (limit < 0.0)
+    unknown = "lower" if at_most else "upper"
+    return f"{direction} at {'most' if at_most else 'least'} {abs(limit):.{decimals}f} dB; {unknown} limit unknown"
+
+
+def mac_table(before: Modes, after: Modes) -> str:
+    """Return the modal assurance criterion between the shapes of two sweeps, or of a sweep with itself, as HTML."""
+    common = [name for name in before.responses if name in after.responses]
+    if len(common) < 2:
+        return ""
+    shapes = [modes.shapes[[modes.responses.index(name) for name in common]] for modes in (before, after)]
+    rows = [
+        (f"{frequency:.2f} Hz", *(f"{value:.3f}" for value in row))
+        for frequency, row in zip(before.frequency, mac(*shapes), strict=True)
+    ]
+    heading = ["", *(f"{frequency:.2f} Hz" for frequency in after.frequency)]
+    pair = before.label if before is after else f"{before.label} (rows) and {after.label} (columns)"
+    return table(f"Modal assurance criterion (MAC): {pair}", heading, rows, numbers=len(after.frequency))
 
 
 def decays(measurements: Sequence[Measurement]) -> str:

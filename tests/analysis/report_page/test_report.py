@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from importlib.resources import files
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +24,11 @@ from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.commands.report_page.drawing import rig_drawing
-from analysis.commands.report_page.measurements import Measurements, highest_peak
+from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import write_report
 from analysis.commands.report_page.responses import response_chart
 from analysis.commands.report_page.summary import summarize
-from analysis.commands.report_page.tables import peak_height
+from analysis.commands.report_page.tables import changes_table, peak_height
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from rig.core.results import format_interval
 from rig.core.results.response import Response
@@ -241,6 +242,29 @@ def test_undetermined_values_have_no_band() -> None:
     magnitude, *_, relative = response_chart([curve], ["body1"]).panels
     assert np.array_equal(np.isnan(np.asarray(magnitude.curves[0].high)), f < 15.0)
     assert relative.limits is not None and relative.limits[1] == 100.0 == np.max(np.asarray(relative.curves[0].y))
+
+
+def test_headline_has_the_intervals_of_the_table() -> None:
+    before, after, unbounded = (
+        Peak(*numbers, 13.0, 12.9, 13.1) for numbers in ((5e-3, 1e-5), (1e-3, 1e-5), (1e-3, inf))
+    )
+    changes = [
+        SweepChange("a", "b", "b", PeakChange(f"body{number}", mode, 0.01, before, damped), (13.0, 35.0, 50.0, 70.0))
+        for number, (mode, damped) in enumerate([(13.0, after), (35.0, after), (50.0, unbounded)], 1)
+    ]
+    [sentence] = summarize([], changes)
+    intervals = [
+        row[2] for row in re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", changes_table(changes))
+    ]
+    smallest, largest = sorted(abs(float(limit)) for limit in intervals[0].split(" to "))
+    assert f"95 % interval {smallest} to {largest} dB" in sentence
+    assert all(interval in sentence for interval in intervals[1:])
+    assert "reduction at most" in intervals[2] and "70.00 Hz, not compared, because" in sentence
+
+
+def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path) -> None:
+    text = write_report(recordings[:1], tmp_path, note="J. Doe <1>").files[0].read_text("utf-8")
+    assert "J. Doe &lt;1&gt;" in text and "Modal assurance criterion" in text and "required force" in text
 
 
 def test_drawing_names_bodies_and_sensors() -> None:

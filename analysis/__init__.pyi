@@ -10,6 +10,7 @@ from .core.modal.modes import Modes, mac
 from .core.responses.frequency_responses import Response, compliance, frequency_responses, frfs
 from .extras.formats.export import sep005
 from .extras.formats.frf_files import read_frfs
+from .extras.formats.mode_files import read_modes
 
 __all__ = [
     "Comparison",
@@ -34,6 +35,7 @@ __all__ = [
     "modes",
     "paper",
     "read_frfs",
+    "read_modes",
     "report",
     "sep005",
 ]

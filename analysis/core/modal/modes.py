@@ -42,7 +42,7 @@ class Modes(Result):
     Attributes
     ----------
     frequency, frequency_error : ndarray, shape (modes,)
-        Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz.
+        Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz; NaN for all errors if a file states none.
     damping, damping_error : ndarray, shape (modes,)
         Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper bound is
         known: ``damping + 2 damping_error``.
@@ -96,11 +96,15 @@ class Modes(Result):
 
     def frequency_text(self, mode: int) -> str:
         """Write a natural frequency with its expanded uncertainty (95 %)."""
+        if np.isnan(self.frequency_error[mode]):
+            return f"{self.frequency[mode]:.6g} Hz"
         return format_quantity(self.frequency[mode], float(expand(self.frequency_error[mode])), "Hz")
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
         ratio, expanded = 100.0 * self.damping[mode], 100.0 * float(expand(self.damping_error[mode]))
+        if np.isnan(expanded):
+            return f"{ratio:.4g} %"
         if self.damping_error[mode] < MAX_RELATIVE_UNCERTAINTY * self.damping[mode]:
             return format_quantity(ratio, expanded, "%")
         # A mode of any damping ratio below 100 % would fit.

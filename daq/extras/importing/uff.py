@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -51,10 +51,30 @@ def functions(path: Path) -> list[dict[str, Any]]:
 
     Raises `RecordingError` for a damaged file or a file without functions, `RunError` without pyuff.
     """
+    sets = data_sets(path, (58, 164))
+    unit_codes = [int(content["units_code"]) for content in sets if content["type"] == 164]
+    found = [content for content in sets if content["type"] == 58]
+    if not found:
+        raise RecordingError(
+            f"{path} contains no data set 58 (functions). Export time histories or frequency responses as data set 58; "
+            "`analysis.read_modes` reads modes (data set 55)."
+        )
+    for content in found:
+        content["si"] = unit_codes[-1:] == [_UNITS_SI]
+    return found
+
+
+def data_sets(path: Path, types: Sequence[int]) -> list[dict[str, Any]]:
+    """Read the data sets of some types in a Universal File.
+
+    Raises `RecordingError` for a damaged file, `RunError` without pyuff.
+    """
     try:
         import pyuff
     except ImportError:
         raise RunError("Universal Files need the package pyuff: pip install 'shotrig[export]'") from None
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file. Check the path.")
     size = path.stat().st_size
     require_memory_with_program(_MEMORY_PER_BYTE * size, f"{path}: importing it")
     with path.open("rb") as stream:
@@ -71,32 +91,21 @@ def functions(path: Path) -> list[dict[str, Any]]:
     except Exception as error:
         raise RecordingError(f"{path} cannot be read as a Universal File ({error!s:.200}). Export it again.") from error
     sets: list[dict[str, Any]] = []
-    units = None
     for index, set_type in enumerate(set_types):
-        if set_type not in (58, 164):
+        if set_type not in types:
             continue
         try:
-            content = file.read_sets(index)
-            if set_type == 164:
-                units = int(content["units_code"])
-                continue
-            value_count, stated_count = np.asarray(content["data"]).size, int(content["num_pts"])
-            if value_count != stated_count:
-                raise ValueError(f"its header states {stated_count} values, but it contains {value_count}")
+            content = dict(file.read_sets(index))
+            if set_type == 58:
+                value_count, stated_count = np.asarray(content["data"]).size, int(content["num_pts"])
+                if value_count != stated_count:
+                    raise ValueError(f"its header states {stated_count} values, but it contains {value_count}")
         except Exception as error:
             raise RecordingError(
                 f"{path}: data set {index + 1} (type {set_type}) cannot be read: the file is truncated or damaged "
                 f"({error!s:.100}). Export it again."
             ) from error
         sets.append(content)
-    if not sets:
-        other_types = ", ".join(map(str, sorted(set(set_types) - {0}))) or "none"
-        raise RecordingError(
-            f"{path} contains no data set 58 (functions); its data sets are: {other_types}. Export time histories or "
-            "frequency responses as data set 58."
-        )
-    for data_set in sets:
-        data_set["si"] = units == _UNITS_SI
     return sets
 
 
@@ -108,9 +117,13 @@ def title(data_set: Mapping[str, Any]) -> str:
 
 def point(data_set: Mapping[str, Any], end: str) -> str:
     """Return node and direction of the response (`end` is ``rsp``) or the reference (``ref``), such as ``3 +Z``."""
-    direction = int(data_set[f"{end}_dir"])
-    sign = _DIRECTIONS.get(abs(direction), "")
-    return f"{int(data_set[f'{end}_node'])} {sign if direction >= 0 else sign.replace('+', '-')}".strip()
+    return f"{int(data_set[f'{end}_node'])} {direction(int(data_set[f'{end}_dir']))}".strip()
+
+
+def direction(number: int) -> str:
+    """Return the name of a direction, such as ``+Z`` for 3 and ``-Z`` for -3; empty if there is none."""
+    name = _DIRECTIONS.get(abs(number), "")
+    return name if number >= 0 else name.replace("+", "-")
 
 
 def label(data_set: Mapping[str, Any], axis: str) -> str:

@@ -328,6 +328,10 @@ def test_exported_responses_and_modes_read_equal(tmp_path):
     np.testing.assert_allclose([abs(data_set["eig"]) / (2 * np.pi) for data_set in sets], modes.frequency, rtol=1e-5)
     np.testing.assert_allclose(sets[0]["r3"], modes.shapes[:, 0], atol=1e-5)
     assert sets[0]["node_nums"].tolist() == [1, 2, 3]
+    again = analysis.read_modes(tmp_path / "modes.uff")
+    assert again.responses == ("1 +Z", "2 +Z", "3 +Z")
+    np.testing.assert_allclose(again.damping, modes.damping, rtol=1e-4)
+    np.testing.assert_allclose(analysis.mac(again.shapes, modes.shapes).diagonal(), 1.0, rtol=1e-6)
     matlab = loadmat(tmp_path / "frfs.mat", squeeze_me=True)
     np.testing.assert_array_equal(matlab["body3"], curves["body3"].value[order])
     np.testing.assert_allclose(analysis.read_frfs(tmp_path / "frfs.mat")["body3"].value, matlab["body3"], rtol=1e-12)

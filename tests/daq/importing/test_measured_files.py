@@ -79,3 +79,13 @@ def test_measured_hits_give_their_peaks(tmp_path: Path) -> None:
         band = frf.band(peak - 20.0, peak + 20.0)
         spacing = np.diff(band.frequency).max()
         assert abs(band.frequency[abs(band.value).argmax()] - peak) <= spacing
+
+
+@pytest.mark.parametrize(
+    ("name", "frequencies", "points"),
+    [("uff55_translation.uff", 3, "+X"), ("uff55-sample_test-record10.uff", 1, "60101 +Z")],
+)
+def test_modes_of_other_programs_are_read(name: str, frequencies: int, points: str) -> None:
+    modes = analysis.read_modes(file_of(name))
+    assert modes.frequency.size == frequencies and any(points in response for response in modes.responses)
+    assert "unbounded" not in modes.summary() and "nan" not in modes.summary()

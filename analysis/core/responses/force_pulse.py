@@ -31,10 +31,9 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     They are therefore inverted first; a window then removes the noise after the hit. The spectrum of the readings is
     that of the result times `high_pass_response`.
     """
-    slow_poles, fast_poles = slow_and_fast(info)
-    ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
-    n_taper = max(2, int(TAPER_S * info.rate))
-    taper_start = min(last + 1 + int(np.ceil(ringing_s * info.rate)) + n_taper, force.size)
+    slow_poles = slow_and_fast(info)[0]
+    n_after, n_taper = samples_after_hit(info)
+    taper_start = min(last + 1 + n_after, force.size)
     stop = min(taper_start + n_taper, force.size)
     pulse = np.zeros(force.size, dtype=complex)
     pulse[first:stop] = force[first:stop]
@@ -44,6 +43,14 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     pulse[taper_start:stop] *= 0.5 + 0.5 * np.cos(np.pi * np.arange(1, stop - taper_start + 1) / (n_taper + 1))
     # Complex poles occur in conjugate pairs, so the imaginary part is rounding.
     return np.ascontiguousarray(pulse.real)
+
+
+def samples_after_hit(info: ChannelInfo) -> tuple[int, int]:
+    """Return for how many samples after a hit the force window is 1, and the number of samples of its taper."""
+    fast_poles = slow_and_fast(info)[1]
+    ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
+    n_taper = max(2, int(TAPER_S * info.rate))
+    return int(np.ceil(ringing_s * info.rate)) + n_taper, n_taper
 
 
 def high_pass_response(info: ChannelInfo, frequency: Array) -> ComplexArray:

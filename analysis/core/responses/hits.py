@@ -15,7 +15,7 @@ from scipy import fft
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.slices import hits
 from analysis.core.responses.clean_segments import Flaw
-from analysis.core.responses.force_pulse import isolate_pulse
+from analysis.core.responses.force_pulse import isolate_pulse, samples_after_hit
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.core.responses.systematic import quantization_steps, reproducible_rounding
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # Interval before a hit in which residual motion is detected and the zero offset of each channel is measured, s.
 PRE_HIT_S = 0.2
+# Number of parts of the force window with independent noise.
+_NOISE_PARTS = 16
 # The rig is at rest in this interval if its motion is at most this fraction of the response to the hit.
 _MAX_REST_RATIO = 2e-3
 # Motion is detected above this number of standard deviations of the estimate due to noise.
@@ -164,27 +166,39 @@ class Hits:
             isolated = np.concatenate([isolated[:, :n_fade] * fade_in, isolated[:, n_fade:]], axis=1)
         return isolated
 
-    def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> Array:
-        """Compute the relative variance of either quadrature component of the force due to noise during the hits.
+    def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> ComplexArray:
+        """Compute the relative change of the force due to noise during the hits, shape (lines, parts).
 
-        The error of a hit changes slowly from line to line, so that the scatter between lines does not show it. The
-        result has the shape (lines,).
+        The parts are independent, each with a real normal coefficient of variance 1: the noise of successive parts of
+        the force window. The noise of a short window changes slowly from line to line, so that the scatter between
+        lines does not show it. It shifts a pole, because it changes over a peak.
         """
-        power, noise = np.zeros(frequency.size), []
-        longest = max((end + 1 - begin for span in segments for begin, end in self.inside(*span)), default=0)
-        phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(longest))
         info = rec.channels[self.channel]
+        n_after, n_taper = samples_after_hit(info)
+        # Half of the taper, which has half of its noise, counts as part of the window.
+        n_window = n_after + n_taper // 2 + 1
+        longest = max((end + n_window - begin for span in segments for begin, end in self.inside(*span)), default=0)
+        power, noise, total = np.zeros(frequency.size), [], np.zeros(frequency.size, dtype=complex)
+        phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(longest))
         # Rounding adds 1/12 count² even if it is not visible before the hit.
         rounding_variance = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in segments:
             for begin, end in self.inside(start, stop):
                 before = rec.read(self.channel, max(start, begin - int(PRE_HIT_S * rec.rate)), begin)
                 pulse = rec.read(self.channel, begin, end + 1)
-                power += abs(phases[:, : pulse.size] @ (pulse - before.mean() if before.size else pulse)) ** 2
+                spectrum = phases[:, : pulse.size] @ (pulse - before.mean() if before.size else pulse)
+                power, total = power + abs(spectrum) ** 2, total + spectrum
                 if before.size > 2:
                     # Differences between samples are insensitive to the tail of an earlier hit.
-                    noise.append(pulse.size * max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance))
-        return 0.5 * float(np.mean(noise)) / np.maximum(power, 1e-300) if noise else np.zeros(frequency.size)
+                    variance = max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance)
+                    noise.append((end + n_window - begin) * variance)
+        n_parts = min(longest, _NOISE_PARTS)
+        if not noise or not n_parts:
+            return np.zeros((frequency.size, 1), dtype=complex)
+        size = np.sqrt(float(np.mean(noise)) / n_parts / np.maximum(power, 1e-300))
+        centers = (np.arange(n_parts) + 0.5) * longest / n_parts - 0.5
+        shifts = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * centers)
+        return np.asarray((size * np.exp(-1j * np.angle(total)))[:, None] * shifts)
 
     def rounding_gain_error(
         self,

@@ -120,7 +120,7 @@ class LocalErrors:
     complex_degrees_of_freedom: float  # of the residual of each fit, counted as complex values
     measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
     has_single_reference: bool  # whether the reference is a single channel that is not part of the response
-    # error common to all lines, as a standard deviation of either quadrature; shape (lines, elements)
+    # errors common to all lines, each with a real coefficient of variance 1; shape (lines, elements, parts)
     common_error: ComplexArray
     shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
 
@@ -136,7 +136,7 @@ class LocalErrors:
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
-        n_lines, elements = self.common_error.shape
+        n_lines, elements = self.common_error.shape[:2]
         residual = self.residual.reshape(n_lines, elements, -1)
         # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
         # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
@@ -161,7 +161,7 @@ class LocalErrors:
             covariance[lines] = np.einsum(
                 "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
             )
-        covariance = covariance + 2.0 * self.common_error[:, :, None] * self.common_error[:, None].conj()
+        covariance = covariance + self.common_error @ self.common_error.conj().swapaxes(1, 2)
         if reference_ratio is None:
             # The fit reproduces part of the noise, so that the residuals may underestimate it.
             stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
@@ -242,7 +242,7 @@ class SharedErrors:
             fitted_response=join("fitted_response"),
             reference_power=self.elements[0].reference_power[self.lines],
             has_single_reference=all(errors.has_single_reference for errors in self.elements),
-            common_error=join("common_error") * factors,
+            common_error=join("common_error") * factors[..., None],
         )
         return errors.covariance(error, shared)
 
@@ -327,11 +327,11 @@ class LocalCovariance:
                     by_element.append((matrix.T @ weights[lines, k].conj()).T)
                 by_bin = np.stack(by_element, axis=2)
                 total += np.einsum("pbi,bij,qbj->pq", by_bin, noise, by_bin.conj(), optimize=True).real
-        common = np.einsum("kap,ka->p", weights.conj(), errors.common_error)
+        common = np.einsum("kap,kaj->pj", weights.conj(), errors.common_error, optimize=True).real
         total *= 0.5 * errors.shared
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
-        return np.asarray(total + np.outer(common.real, common.real) + np.outer(common.imag, common.imag))
+        return np.asarray(total + common @ common.T)
 
 
 def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:

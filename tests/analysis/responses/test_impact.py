@@ -11,6 +11,7 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.core.responses.force_pulse import samples_after_hit
 from analysis.core.responses.hits import Hits
 from analysis.core.responses.local_models import local_spectra
 from daq.core.recording.markers import Marker
@@ -75,12 +76,27 @@ def test_force_noise_of_hits_is_its_relative_variance(tmp_path):
     noise, frequency = 0.3, np.array([5.0, 20.0, 40.0])
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=2, interval=1.0, noise=noise)) as rec:
         hits = Hits.of(rec)
-        variance = hits.force_noise(rec, [(0, rec.samples)], frequency)
-    samples = np.mean([end - begin + 1 for begin, end in hits.arrivals])
+        change = hits.force_noise(rec, [(0, rec.samples)], frequency)
+        n_after, n_taper = samples_after_hit(rec.channels[hits.channel])
+    samples = np.mean([end - begin + 1 for begin, end in hits.arrivals]) + n_after + n_taper / 2
     pulse = 50.0 * np.sin(np.pi * np.arange(16) / 16)
     spectrum = np.exp(-2j * np.pi * frequency[:, None] * np.arange(16) / synthetic.RATE) @ pulse
     # White noise is divided equally between the two quadrature components.
+    variance = 0.5 * np.sum(abs(change) ** 2, axis=1)
     np.testing.assert_allclose(variance, 0.5 * samples * noise**2 / (2.0 * abs(spectrum) ** 2), rtol=0.2)
+
+
+def test_force_noise_changes_over_the_window_bandwidth(tmp_path):
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=2, interval=1.0, noise=0.3)) as rec:
+        hits = Hits.of(rec)
+        [(begin, end), _] = hits.arrivals
+        n_after, n_taper = samples_after_hit(rec.channels[hits.channel])
+        bandwidth = rec.rate / (end + 1 - begin + n_after + n_taper // 2)
+        change = hits.force_noise(rec, [(0, rec.samples)], np.array([10.0, 10.0 + 0.3 * bandwidth, 10.0 + bandwidth]))
+    covariance = abs(change @ change.conj().T)
+    correlation = covariance[0] / np.sqrt(covariance[0, 0] * np.diag(covariance))
+    # White noise in a rectangular window.
+    np.testing.assert_allclose(correlation, np.sinc([0.0, 0.3, 1.0]), atol=0.02)
 
 
 def test_measured_rebound_causes_no_error(tmp_path):

@@ -42,6 +42,10 @@ _REGULARIZATION = 1e-10
 _ZERO_POWER = 1e-300
 #: 95th percentile of the noise power of a line, relative to its mean (two degrees of freedom).
 POWER_RATIO_95 = 3.0
+# A line gets a second Gauss-Newton step if the first step reduces the sum of squares by more than this fraction,
+_MIN_REDUCTION = 1e-3
+# and if the residual exceeds this share of the power of the output. The error after one step is proportional to it.
+_MIN_RESIDUAL = 1e-5
 # Maximum number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
 _MAX_ELEMENTS = 1 << 16
 
@@ -77,6 +81,8 @@ class LocalFit(NamedTuple):
     residual: ComplexArray  # residual of the output; shape (lines, segments, width)
     fitted_response: ComplexArray  # fitted output per unit of the reference; shape (lines, 1, width)
     first_bin: Lines  # first bin of each fit; shape (lines,)
+    # value after one step, shape (lines,): noise changes the values of two orders alike up to there
+    one_step_value: ComplexArray
     criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
     # change of the value if the fit has the next higher order, at the line or as root mean square around it, less the
     # change due to noise [2]_; shape (lines,)
@@ -127,7 +133,7 @@ def local_fit(
     prefers_polynomial = polynomial.criterion < rational.criterion
     best = _select(prefers_polynomial, polynomial, rational)
     # The lower order is contained in the higher, so that the variance of the change is the difference of the variances.
-    squared_change = abs(higher_order.value - best.value) ** 2
+    squared_change = abs(higher_order.one_step_value - best.one_step_value) ** 2
     change_variance = 2.0 * np.maximum(higher_order.variance - best.variance, 0.0)
     # Lines within half the width of a fit.
     n_lines = max(1, half_width // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
@@ -181,19 +187,14 @@ def _fit(
         numerator.append((local_input / np.maximum(_rms(local_input), _ZERO_POWER))[..., None] * powers)
     terms = _Terms(np.concatenate(numerator, axis=-1), transients, offset[..., None] ** np.arange(1, poles + 1))
     # The first fit is linear, because the equations are multiplied by the denominator. The denominator thereby weights
-    # the noise, and the poles are partly fitted to it; a Gauss-Newton step corrects both.
+    # the noise, and the poles are partly fitted to it, which widens peaks. Gauss-Newton steps correct both.
     unknown, bin_weights = _solve(terms, local_output, local_output)
-    model, denominator = terms.quotient(unknown)
-    residual = local_output - model
     if poles:
-        divisor = denominator[..., None]
-        linearized = terms._replace(numerator=terms.numerator / divisor, transients=terms.transients / divisor)
-        step, bin_weights = _solve(linearized, model / denominator, residual)
-        stepped = _Unknown(*(np.add(*pair) for pair in zip(unknown, step, strict=True)))
-        stepped_residual = local_output - terms.quotient(stepped)[0]
-        is_improved = _sum_of_squares(stepped_residual) < _sum_of_squares(residual)
-        unknown = _select(is_improved, stepped, unknown)
-        residual = np.where(is_improved[:, None, None], stepped_residual, residual)
+        unknown, bin_weights, noisy = _improve(terms, unknown, bin_weights, local_output, np.arange(lines.size))
+    one_step = unknown.numerator[:, 0]
+    if poles == ORDER and noisy.size:
+        unknown, bin_weights, _ = _improve(terms, unknown, bin_weights, local_output, noisy)
+    residual = local_output - terms.quotient(unknown)[0]
     # Response at all bins of the fit: the model for a unit reference.
     reference_only = unknown._replace(numerator=unknown.numerator[:, : order + 1])
     fitted_response = terms._replace(numerator=powers).response(reference_only)
@@ -229,6 +230,7 @@ def _fit(
         residual=residual * output_rms,
         fitted_response=fitted_response * channel * (output_rms / input_rms),
         first_bin=np.asarray(first_bin),
+        one_step_value=one_step * scale,
         criterion=criterion,
         model_error=np.zeros(lines.size),
     )
@@ -241,6 +243,10 @@ class _Unknown(NamedTuple):
     denominator: ComplexArray  # without its constant, which is 1; shape (lines, poles)
     transients: ComplexArray  # shape (lines, segments, terms)
 
+    def at(self, lines: NDArray[np.intp]) -> _Unknown:
+        """Select some lines."""
+        return _Unknown(self.numerator[lines], self.denominator[lines], self.transients[lines])
+
 
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the bins around each line."""
@@ -250,6 +256,10 @@ class _Terms(NamedTuple):
     numerator: ComplexArray | Array
     transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, width, terms)
     denominator: Array  # powers of the frequency offset; shape (lines, 1, width, poles)
+
+    def at(self, lines: NDArray[np.intp]) -> _Terms:
+        """Select some lines."""
+        return _Terms(self.numerator[lines], self.transients[lines], self.denominator[lines])
 
     def response(self, unknown: _Unknown) -> ComplexArray:
         """Compute the quotient of the two polynomials; shape (lines, segments or 1, width)."""
@@ -268,6 +278,27 @@ class _Terms(NamedTuple):
         value = 1.0 + (self.denominator @ coefficients[:, None, :, None])[..., 0]
         # A denominator of zero would be an undamped pole exactly on a bin.
         return np.where(abs(value) > _REGULARIZATION, value, _REGULARIZATION)
+
+
+def _improve(
+    terms: _Terms, unknown: _Unknown, bin_weights: ComplexArray, output: ComplexArray, lines: NDArray[np.intp]
+) -> tuple[_Unknown, ComplexArray, NDArray[np.intp]]:
+    """Improve the fits at some lines by a Gauss-Newton step; also return the lines that need another step."""
+    part, current = terms.at(lines), unknown.at(lines)
+    model, denominator = part.quotient(current)
+    residual, divisor = output[lines] - model, denominator[..., None]
+    linearized = part._replace(numerator=part.numerator / divisor, transients=part.transients / divisor)
+    step, weights = _solve(linearized, model / denominator, residual)
+    stepped = _Unknown(*(np.add(*pair) for pair in zip(current, step, strict=True)))
+    before = _sum_of_squares(residual)
+    after = _sum_of_squares(output[lines] - part.quotient(stepped)[0])
+    improved = _Unknown(*(values.copy() for values in unknown))
+    for values, new_values in zip(improved, stepped, strict=True):
+        values[lines[after < before]] = new_values[after < before]
+    improved_weights = bin_weights.copy()
+    improved_weights[lines] = weights
+    min_residual = _MIN_RESIDUAL * _sum_of_squares(output[lines])
+    return improved, improved_weights, lines[(after < (1.0 - _MIN_REDUCTION) * before) & (after > min_residual)]
 
 
 def _solve(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Unknown, ComplexArray]:

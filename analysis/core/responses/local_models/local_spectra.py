@@ -72,12 +72,12 @@ class LocalSpectra:
         motion: str,
         label: str,
         warnings: Sequence[str],
-        reference_noise: Array | None = None,
+        reference_noise: ComplexArray | None = None,
     ) -> Response:
         """Estimate the response of one measurand to another.
 
-        `reference_noise`, shape (lines,): relative variance of either quadrature component of the reference; if it is
-        omitted, the coherence limits it.
+        `reference_noise`, shape (lines, parts): relative change of the reference due to independent parts of its noise,
+        each with a real coefficient of variance 1; if it is omitted, the coherence limits the noise.
         """
         names = list(dict.fromkeys([*numerator.channels, *denominator.channels]))
         if names != list(self.channels):
@@ -140,9 +140,10 @@ class LocalSpectra:
                     noise_bias, shared_noise_bound(channel_noise, change_per_reading, reference_weights, power)
                 )
             bounds[REFERENCE_NOISE] = noise_bias
-            common_error = np.zeros(frequency.size, dtype=complex)
+            common_error = np.zeros((frequency.size, 0), dtype=complex)
         else:
-            variance, common_error = variance + abs(value) ** 2 * reference_noise, value * np.sqrt(reference_noise)
+            common_error = value[:, None] * reference_noise
+            variance = variance + 0.5 * np.sum(abs(common_error) ** 2, axis=1)
         output = numerator.channels[0]
         to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
         errors = LocalErrors(

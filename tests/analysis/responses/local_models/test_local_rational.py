@@ -88,6 +88,16 @@ def test_scatter_due_to_noise_equals_stated_variance(half_width, noise):
     assert np.mean(coherences) == pytest.approx(4.0 / (4.0 + noise**2), abs=0.01)
 
 
+def test_noise_does_not_widen_narrow_peak():
+    random, bins, values = np.random.default_rng(3), np.arange(120), []
+    pole = 1j * (bins - 60.0) + 1.0
+    for _ in range(100):
+        force, noise = (gaussian(random, 1, bins.size) for _ in range(2))
+        output = OutputSpectra(force / pole + 0.03 * noise, np.ones(bins.size), np.zeros((0, bins.size)))
+        values.append(local_fit(output, force, np.zeros((1, bins.size)), np.array([60]), 12).value[0])
+    assert abs(np.mean(values) - 1.0) < 0.015
+
+
 def test_effect_of_reference_noise_at_narrow_peak():
     random = np.random.default_rng(14)
     noise, middle, squares = 0.02, np.array([MIDDLE]), []
@@ -177,7 +187,7 @@ def test_covariance_of_padded_segments_equals_scatter(measured_share):
         fit = local_fit(ideal_reading(spectra[1]), spectra[0], end_phases, lines, half_width, measured_share)
         errors = LocalErrors(
             fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
-            float(fit.degrees_of_freedom[0]) / 2.0, measured_share, False, np.zeros((lines.size, 1)),
+            float(fit.degrees_of_freedom[0]) / 2.0, measured_share, False, np.zeros((lines.size, 1, 0)),
         )  # fmt: skip
         covariance = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0)
         variances.append(covariance.of_sums(np.full((lines.size, 1, 1), 1.0 / lines.size + 0j))[0, 0])
@@ -196,7 +206,7 @@ def test_single_response_separates_noise_of_reference(reference_noise):
     fit = local_fit(reading, noisy_force, np.zeros((2, bins.size)), lines, HALF_WIDTH)
     errors = LocalErrors(
         fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
-        float(fit.degrees_of_freedom[0]) / 2.0, 1.0, True, np.zeros((lines.size, 1)),
+        float(fit.degrees_of_freedom[0]) / 2.0, 1.0, True, np.zeros((lines.size, 1, 0)),
     )  # fmt: skip
     estimated = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0).reference
     assert np.mean(estimated) == pytest.approx(reference_noise, rel=0.3, abs=3e-4)

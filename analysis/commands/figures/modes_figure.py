@@ -70,18 +70,10 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         add_title(magnitude_axes, title)
         legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
         magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)
-        pole_styles = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
-        for stable, marker, marker_color, text in pole_styles:
-            poles = np.array([(pole.frequency, pole.order) for pole in modes.chart if pole.stable == stable])
-            frequency, order = poles.reshape(-1, 2).T
-            chart_axes.plot(frequency, order, marker, ms=2.6, color=marker_color, label=text, ls="")
+        modes.plot_stabilization(chart_axes)
         frequency_axis(chart_axes, low, high, True)
-        chart_axes.set_ylabel("order")
-        # The legend is above the axes because poles can lie anywhere inside.
-        chart_axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
         for frequency in modes.frequency:
-            for axes in (magnitude_axes, chart_axes):
-                axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
+            magnitude_axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
         bodies = modes.of_bodies()
         heights = np.arange(1, len(bodies.names) + 1)
         for i in range(count):

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from analysis.commands.figures.modes_figure import is_known_shape
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import DAMPER, TABLE, place_style
@@ -13,7 +15,7 @@ from rig.core.results import format_number
 from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
-    from analysis.core.modal.modes import BodyShapes
+    from analysis.core.modal.modes import BodyShapes, Modes
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker import Shaker
 
@@ -31,6 +33,10 @@ _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
 # Amplitude of the largest element of an animated mode shape, px.
 _MAX_AMPLITUDE = 16.0
+# Size of a stabilization diagram, and its left margin.
+_DIAGRAM_WIDTH = 640
+_DIAGRAM_HEIGHT = 200
+_DIAGRAM_LEFT = 30
 # Number of zigzag corners of a drawn spring.
 _COILS = 8
 
@@ -168,4 +174,35 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
         f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '
         f'width="210" height="{height}" fill="none" opacity="{opacity}">{"".join(parts)}</svg>'
         f"<figcaption>{escape_html(title)}</figcaption></figure>"
+    )
+
+
+def stabilization_drawing(modes: Modes, title: str) -> str:
+    """Draw the stabilization diagram: dots for stable poles, crosses for new poles, and a line at each mode."""
+    frequency, order = (np.array([getattr(pole, name) for pole in modes.chart]) for name in ("frequency", "order"))
+    low, high = min(frequency.min(), modes.frequency.min()), max(frequency.max(), modes.frequency.max())
+    left, bottom, top = _DIAGRAM_LEFT, _DIAGRAM_HEIGHT - 34, 8
+    scale = (_DIAGRAM_WIDTH - left - 20) / max(high - low, 1e-300)
+    x = left + scale * (frequency - low)
+    y = bottom - (bottom - top) * order / order.max()
+    parts = [
+        f'<path d="M{left + scale * (natural - low):.1f} {top}V{bottom}" stroke="#D55E00"/>'
+        for natural in modes.frequency
+    ]
+    stable = np.array([pole.stable for pole in modes.chart])
+    crosses = "".join(f"M{a - 2:.1f} {b - 2:.1f}l4 4m-4 0l4-4" for a, b in zip(x[~stable], y[~stable], strict=True))
+    parts.append(f'<path d="{crosses}" stroke="currentColor" stroke-opacity="0.35"/>')
+    for a, b in zip(x[stable], y[stable], strict=True):
+        parts.append(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2" fill="currentColor"/>')
+    parts.append(f'<path d="M{left} {top}V{bottom}H{_DIAGRAM_WIDTH - 20}" stroke="currentColor"/>')
+    for value in np.linspace(low, high, 5):
+        position = left + scale * (value - low)
+        parts.append(f'<text x="{position:.1f}" y="{bottom + 14}" text-anchor="middle">{value:.4g}</text>')
+    parts.append(f'<text x="{_DIAGRAM_WIDTH / 2}" y="{bottom + 30}" text-anchor="middle">frequency / Hz</text>')
+    parts += [f'<text x="4" y="{y[order == n][0] + 4:.1f}">{n}</text>' for n in (order.min(), order.max())]
+    return (
+        f'<figure><svg role="img" aria-label="Stabilization diagram of {escape_html(title)}" '
+        f'viewBox="0 0 {_DIAGRAM_WIDTH} {_DIAGRAM_HEIGHT}" width="{_DIAGRAM_WIDTH}" fill="none">{"".join(parts)}</svg>'
+        f"<figcaption>{escape_html(title)}: poles of models of increasing order (vertical axis), stable (dots) or new "
+        "(crosses), and the identified modes (lines). A mode is a column of stable poles.</figcaption></figure>"
     )

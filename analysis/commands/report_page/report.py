@@ -11,7 +11,7 @@ from string import Template
 
 from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending
 from analysis.commands.report_page.charts import ChartWriter
-from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
+from analysis.commands.report_page.drawing import mode_drawing, rig_drawing, stabilization_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.measurements import Measurement, Measurements
 from analysis.commands.report_page.responses import damper_chart, decay_charts, force_charts, response_charts
@@ -92,6 +92,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
         "Mode shapes": [*_modes(results), *_macs(results, first)],
+        "Stabilization diagrams": [
+            stabilization_drawing(sweep.modes, sweep.modes.label)
+            for measurement in results
+            for sweep in measurement.sweeps
+            if sweep.modes is not None and sweep.modes.chart
+        ],
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),

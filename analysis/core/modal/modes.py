@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
+# Markers and colors of poles in the stabilization diagram: whether they are stable, and the text of the legend.
+_POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
+
+
 class BodyShapes(NamedTuple):
     """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
 
@@ -127,6 +131,35 @@ class Modes(Result):
         for f, shape in zip(self.frequency, bodies.shapes.T, strict=True):
             ax.plot(bodies.names, shape.real, "o-", **complete_style(style, label=f"{f:.4g} Hz"))
         ax.set(ylabel="mode shape")
+
+    def plot_stabilization(self, ax: Axes | None = None) -> Axes:
+        """Draw the stabilization diagram: poles of models of increasing order, and a line at each identified mode.
+
+        A mode of the structure is a column of stable poles. Computational poles, which represent noise, scatter.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Axes to draw into; omitted: new axes of pyplot.
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        if ax is None:
+            import matplotlib.pyplot as plt
+
+            ax = plt.subplots(layout="constrained")[1]
+        for stable, marker, color, text in _POLE_STYLES:
+            poles = np.array([(pole.frequency, pole.order) for pole in self.chart if pole.stable == stable])
+            frequency, order = poles.reshape(-1, 2).T
+            ax.plot(frequency, order, marker, ms=2.6, color=color, label=text, ls="")
+        for natural in self.frequency:
+            ax.axvline(natural, color="#777777", lw=0.7, ls=":", zorder=0)
+        ax.set(xlabel="frequency / Hz", ylabel="order")
+        # The legend is above the axes because poles can lie anywhere inside.
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
+        return ax
 
     @property
     def shapes(self) -> ComplexArray:

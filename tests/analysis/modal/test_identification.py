@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import analysis
 import daq
@@ -157,6 +158,17 @@ def test_close_noisy_modes_lie_within_uncertainty():
     assert np.all(abs(modes.frequency - natural) < 3.0 * modes.frequency_error)
     assert np.all(abs(modes.damping - zeta) < 3.0 * modes.damping_error)
     assert np.all(modes.damping_error < 0.1 * zeta)
+
+
+def test_stabilization_diagram_shows_poles_and_modes():
+    _, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-3, seed=3)
+    modes = analysis.identify(frfs)
+    new, stable, *lines = modes.plot_stabilization(Figure().subplots()).lines
+    assert len(new.get_xdata()) + len(stable.get_xdata()) == len(modes.chart)
+    np.testing.assert_allclose([line.get_xdata()[0] for line in lines], modes.frequency)
+    # Each mode is a column of stable poles.
+    distance = abs(stable.get_xdata()[:, None] - modes.frequency)
+    assert np.all(np.sum(distance < 0.005 * modes.frequency, axis=0) > 10)
 
 
 def test_clock_error_limits_frequencies():

@@ -77,7 +77,14 @@ def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
     answer = text[text.index('<section class="answer">') : text.index("<nav>")]
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
-    for part in ("Uncertainty budget", "sensitivity", "Spectrogram of body1", "analysis report", "Scene file"):
+    for part in (
+        "Stabilization diagram of",
+        "Uncertainty budget",
+        "sensitivity",
+        "Spectrogram of body1",
+        "analysis report",
+        "Scene file",
+    ):
         assert part in text
     assert "sine: frequency 10 Hz, force 1 N" in answer and "daq record sweep.yaml -o" in text
 

@@ -77,7 +77,7 @@ class Results(Result, Sequence[R], Generic[R]):
 def frf(
     recordings: Recordings,
     response: Sequence[str] | None = None,
-    reference: str = "force",
+    reference: str | None = None,
     motion: str = "displacement",
     estimator: str | None = None,
     block: float | None = None,
@@ -98,8 +98,9 @@ def frf(
         Recordings, or .uff and .csv files with responses that other programs have estimated.
     response : sequence of str, optional
         Channels; if omitted, all channels on bodies.
-    reference : {'force', 'table'}
-        Input: force on the structure, or displacement of the table.
+    reference : {'force', 'table'}, optional
+        Input: force on the structure, or displacement of the table; if omitted, the table if it carries the structure
+        (shaker: base), otherwise the force.
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
@@ -147,7 +148,7 @@ def frf(
 
 def modes(
     recordings: Recordings,
-    reference: str = "force",
+    reference: str | None = None,
     modes: int | None = None,
     block: float | None = None,
     unit: str | None = None,

@@ -32,9 +32,11 @@ Output = Annotated[
     typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: the folder of the first FILE."),
 ]
 Reference = Annotated[
-    str,
+    str | None,
     typer.Option(
-        metavar="force|table", help="Input of the responses: force on the structure, or displacement of the table."
+        metavar="force|table",
+        help="Input of the responses: force on the structure, or displacement of the table. Default: the table if it "
+        "carries the structure, otherwise the force.",
     ),
 ]
 Block = Annotated[
@@ -64,7 +66,7 @@ def frf(
         list[str] | None,
         typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all channels on bodies."),
     ] = None,
-    reference: Reference = "force",
+    reference: Reference = None,
     motion: Annotated[
         str,
         typer.Option(
@@ -131,7 +133,7 @@ def decay(
 def modes(
     files: Curves,
     output: Output = None,
-    reference: Reference = "force",
+    reference: Reference = None,
     modes: Count = None,
     block: Block = None,
     unit: Unit = None,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
 
 
 class Ground(NamedTuple):
@@ -115,17 +116,23 @@ class Equations:
         self.drive_limit.append(limit)
         return len(self.inputs) - 1
 
-    def prescribe(self, row: int, column: int, corner: float) -> None:
-        """Prescribe the motion of a coordinate: an input through an ideally stiff position servo.
+    def prescribe(self, row: int, corner: float) -> None:
+        """Prescribe the motion of a coordinate: an ideally stiff position servo, which obeys the inputs on it alone.
 
-        The servo is a critically damped second-order low-pass filter; `corner`: its corner frequency, Hz.
+        The servo is critically damped, with a unit mass, so that an input on it is an acceleration; `corner`: its
+        corner frequency, Hz.
         """
         self._servo_rate[row] = 2.0 * np.pi * corner
-        self.input_forces[column] = {row: self._servo_rate[row] ** 2}
 
     def move_ground(self, row: int) -> None:
         """Put the structure on a coordinate, whose motion is then that of the ground."""
         influence, damping, stiffness = self._ground()
+        pairs = ((damping, self.damping), (stiffness, self.stiffness))
+        if not any((abs(column) > 1e-12 * abs(matrix).max()).any() for column, matrix in pairs):
+            raise SceneError(
+                "structure: nothing connects it to the ground, so that the table does not move it. Give the spring of "
+                "body 1, or matrices with a support."
+            )
         bodies = len(influence)
         for matrix, column in ((self.damping, damping), (self.stiffness, stiffness)):
             matrix[:bodies, row] -= column

@@ -55,18 +55,20 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
         is_sparse = curves[0].frequency.size <= MAX_MARKERS
         styles = place_styles([curve.outputs[0].at for curve in curves])
+        unit, factor = curves[0].shown_in
         for index, (curve, style) in enumerate(zip(curves, styles, strict=True)):
             color = style.color
             magnitude_axes.plot(
-                curve.frequency, 1e6 * abs(curve.value), style.marker if is_sparse else "-", ms=2.4, color=color,
+                curve.frequency, factor * abs(curve.value), style.marker if is_sparse else "-", ms=2.4, color=color,
                 lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),
             )  # fmt: skip
-            model = 1e6 * abs(modes.receptance(dense)[index])
+            model = factor * abs(modes.receptance(dense)[index])
             model_color, dashes = (color, "-") if is_sparse else ("black", style.line)
             magnitude_axes.plot(dense, model, color=model_color, lw=0.9, ls=dashes)
-        log_axis(magnitude_axes, [1e6 * abs(modes.receptance(dense)), *(1e6 * abs(curve.value) for curve in curves)])
+        magnitudes = [factor * abs(modes.receptance(dense)), *(factor * abs(curve.value) for curve in curves)]
+        log_axis(magnitude_axes, magnitudes)
         frequency_axis(magnitude_axes, low, high, False)
-        magnitude_axes.set_ylabel("|compliance| / (µm/N)")
+        magnitude_axes.set_ylabel(f"|{curves[0].name}| / ({unit})")
         add_title(magnitude_axes, title)
         legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
         magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)

@@ -36,7 +36,7 @@ from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels, with_recordings
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.responses.measurands import reference_of, response_channels
+from analysis.core.responses.measurands import default_reference, reference_of, response_channels
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_decimals, round_to_bound
@@ -146,7 +146,7 @@ def compare_peaks(
         warnings += with_recording_name(paths[0], with_sweep_name(baseline.label, names[0], before))
         warnings += with_recording_name(path, with_sweep_name(frfs[0].label, name, after))
         lines.append(f"{first_frfs[0].label} -> {frfs[0].label}, {first_frfs[0].input}")
-        lines += [f"  {line}" for line in describe_changes(changes)]
+        lines += [f"  {line}" for line in describe_changes(changes, first_frfs[0].shown_in)]
         if any(SENSITIVITY in frf.limits for frf in frfs if frf.response in same_sensors):
             lines.append(
                 f"  {', '.join(same_sensors)}: measured with the same sensors, whose sensitivity errors cancel in "
@@ -162,11 +162,15 @@ def compare_peaks(
     )
 
 
-def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
-    """Return a table of the compared peaks with the 95 % interval of each change, and reasons of missing limits."""
+def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
+    """Return a table of the compared peaks with the 95 % interval of each change, and reasons of missing limits.
+
+    `shown_in`: unit of the peaks, and the factor to it.
+    """
+    unit, factor = shown_in
     rows = [
         (
-            "response", "mode / Hz", "before µm/N", "after µm/N", "change / dB", "95 % interval", "shift / Hz",
+            "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "shift / Hz",
             "95 % interval", "equivalent ζ / %",
         )
     ]  # fmt: skip
@@ -177,15 +181,15 @@ def describe_changes(changes: Sequence[PeakChange]) -> list[str]:
         cells = (
             change.response,
             mode_text,
-            round_to_bound(1e6 * before.value, 1e6 * before.bound),
+            round_to_bound(factor * before.value, factor * before.bound),
         )
-        after_text = round_to_bound(1e6 * after.value, 1e6 * after.bound)
+        after_text = round_to_bound(factor * after.value, factor * after.bound)
         if after.at_end:
             rows.append((*cells, "none", "", "", "", "", ""))
             remarks.append(
                 f"{change.response}, mode at {mode_text} Hz: no peak is left between "
                 f"{format_decimals(after.lowest_frequency, 2)} and {format_decimals(after.highest_frequency, 2)} Hz, "
-                f"where the curve reaches {after_text} µm/N"
+                f"where the curve reaches {after_text} {unit}"
             )
             continue
         unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]
@@ -261,17 +265,17 @@ class MeasurementPoints:
     path: Path
     force_on: tuple[int, ...]  # numbers of the driven bodies
     channels: dict[str, str]  # location of each response channel, by its name
-    # For each response, identifier of its sensor and of the force sensor; empty if several sensors measure the force.
+    # For each response, identifier of the sensors of response and reference; empty if several measure the reference.
     sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, path: Path, rec: Recording) -> MeasurementPoints:
         """Return the measurement points of a recording."""
         names = response_channels(rec)
-        force_channels, sensors = reference_of(rec, "force").channels, {}
-        if len(force_channels) == 1:
+        reference_channels, sensors = reference_of(rec, default_reference(rec)).channels, {}
+        if len(reference_channels) == 1:
             for name in names:
-                sensor_data = [rec.channels[channel].to_metadata() for channel in (name, *force_channels)]
+                sensor_data = [rec.channels[channel].to_metadata() for channel in (name, *reference_channels)]
                 sensors[name] = json.dumps([rec.scene.seed, *sensor_data], sort_keys=True)
         return cls(path, rec.scene.force_on, {name: rec.channels[name].at for name in names}, sensors)
 

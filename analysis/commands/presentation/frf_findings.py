@@ -58,7 +58,7 @@ def present_frf(
     paths: Sequence[Path],
     output: Path | None = None,
     channels: Sequence[str] | None = None,
-    reference: str = "force",
+    reference: str | None = None,
     motion: str = "displacement",
     estimator: str | None = None,
     block: float | None = None,

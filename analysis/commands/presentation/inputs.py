@@ -29,7 +29,7 @@ def labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:
     return [recording_labels.get(path, path.stem) for path in paths]
 
 
-def read_curves(path: Path, reference: str, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
+def read_curves(path: Path, reference: str | None, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
     """Read FRFs from a file.
 
     `reference`: node and direction of the force in the file, or "force" for the only one; `channels`: responses to

@@ -25,6 +25,7 @@ from analysis.core.modal.modes import Modes, mac
 from analysis.core.recordings.names import OpenRecordings, excitation_text, relabel, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.responses.measurands import default_reference
 from analysis.extras.formats.frf_files import is_frf_file
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
@@ -53,7 +54,7 @@ def present_modes(
     recordings: OpenRecordings,
     paths: Sequence[Path],
     output: Path | None = None,
-    reference: str = "force",
+    reference: str | None = None,
     count: int | None = None,
     block: float | None = None,
     progress: CountProgress | None = None,
@@ -85,7 +86,7 @@ def present_modes(
             options = vars(Blocks(block=block).for_kind(rec.test.kind))
             for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
                 modes = relabel(identify(sweep, count), rec.scene.name, label)
-                theory = theoretical_modes(rec, modes) if reference == "force" else None
+                theory = theoretical_modes(rec, modes) if reference in (None, default_reference(rec)) else None
                 identified.append((sweep, modes, theory))
         for number, (frfs, modes, theory) in enumerate(identified, 1):
             all_modes.append(modes)

@@ -1,7 +1,7 @@
 """Linear theory of a recording: its structure without moving dampers, as it was in the test.
 
 The force of a shaker is measured, so the structure is that without the shaker's coil spring. In a hammer test all
-shakers are idle, and their coil springs remain attached.
+shakers are idle, and their coil springs remain attached. A table that carries the structure is at rest in its modes.
 """
 
 from __future__ import annotations
@@ -80,7 +80,9 @@ def _scene_under_force(rec: Recording) -> Scene:
         return scene
     driven = {rec.channels[point.name].at for point in driven_forces(rec)} or {scene.at_driven("shaker")}
     shakers = [
-        ForceShaker(body=shaker.bodies) if at_shaker("shaker", number, len(scene.shakers)) in driven else shaker
+        ForceShaker(body=shaker.bodies)
+        if shaker.bodies and at_shaker("shaker", number, len(scene.shakers)) in driven
+        else shaker
         for number, shaker in enumerate(scene.shakers, 1)
     ]
     return scene.replace(shaker=shakers if len(shakers) > 1 else shakers[0], test=None)

@@ -53,7 +53,8 @@ def rig_drawing(scene: Scene) -> str:
     count = structure.bodies
     height = 2 * _MARGIN + count * _BODY_HEIGHT + count * _SPACING
     tops = [height - _MARGIN - (body * (_BODY_HEIGHT + _SPACING)) for body in range(1, count + 1)]
-    elements = [_ground(height - _MARGIN)]
+    carriers = [shaker for shaker in scene.shakers if shaker.carries_structure]
+    elements = [*map(_table, carriers, [height - _MARGIN])] or [_ground(height - _MARGIN)]
     for body in range(1, count + 1):
         elements += _body(scene, body, tops[body - 1])
     for number, shaker in enumerate(scene.shakers, 1):
@@ -70,6 +71,14 @@ def rig_drawing(scene: Scene) -> str:
 def _ground(y: float) -> str:
     hatching = "".join(f"M{x} {y + 8}l10 -8" for x in range(_LEFT, _LEFT + _BODY_WIDTH, 12))
     return f'<path stroke="currentColor" d="M{_LEFT} {y}h{_BODY_WIDTH}{hatching}"/>'
+
+
+def _table(shaker: Shaker, y: float) -> str:
+    """Draw a table that carries the structure, whose top is at `y`."""
+    return (
+        f'<rect x="{_LEFT}" y="{y:g}" width="{_BODY_WIDTH}" height="14" rx="3" stroke="#009E73" fill="#009E73" '
+        f'fill-opacity="0.2"/><text x="4" y="{y + 12:g}">{escape_html(shaker.glyph.title)}</text>'
+    )
 
 
 def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
@@ -130,15 +139,17 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
         names_at.setdefault(channel.at, []).append(channel.name)
     for place, names in names_at.items():
         color = place_style(place).color
-        if place.startswith("body "):
-            y = tops[int(place.removeprefix("body ")) - 1] + _BODY_HEIGHT / 2
+        carries_structure = place in tables and tables[place].carries_structure
+        if place.startswith("body ") or carries_structure:
+            number = 0 if carries_structure else int(place.removeprefix("body "))
+            y = tops[number - 1] + _BODY_HEIGHT / 2 if number else tops[0] + _BODY_HEIGHT + _SPACING + 7
             x = _LEFT + _BODY_WIDTH
             yield (
                 f'<path stroke="{color}" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
                 f'fill="{color}"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
             )
         elif place in tables:
-            y = tops[tables[place].bodies[0] - 1] + _BODY_HEIGHT / 2
+            y = tops[tables[place].first_body - 1] + _BODY_HEIGHT / 2
             yield (
                 f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="{color}"/>'
                 f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'

@@ -50,9 +50,9 @@ class SweepResults:
     modes : Modes or None
         None if the identification failed.
     peaks : tuple
-        For each mode, the response with the highest compliance peak near it; None if no response has a peak.
+        For each mode, the response with the highest peak near it; None if no response has a peak.
     highest : tuple or None
-        The highest compliance peak of all frequencies, whether or not a mode was identified there.
+        The highest peak of all frequencies, whether or not a mode was identified there.
     """
 
     frfs: list[Response]
@@ -74,6 +74,7 @@ class SweepChange(NamedTuple):
     recording: str  # label of the other recording
     change: PeakChange
     modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
+    shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor to it
 
     @property
     def level(self) -> str:
@@ -186,13 +187,12 @@ class Measurements:
 
 
 def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
-    """Return the response with the highest compliance peak near each mode, in the order of `modes`."""
-    compliances = [frf for frf in frfs if frf.reference == "force"]
+    """Return the response with the highest peak near each mode, in the order of `modes`."""
     _, low, high = peak_bands(modes)
     highest: list[tuple[Response, Peak] | None] = []
     # The bands are in ascending order of frequency; the modes may be in another order.
     for rank in np.argsort(np.argsort(modes.frequency)):
-        peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in compliances]
+        peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in frfs]
         inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
         highest.append(max(inside, key=lambda pair: pair[1].value, default=None))
     return tuple(highest)
@@ -201,17 +201,11 @@ def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Respon
 def highest_peak(
     frfs: Sequence[Response], peaks: Sequence[tuple[Response, Peak] | None]
 ) -> tuple[Response, Peak] | None:
-    """Return the response with the highest compliance peak, near a mode or at another frequency.
+    """Return the response with the highest peak, near a mode or at another frequency.
 
     `peaks`: the highest peak near each mode.
     """
-    others = [
-        (frf, found)
-        for frf in frfs
-        if frf.reference == "force"
-        for _, found in resonance_peaks(frf)
-        if not found.at_end
-    ]
+    others = [(frf, found) for frf in frfs for _, found in resonance_peaks(frf) if not found.at_end]
     return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
 
 
@@ -221,9 +215,9 @@ def _peak_changes(first: Measurement, other: Measurement) -> list[SweepChange]:
     assert before.modes is not None
     points, first_points = (MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, first))
     points.comparable_with(first_points)
-    same_sensors = points.same_sensors(first_points)
+    same_sensors, modes = points.same_sensors(first_points), tuple(before.modes.frequency.tolist())
     return [
-        SweepChange(before.label, after.label, other.label, change, tuple(before.modes.frequency.tolist()))
+        SweepChange(before.label, after.label, other.label, change, modes, before.frfs[0].shown_in)
         for after in other.sweeps
         for change in peak_changes(before.modes, before.frfs, after.frfs, same_sensors)
     ]

@@ -82,11 +82,12 @@ def _change_sentence(changes: Sequence[SweepChange]) -> str:
     else:
         verb = "lowers" if change_db < 0.0 else "raises"
         smallest, largest_db = sorted((abs(low_db), abs(high_db)))
-        heights = [round_to_bound(1e6 * peak.value, 1e6 * peak.bound) for peak in (change.bare, change.damped)]
+        unit, factor = largest.shown_in
+        heights = [round_to_bound(factor * peak.value, factor * peak.bound) for peak in (change.bare, change.damped)]
         text = (
             f"Compared with {before}, {after} {verb} {peak_text} by {abs(change_db):.{decimals}f} dB "
             f"(95 % interval {smallest:.{decimals}f} to {largest_db:.{decimals}f} dB), "
-            f"from {' to '.join(heights)} µm/N"
+            f"from {' to '.join(heights)} {unit}"
         )
     return f"{text}{_other_modes(changes, change.mode)}."
 
@@ -149,8 +150,8 @@ def _resonance_sentence(sweep: SweepResults) -> str:
 def _highest_compliance(curve: Response, highest: Peak) -> str:
     where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
     if highest.value < highest.bound < inf:
-        return f"the height of the highest peak of the compliance is not determined ({where})"
-    return f"the highest compliance is {peak_height(highest)} µm/N ({where})"
+        return f"the height of the highest peak of the {curve.name} is not determined ({where})"
+    return f"the highest {curve.name} is {peak_height(highest, curve.shown_in)} {curve.shown_in[0]} ({where})"
 
 
 def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:

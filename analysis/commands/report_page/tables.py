@@ -54,23 +54,30 @@ def resonances(measurements: Sequence[Measurement]) -> str:
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
             frequency = with_bound(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
-            location, height = ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1]))
+            location, height = (
+                ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1], highest[0].shown_in))
+            )
             rows.append((frequency, modes.damping_text(k), location, height))
-    heading = ["natural frequency / Hz", "damping ratio", "highest at", "peak / (µm/N)"]
+    found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
+    units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
+    heading = ["natural frequency / Hz", "damping ratio", "highest at", f"peak / ({units})"]
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
 
 
-def peak_height(highest: Peak) -> str:
-    """Format the height of a peak with its bound, µm/N, or its lower bound if the upper bound is infinite.
+def peak_height(highest: Peak, shown_in: tuple[str, float]) -> str:
+    """Format the height of a peak with its bound, or its lower bound if the upper bound is infinite.
 
-    >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1))
+    `shown_in`: unit and the factor to it.
+
+    >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1), ("µm/N", 1e6))
     'not determined'
     """
+    _, factor = shown_in
     if isinf(highest.bound):
-        return f"at least {1e6 * highest.low:.4g}"
+        return f"at least {factor * highest.low:.4g}"
     if highest.bound > highest.value:
         return "not determined"
-    return with_bound(1e6 * highest.value, 1e6 * highest.bound)
+    return with_bound(factor * highest.value, factor * highest.bound)
 
 
 def with_bound(value: float, bound: float) -> str:

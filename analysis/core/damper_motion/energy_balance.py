@@ -50,6 +50,11 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
     """
     from rig.core.system.structural_model import structural_model
 
+    if rec.scene.reference == "table":
+        raise RecordingError(
+            "the structure stands on a shaker table, whose force on it is not measured. Compare the peaks with those "
+            "of a test without dampers (`analysis compare`)."
+        )
     names = sweep.lines.channels
     damping = structural_model(rec.scene).damping
     bodies = {rec.channels[name].at: name for name in response_channels(rec)}

@@ -13,7 +13,13 @@ import numpy as np
 
 from analysis.core.responses.estimator import annotate
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.responses.measurands import driven_forces, reference_of, required_channels, response_channels
+from analysis.core.responses.measurands import (
+    default_reference,
+    driven_forces,
+    reference_of,
+    required_channels,
+    response_channels,
+)
 from analysis.core.responses.stepped_sine import sweep_name, sweeps
 from analysis.core.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from rig.core.base.arrays import Array, ComplexArray
@@ -90,7 +96,8 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses describe the structure with the
-    spring to ground. The spring force would be a small difference of two readings.
+    spring to ground. The spring force would be a small difference of two readings. The reference is also
+    a table that carries the structure.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """
@@ -111,7 +118,8 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
         )
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
-    reference = "force" if spring is None or rec.test.kind.hammered else "table"
+    has_table = spring is not None or default_reference(rec) == "table"
+    reference = "table" if has_table and not rec.test.kind.hammered else "force"
     has_tones = rec.test.kind.steady
     if any(damper.moves for damper in scene.dampers) and not has_tones:
         raise RecordingError(

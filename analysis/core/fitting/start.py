@@ -23,7 +23,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.scene.scene import Scene
-from rig.core.system.structural_model import driven_bodies, structural_model
+from rig.core.system.structural_model import driven_bodies, ground_connection, structural_model
 
 # Assumed relative standard deviations of identified frequencies and damping ratios.
 _FREQUENCY_SD = 3e-4
@@ -135,9 +135,14 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
         model = model.with_ground_springs(driven_bodies(test_scene), spring)
     modes = model.modes
     shapes = modes.shapes / np.sqrt(modes.mass)
-    driven = driven_bodies(test_scene) if test_scene.hammer is None else [test_scene.hammer - 1]
-    force_per_reference = spring if group.curves.reference == "table" and spring is not None else 1.0  # N/m or 1
-    constants = shapes[list(group.curves.bodies)] * shapes[driven].sum(axis=0) * force_per_reference
+    if test_scene.reference == "table":
+        # Force on each body per displacement of the table that carries the structure, N/m.
+        participation = ground_connection(test_scene.structure, model).stiffness @ shapes
+    else:
+        driven = driven_bodies(test_scene) if test_scene.hammer is None else [test_scene.hammer - 1]
+        force_per_reference = spring if group.curves.reference == "table" and spring is not None else 1.0  # N/m or 1
+        participation = shapes[driven].sum(axis=0) * force_per_reference
+    constants = shapes[list(group.curves.bodies)] * participation
     return np.maximum(modes.frequency, 1e-6), modes.damping_ratio, constants
 
 

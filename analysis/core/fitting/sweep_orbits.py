@@ -176,20 +176,20 @@ class _OrbitSolver:
     def __init__(self, test_scene: Scene) -> None:
         shaker = test_scene.driven_shaker
         assert shaker is not None
-        self.driven = shaker.bodies[0] - 1
+        self.driven = shaker.first_body - 1
         self.spring = shaker.coil_spring or 0.0
         self.table: int | None = None
-        # A table whose motion depends on the structure is a coordinate of the orbits.
-        has_free_table = self.spring > 0.0 and not shaker.prescribed
+        # A table whose motion depends on the structure, or that carries it, is a coordinate of the orbits.
+        has_table = shaker.carries_structure or (self.spring > 0.0 and not shaker.prescribed)
         if self.spring and shaker.prescribed:
             grounded = structural_model(test_scene).with_ground_springs(driven_bodies(test_scene), self.spring)
             matrices = Matrices(mass=grounded.mass, damping=grounded.damping, stiffness=grounded.stiffness)
             test_scene = test_scene.replace(
                 structure=Structure(matrices=matrices), shaker=ForceShaker(body=shaker.bodies[0])
             )
-        self.bodies, level = test_scene.structure.bodies, "drive" if has_free_table else "force"
+        self.bodies, level = test_scene.structure.bodies, "drive" if has_table else "force"
         self.problem = OrbitProblem(test_scene.replace(test={"kind": "sine", "frequency": 1.0, level: 1.0}))
-        if has_free_table:
+        if has_table:
             self.table = self.problem.system.points.index("table")
 
     def search(self, frequency: float, level: float, from_riding: bool) -> OrbitResponse | None:

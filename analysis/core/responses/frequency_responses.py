@@ -10,6 +10,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.channel_changes import change_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
+    default_reference,
     force_levels,
     required_channels,
     select_channels,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 def frequency_responses(
     rec: Recording,
     channels: Sequence[str] | None = None,
-    reference: str = "force",
+    reference: str | None = None,
     motion: str = "displacement",
     estimator: str | None = None,
     block: float | None = None,
@@ -52,8 +53,9 @@ def frequency_responses(
         The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
     channels : sequence of str, optional
         Responses; if omitted, every channel on a body.
-    reference : {'force', 'table'}
-        Divide by the force on the structure, or by the displacement of the table.
+    reference : {'force', 'table'}, optional
+        Divide by the force on the structure, or by the displacement of the table; if omitted, by the table if it
+        carries the structure (shaker: base), otherwise by the force.
     motion : {'displacement', 'velocity', 'acceleration'}
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
@@ -102,6 +104,7 @@ def frequency_responses(
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
     if (level is not None or direction is not None) and not kind.steady and kind is not TestKind.NONE:
         raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
+    reference = reference or default_reference(rec)
     levels = force_levels(rec) if reference == "force" else []
     inputs = strong_forces(levels)
     has_one = len(inputs) < 2
@@ -143,7 +146,7 @@ def frequency_responses(
 def frfs(
     rec: Recording,
     channels: Sequence[str] | None = None,
-    reference: str = "force",
+    reference: str | None = None,
     motion: str = "displacement",
     level: float | str | None = None,
     direction: str | None = None,
@@ -173,6 +176,7 @@ def frfs(
     """
     from analysis.core.responses.stepped_sine import describe_sweeps, sweeps
 
+    reference = reference or default_reference(rec)
     responses = frequency_responses(rec, channels, reference, motion, level=level, direction=direction)
     if len(responses) != 1:
         available = describe_sweeps(sweeps(rec, required_channels(rec, select_channels(rec, channels), reference)))
@@ -187,7 +191,7 @@ def frfs(
 def compliance(
     rec: Recording,
     response: str = "body3",
-    reference: str = "force",
+    reference: str | None = None,
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:

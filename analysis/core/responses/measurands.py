@@ -111,6 +111,14 @@ def motion_of(rec: Recording, name: str, motion: str = "displacement") -> Measur
     return Measurand((motion_channel(rec, name).name,), (1.0,), motion)
 
 
+def default_reference(rec: Recording) -> str:
+    """Return the reference of a recording's responses, unless another is requested."""
+    try:
+        return rec.scene.reference
+    except RecordingError:  # a recording without scene
+        return "force"
+
+
 def reference_of(rec: Recording, reference: str) -> Measurand:
     """Return the force on the structure, or the displacement of the shaker table.
 
@@ -141,7 +149,9 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     shaker = rec.scene.driven_shaker
     if shaker is None or shaker.coil_spring is None:
         hint = "Drive the structure through a coil spring, shaker: {kind: table, body: 1, spring: 6.6 kN/m}."
-        if shaker is not None:
+        if shaker is not None and "shaker" not in shaker.points:
+            hint = f"{rec.scene.at_driven('shaker')}: {shaker.force_hint(rec.scene.at_driven('table'))}"
+        elif shaker is not None:
             hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
         raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}, no coil spring). {hint}")
     ends, terms = [], shaker.force_terms("", rec.scene.at_driven("table"))

@@ -58,11 +58,11 @@ class Extremes:
 
     body: float = 0.0  # displacement of a body
     spring: float = 0.0  # change of length of a spring between bodies
-    coil: float = 0.0  # change of length of a coil spring
+    coil: float = 0.0  # change of length of a spring on a table
     gap: float = 0.0  # height of a damper above its floor
 
     def extended_by(self, motion: RigMotion, shaker_bodies: Sequence[int]) -> Extremes:
-        """Return the extremes including another motion; `shaker_bodies`: bodies (from 1) on coil springs."""
+        """Return the extremes including another motion; `shaker_bodies`: bodies (from 1) above tables."""
         positions = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
         coil = (
             _max_magnitude(motion.displacement[[body - 1 for body in shaker_bodies]] - motion.tables)
@@ -220,7 +220,8 @@ class RigView:
         label_position = (table.x + 0.055, -0.09, -PLATE)
         text = table.point.replace("table", table.glyph.table)
         yield f"{table.entity('table')}/name", label(label_position, text + self._note(table.point), color)
-        yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
+        if table.has_coil_spring:
+            yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
     @staticmethod
     def _force_arrow(entity: str, x: float, text: str, color: Color) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -247,8 +248,9 @@ class RigView:
         Springs are drawn once at their rest length, and then scaled along z. The scale of other parts is None.
         """
         drawn_displacement = motion.displacement * self.exaggeration
-        lower_end = np.zeros(drawn_displacement.shape[1])
-        lower_end_at_rest = 0.0
+        drawn_tables = motion.tables * self.exaggeration
+        lower_end = drawn_tables[0] if self.stack.ground else np.zeros(drawn_displacement.shape[1])
+        lower_end_at_rest = self.stack.ground
         for index in range(self.bodies):
             yield f"rig/body_{index + 1}", _along_z(self.stack.bottoms[index] + drawn_displacement[index]), None
             if self.has_spring[index]:
@@ -257,10 +259,11 @@ class RigView:
                 yield f"rig/spring_{index + 1}", _along_z(lower_end_at_rest + lower_end), _along_z(stretch, 1.0)
             lower_end = drawn_displacement[index]
             lower_end_at_rest = self.stack.bottoms[index] + self.stack.heights[index]
-        for table, table_motion in zip(self.shaker_tables, motion.tables * self.exaggeration, strict=True):
+        for table, table_motion in zip(self.shaker_tables, drawn_tables, strict=True):
             yield table.entity("table"), _along_z(table.top + table_motion), None
-            stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - table_motion) / COIL_LENGTH
-            yield table.entity("coil_spring"), _along_z(table.top + table_motion), _along_z(stretch, 1.0)
+            if table.has_coil_spring:
+                stretch = (COIL_LENGTH + drawn_displacement[table.body - 1] - table_motion) / COIL_LENGTH
+                yield table.entity("coil_spring"), _along_z(table.top + table_motion), _along_z(stretch, 1.0)
         if motion.gap is not None:
             for index in range(len(self.scene.dampers)):
                 yield self.damper_entity(index), _along_z(motion.gap[index] * self.exaggeration), None

@@ -85,9 +85,10 @@ class Table(NamedTuple):
 
     point: str  # name, such as ``table``
     glyph: Glyph  # of the shaker
-    body: int  # on its coil spring, from 1
+    body: int  # above it, from 1
     x: float  # position
     top: float  # height of its top
+    has_coil_spring: bool  # otherwise the structure stands on it
 
     def entity(self, part: str) -> str:
         """Return the path of a part of the shaker, with the number of the table if there are several."""
@@ -101,12 +102,14 @@ class Stack:
         bodies = range(1, scene.structure.bodies + 1)
         self.cavities: list[list[Cavity]] = [cavities(scene.dampers, body, exaggeration) for body in bodies]
         self.heights = [HOLLOW_HEIGHT if body_cavities else SOLID_HEIGHT for body_cavities in self.cavities]
-        shaker_bodies = [shaker.bodies[0] for _, shaker in scene.tables]
+        shaker_bodies = [shaker.first_body for _, shaker in scene.tables]
+        # A table below the whole structure replaces the ground, at its height.
+        self.ground = PLINTH + PLATE if any(shaker.carries_structure for shaker in scene.shakers) else 0.0
         # A table of body 1, with its coil spring, requires space below the body.
-        first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies else SPRING_LENGTH
+        first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies and not self.ground else SPRING_LENGTH
         self.lengths = [first_length] + [SPRING_LENGTH] * (len(bodies) - 1)
         self.bottoms: list[float] = []
-        self.top = 0.0
+        self.top = self.ground
         for length, height in zip(self.lengths, self.heights, strict=True):
             self.bottoms.append(self.top + length)
             self.top += length + height
@@ -116,7 +119,8 @@ class Stack:
         for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
             is_under_body = body == 1 and shaker_bodies.index(1) == len(self.tables)
             x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_positions)
-            self.tables.append(Table(point, shaker.glyph, body, x, self.bottoms[body - 1] - COIL_LENGTH))
+            top = self.ground or self.bottoms[body - 1] - COIL_LENGTH
+            self.tables.append(Table(point, shaker.glyph, body, x, top, shaker.coil_spring is not None))
 
 
 def round_factor(limit: float) -> float:

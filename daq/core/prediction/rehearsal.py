@@ -87,7 +87,7 @@ def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
             f"{at_shaker(load.place, number, count)} {load.name}",
             load,
             points.index(at_shaker("table", number, count)),
-            shaker.bodies[0] - 1,
+            shaker.first_body - 1,
         )
         for number, shaker in enumerate(scene.shakers, 1)
         for load in shaker.loads

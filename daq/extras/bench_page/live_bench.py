@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 _NO_INPUT = "the scene has neither a shaker nor a hammer"
+_NO_FORCE = "the page controls forces, but the shaker exerts none; record the test with `daq record`"
 # The test that is selected first, if the scene has a shaker.
 _DEFAULT_FORM = "sweep"
 # Band of the tests, Hz, if the scene's test has none.
@@ -41,7 +42,9 @@ _MIN_PEAK_RATIO = 0.5
 
 def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
     """Return the procedures that the page offers, by the titles of their forms."""
-    kinds = [kind for kind in KINDS if kind.uses_shaker] if scene.shakers else []
+    # The levels on the page are forces.
+    exerts_force = any("force" in shaker.level_keys for shaker in scene.shakers)
+    kinds = [kind for kind in KINDS if kind.uses_shaker] if exerts_force else []
     if scene.test is not None and scene.hammer is not None:
         # Only a scene with a hammer test has a channel for the hammer.
         kinds = [type(scene.test)]
@@ -87,7 +90,7 @@ class TestController:
             interval=float(getattr(test, "interval", 0.0)),
             hits=int(getattr(test, "repeats", 1)),
         )
-        self.message = "ready" if self.forms else _NO_INPUT
+        self.message = "ready" if self.forms else _NO_FORCE if self._scene.shakers else _NO_INPUT
         self.frf_unavailable_reason = ""
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None

@@ -131,6 +131,8 @@ def _force_weights(station: Station, frequency: Array) -> ComplexArray:
             weights[row] = 1.0 / info.response(frequency)
             return weights
     shaker = station.scene.driven_shaker
+    if not has_hammer and station.scene.reference == "table":
+        raise SceneError("the page has no responses to the motion of a table. Record the test, and use `analysis frf`.")
     if has_hammer or shaker is None or shaker.coil_spring is None:
         position = "hammer" if has_hammer else "shaker"
         raise SceneError(

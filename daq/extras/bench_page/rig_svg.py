@@ -29,7 +29,7 @@ class RigDrawing:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._shaker_bodies = [shaker.bodies[0] for _, shaker in scene.tables]
+        self._shaker_bodies = [shaker.first_body for _, shaker in scene.tables]
         self._exaggeration = 0.0
         self.svg = ""
 
@@ -59,7 +59,8 @@ class RigDrawing:
             parts.append(_box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116)))
             plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(table.x + 0.05, -0.03, table.point, DRIVE)
             parts.append(_group(table.entity("table"), plate))
-            parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
+            if table.has_coil_spring:
+                parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
         masses = scene.structure.masses
         for body in range(1, scene.structure.bodies + 1):
             height, color = view.stack.heights[body - 1], body_color(body)

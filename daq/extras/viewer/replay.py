@@ -70,7 +70,7 @@ class Replay:
     @cached_property
     def _largest_motion(self) -> tuple[Extremes, int]:
         """Largest motion of each part, and the sample index of the largest motion of all; reads the whole segment."""
-        shaker_bodies = [shaker.bodies[0] for _, shaker in self.recording.scene.tables]
+        shaker_bodies = [shaker.first_body for _, shaker in self.recording.scene.tables]
         extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
         for sample_numbers, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.extended_by(motion, shaker_bodies)

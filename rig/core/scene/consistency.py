@@ -28,12 +28,17 @@ def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
 
 
 def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
-    for number, shaker in enumerate(as_tuple(value)):
+    shakers = as_tuple(value)
+    for number, shaker in enumerate(shakers):
         key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
         for k, body in enumerate(shaker.bodies):
             yield from body_problems(
                 valid, body, (*key_path, k) if isinstance(getattr(shaker, "body", None), tuple) else key_path
             )
+    carriers = [number for number, shaker in enumerate(shakers) if shaker.carries_structure]
+    if carriers and not all(shaker.drive_is_force for shaker in shakers[: carriers[0]] + shakers[carriers[0] + 1 :]):
+        message = f"a shaker of kind {shakers[carriers[0]].kind} can be combined with shakers of kind force only."
+        yield Problem((carriers[0],), f"{message} Remove the others.")
 
 
 def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:

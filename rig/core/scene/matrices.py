@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
+from pydantic import FiniteFloat, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
 from rig.core.settings.problems import Problem
@@ -69,6 +69,9 @@ class Matrices(Settings):
     """Symmetric, (bodies, bodies) [N/m]."""
     damping: Matrix | None = None
     """Damping matrix, (bodies, bodies) [N s/m]; it must not add energy to any free motion."""
+    influence: tuple[FiniteFloat, ...] | None = None
+    """Displacement of each body per static displacement of a base: 1 in the direction of the base, 0 for a rotation.
+    None: 1 for all bodies."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check sizes, symmetry, positive kinetic energy, nonnegative elastic energy, and that no motion grows."""
@@ -82,6 +85,8 @@ class Matrices(Settings):
         for key, matrix in (("stiffness", stiffness), ("damping", self.damping)):
             if matrix is not None and len(matrix) != len(mass):
                 yield Problem((key,), f"got {len(matrix)} rows; expected {len(mass)}, as in the mass matrix")
+        if self.influence is not None and len(self.influence) != len(mass):
+            yield Problem(("influence",), f"got {len(self.influence)} values; expected {len(mass)}, one for each body")
         for key, matrix in (("mass", mass), ("stiffness", stiffness)):
             indices = asymmetry(matrix)
             if indices is not None:

@@ -109,6 +109,11 @@ class Scene(Settings):
         return None if self.test is None else self.test.hammer
 
     @property
+    def reference(self) -> str:
+        """Denominator of the test's responses, unless another is requested: "force" or "table"."""
+        return "force" if self.hammer is not None or self.driven_shaker is None else self.driven_shaker.references[0]
+
+    @property
     def force_on(self) -> tuple[int, ...]:
         """Bodies on which the test's force acts, from 1: the body hit by the hammer, or the driven shaker's bodies."""
         if self.hammer is not None:

@@ -18,7 +18,6 @@ from rig.core.base.errors import RunError, SceneError
 from rig.core.scene.excitation.kind import Chirp, Pulses
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import ForceShaker
-from rig.core.scene.shaker.kind import servo_inverse
 from rig.core.system.assembly import force_row
 from rig.core.system.hybrid_system import HybridSystem
 
@@ -61,7 +60,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     state = system.initial.copy()
     if scene.driven_shaker is not None and scene.driven_shaker.prescribed:
         # The table follows the tone from the start, without the transient of its servo.
-        position = complex(amplitude / servo_inverse(scene.driven_shaker.corner, 1j * omega))
+        position = complex(amplitude / scene.driven_shaker.required_drive(np.asarray(1j * omega))[0])
         table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
         state[system.coordinates + table] = (1j * omega * position).real

@@ -106,11 +106,11 @@ class StructuralModel:
         stiffness[supported, supported] += spring
         return replace(self, stiffness=stiffness)
 
-    def response(self, frequencies_hz: Array, force: Array) -> ComplexArray:
+    def response(self, frequencies_hz: Array, force: Array | ComplexArray) -> ComplexArray:
         """Compute the complex displacement amplitude of each body under harmonic forces, m, (bodies, frequencies).
 
-        `frequencies_hz`: shape (frequencies,); `force`: amplitudes, N, shape (bodies,). Raises `SceneError` if a
-        frequency is exactly an undamped resonance, or 0 for a structure without support.
+        `frequencies_hz`: shape (frequencies,); `force`: amplitudes, N, shape (bodies,) or (bodies, frequencies). Raises
+        `SceneError` if a frequency is exactly an undamped resonance, or 0 for a structure without support.
         """
         response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
         step = max(1, _MAX_ELEMENTS // self.mass.size)
@@ -119,7 +119,8 @@ class StructuralModel:
             omega = 2.0 * np.pi * frequencies_hz[block, None, None]
             dynamic_stiffness = self.stiffness + 1j * omega * self.damping - omega**2 * self.mass
             try:
-                response[:, block] = np.linalg.solve(dynamic_stiffness, force[:, None])[:, :, 0].T
+                right_side = force[:, None] if force.ndim == 1 else force[:, block].T[:, :, None]
+                response[:, block] = np.linalg.solve(dynamic_stiffness, right_side)[:, :, 0].T
             except np.linalg.LinAlgError:
                 raise SceneError(
                     "frequencies: the response is infinite at one of the frequencies (an undamped resonance, or 0 Hz "
@@ -176,14 +177,22 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     return model.response(frequencies, force)
 
 
-def transmissibility(scene: Scene, frequencies_hz: ArrayLike) -> ComplexArray:
-    """Compute the ratio of each body's displacement to the table's, with the coil spring between table and body.
+def transmissibility(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
+    """Compute the ratio of each body's displacement to the table's.
+
+    The table carries the structure, or there is a coil spring between table and body. `riding`: as in `receptance`.
 
     Returns X / X_0, complex, shape (bodies, frequencies). Raises the errors of `receptance`, and `SceneError` if the
     scene has no coil spring.
     """
+    if scene.reference == "table":
+        frequencies, model = _validated(frequencies_hz), structural_model(scene).with_bed_masses(riding)
+        ground = ground_connection(scene.structure, model)
+        return model.response(
+            frequencies, ground.stiffness[:, None] + 2j * np.pi * np.outer(ground.damping, frequencies)
+        )
     frequencies, driven, spring = _validated(frequencies_hz), driven_bodies(scene), coil_spring(scene)
-    model = structural_model(scene).with_bed_masses().with_ground_springs(driven, spring)
+    model = structural_model(scene).with_bed_masses(riding).with_ground_springs(driven, spring)
     force = np.zeros(len(model.mass))
     force[driven] = spring
     return model.response(frequencies, force)
@@ -210,7 +219,12 @@ def driven_bodies(scene: Scene) -> list[int]:
             "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
             "includes the coil springs."
         )
-    if scene.driven_shaker is not None:
+    if scene.reference == "table":
+        raise SceneError(
+            f"scene {scene.name!r}: the structure is excited at its base, so that no force acts on a body. Use a "
+            "shaker of another kind."
+        )
+    if scene.driven_shaker is not None and scene.driven_shaker.bodies:
         return [body - 1 for body in scene.driven_shaker.bodies]
     if scene.hammer is not None:
         return [scene.hammer - 1]
@@ -252,7 +266,8 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
 
 def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
     """Return the connection of the bodies with the ground, exact for the springs and dashpots of a chain."""
-    influence = np.ones(len(model.mass))
+    given = None if structure.matrices is None else structure.matrices.influence
+    influence = np.ones(len(model.mass)) if given is None else np.array(given)
     stiffness, damping = model.stiffness @ influence, model.damping @ influence
     if structure.springs is not None:
         stiffness = np.append(structure.springs[0], np.zeros(len(influence) - 1))

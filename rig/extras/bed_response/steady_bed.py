@@ -15,9 +15,10 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.scene import Scene
 from rig.core.simulation.simulate import simulate
 from rig.core.steady_response.frequency_response import frequency_response
-from rig.core.system.assembly import assemble, force_row
+from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import tone_drive, with_ideal_force
+from rig.core.system.reference import reference_of
 from rig.extras.grains.bed import CEILING, FLOOR
 from rig.extras.grains.coupling import CoupledPropagator
 
@@ -177,9 +178,9 @@ def _initial_state(scene: Scene, system: HybridSystem, frequency: float, state: 
 
 
 def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, amplitudes: ComplexArray) -> complex:
-    """Return the first harmonic of the driving force: the force of the coil spring, or the drive itself."""
-    row = force_row(scene, system)
-    return complex(row @ harmonics) if row.any() else complex(amplitudes[np.argmax(np.abs(amplitudes))])
+    """Return the first harmonic of the reference: a force, or the motion of the table."""
+    row = reference_of(scene, system).row
+    return complex(row @ harmonics) if row is not None else complex(amplitudes[np.argmax(np.abs(amplitudes))])
 
 
 def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:

@@ -105,6 +105,11 @@ def parse_request(
 
     Raises `SceneError` if an argument is invalid, or nothing drives the structure.
     """
+    if scene.reference == "table":
+        raise SceneError(
+            f"scene {scene.name!r}: the structure is excited at its base, so that it has no compliance. Compare "
+            "dampers with rig.orbit_response, or use a shaker of another kind."
+        )
     damper_bodies = _bodies(bodies, scene, "bodies")
     evaluated_bodies = tuple(sorted({*_bodies(watched, scene, "watched")}))
     if count(dampers, 1, "dampers") > len(damper_bodies):

@@ -81,7 +81,7 @@ def test_jump_near_peak_removes_upper_bound() -> None:
     assert estimate is not None and math.isinf(estimate.bound) and estimate.frequency == pytest.approx(10.15)
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), estimate)
     assert math.isinf(change.decibel[2])
-    _, row, remark = describe_changes([change])
+    _, row, remark = describe_changes([change], ("µm/N", 1e6))
     # The highest measured point is 12.0 m/N, without dampers 1e-3 m/N: at least 81.6 dB.
     assert "above +81.6" in row and "the peak in the column 'after' may be higher" in remark
 
@@ -150,7 +150,7 @@ def test_changes_are_printed_with_their_limits() -> None:
     peaks = [Peak(1e-3, 1e-5, 10.0, 9.9, 10.1), Peak(2e-4, 1e-5, 9.5, 9.4, 9.8), Peak(1e-3, 2e-5, 10.05, 9.9, 10.2)]
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
     # Columns: heights in µm/N, change in dB with its limits, shift in Hz with its limits.
-    _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes))
+    _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes, ("µm/N", 1e6)))
     assert lowered[2:6] == ["1000", "200", "-13.98", "-14.43 to -13.55"]
     assert lowered[6:8] == ["-0.50", "-0.64 to -0.18"]
     assert unchanged[4:6] == ["+0.00", "-0.20 to +0.19"]
@@ -192,7 +192,7 @@ def test_small_peak_on_flank_is_compared() -> None:
     assert raised.bare.frequency == pytest.approx(79.0, abs=1.0) and not raised.bare.at_end
     assert raised.decibel[1] > 0.0
     assert lost.decibel[1:] == (-math.inf, math.inf)
-    assert "no peak is left between" in describe_changes([lost])[-1]
+    assert "no peak is left between" in describe_changes([lost], ("µm/N", 1e6))[-1]
     assert peak_changes(modes, [curve(0.5)], [curve(0.01)]) == []
 
 

@@ -107,7 +107,7 @@ def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
     highest = highest_peak([curve], [None])
     assert highest is not None
     [text] = [line for line in describe_frfs([curve]) if "the peak between the points" in line]
-    assert f"({peak_height(highest[1])}) µm/N" in text
+    assert f"({peak_height(highest[1], curve.shown_in)}) µm/N" in text
 
 
 def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> None:
@@ -237,7 +237,7 @@ def test_modes_of_equal_scenes_are_named_once(tmp_path: Path) -> None:
 
 def test_change_has_the_digits_of_its_interval() -> None:
     peaks = (Peak(1e-4, 1e-7, 13.0, 12.99, 13.01), Peak(0.5e-4, 0.5e-7, 13.0, 12.99, 13.01))
-    assert describe_changes([PeakChange("body1", 13.0, 0.01, *peaks)])[1].split()[4:8] == [
+    assert describe_changes([PeakChange("body1", 13.0, 0.01, *peaks)], ("µm/N", 1e6))[1].split()[4:8] == [
         "-6.021", "-6.033", "to", "-6.008",
     ]  # fmt: skip
 

@@ -35,7 +35,8 @@ def random_motion(scene, amplitude_m, seed=0, instants=50):
 
 def draw(scene, motion):
     """Return the view, and for each moving part its heights in m and its scale factors."""
-    view = RigView(scene, Extremes().extended_by(motion, [shaker.body for _, shaker in scene.tables]), gaps_known=True)
+    extremes = Extremes().extended_by(motion, [shaker.first_body for _, shaker in scene.tables])
+    view = RigView(scene, extremes, gaps_known=True)
     parts = {entity: (translation[:, 2], scale) for entity, translation, scale in view.moving_parts(motion)}
     return view, parts
 

@@ -13,7 +13,7 @@ from pydantic import Field
 from rig.core.base.arrays import Array
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
-from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
+from rig.core.settings.quantities import ACCELERATION, FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
 from rig.core.settings.quantity_field import Quantity
 from rig.core.settings.settings import Settings
 
@@ -21,9 +21,9 @@ Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
 # The unit of the drive depends on the shaker: volts at its amplifier, or commanded displacement of the table.
 Force = Annotated[float, Quantity(FORCE, above=0.0)]
-Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, above=0.0)]
+Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, ACCELERATION, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
-Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, above=0.0, listed=True)]
+Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, ACCELERATION, above=0.0, listed=True)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 ShakerNumber = Annotated[int, Field(ge=1)]
 Start = Annotated[

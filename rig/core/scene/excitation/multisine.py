@@ -45,7 +45,7 @@ class Multisine(KindOfTest):
     force: Force | None = None
     """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive [V, or m for a table shaker]."""
+    """Instead of `force`: root mean square of the drive [V, m for a table shaker, or m/s^2 for a base]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None

@@ -55,8 +55,8 @@ class SteppedSine(KindOfTest):
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
     levels are run one after another."""
     drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]. Several levels are run one
-    after another."""
+    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base].
+    Several levels are run one after another."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     settle: Settle = Settle()

@@ -42,7 +42,7 @@ class SweptSine(KindOfTest):
     force: Force | None = None
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V, or m for a table shaker]."""
+    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base]."""
     shaker: ShakerNumber | None = None
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, get_args
 
+from rig.core.scene.shaker.base import BaseShaker as BaseShaker
 from rig.core.scene.shaker.electrodynamic import ElectrodynamicShaker as ElectrodynamicShaker
 from rig.core.scene.shaker.force import ForceShaker as ForceShaker
 from rig.core.scene.shaker.kind import KindOfShaker as KindOfShaker
@@ -15,7 +16,7 @@ from rig.core.scene.shaker.parts import at_shaker as at_shaker
 from rig.core.scene.shaker.table import TableShaker as TableShaker
 from rig.core.settings.alternatives import Alternatives, OneOrSeveral, by_kind
 
-Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker, Alternatives(by_kind)]
+Shaker = Annotated[ForceShaker | TableShaker | ElectrodynamicShaker | BaseShaker, Alternatives(by_kind)]
 #: Classes of shaker, by the value of their key `kind`.
 KINDS: dict[str, type[KindOfShaker]] = {
     kind.model_fields["kind"].default: kind for kind in get_args(get_args(Shaker)[0])

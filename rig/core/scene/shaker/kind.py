@@ -59,8 +59,9 @@ class KindOfShaker(Settings):
 
     `drive_quantity`: quantity of its drive. `level_keys`: keys of a test's level that it permits; `level_remark`: why
     it permits no other. `points`: locations at it at which a channel can measure. `prescribed`: whether its table has a
-    prescribed motion. `drive_is_force`: whether its drive is the force on the structure. `references`: denominators of
-    responses, the default first. `glyph`: how it is drawn.
+    prescribed motion. `carries_structure`: whether its table is the ground of the structure. `drive_is_force`: whether
+    its drive is the force on the structure. `references`: denominators of responses, the default first. `glyph`: how it
+    is drawn.
     """
 
     drive_quantity: ClassVar[Kind]
@@ -68,6 +69,7 @@ class KindOfShaker(Settings):
     level_remark: ClassVar[str] = ""
     points: ClassVar[tuple[str, ...]] = ("table", "drive")
     prescribed: ClassVar[bool] = False
+    carries_structure: ClassVar[bool] = False
     drive_is_force: ClassVar[bool] = False
     references: ClassVar[tuple[str, ...]] = ("force", "table")
     glyph: ClassVar[Glyph]
@@ -86,6 +88,11 @@ class KindOfShaker(Settings):
     def bodies(self) -> tuple[int, ...]:
         """The bodies on which it acts, from 1."""
         return ()
+
+    @property
+    def first_body(self) -> int:
+        """The first body on which it acts, from 1; body 1 of a structure that it carries."""
+        return self.bodies[0] if self.bodies else 1
 
     @property
     def coil_spring(self) -> float | None:
@@ -138,7 +145,10 @@ class KindOfShaker(Settings):
         return np.zeros(states)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the drive, up to a constant gain, per meter of table motion and per newton on the table; `s` = iω."""
+        """Return the drive, per meter of table motion and per newton on the table; `s` = iω.
+
+        Without a prescribed motion, the drive is known up to a constant gain.
+        """
         raise NotImplementedError
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:

@@ -34,9 +34,9 @@ _BODY_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"t
 Body = Annotated[int, Field(ge=1), WithJsonSchema(_BODY_SCHEMA)]
 CoilSpring = Annotated[float, Quantity(STIFFNESS, above=0.0)]
 
-#: Drive per volt of the output upstream of a shaker, by the unit of the drive: a volt at the amplifier, a newton, or
-#: a millimeter of table displacement.
-DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3}
+#: Drive per volt of the output upstream of a shaker, by the unit of the drive: a volt at the amplifier, a newton, a
+#: millimeter of table displacement, or 10 m/s² of table acceleration.
+DRIVE_PER_VOLT = {"V": 1.0, "N": 1.0, "m": 1e-3, "m/s^2": 10.0}
 
 
 def at_shaker(name: str, number: int, shakers: int) -> str:

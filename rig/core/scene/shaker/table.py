@@ -48,7 +48,8 @@ class TableShaker(CoilSpringShaker):
         """Add the spring and the table; the spring acts on the body, but not on the motion of the table."""
         row = equations.add_point(table, 0.0)
         equations.add_spring(self.body - 1, row, self.spring)
-        equations.prescribe(row, equations.add_input(drive, self.drive_unit, {}), self.corner)
+        equations.add_input(drive, self.drive_unit, {row: (2.0 * np.pi * self.corner) ** 2})
+        equations.prescribe(row, self.corner)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the command of the servo; the force on the table has no effect."""

@@ -60,7 +60,7 @@ MISTAKES = [
     ("structure: {masses: [1 kg], springs: [1 kN/m], damping: 1 %}",
      ':1: structure.damping: got "1 %"; expected keys and values, with one of the keys modal, rayleigh, dashpots'),
     (STRUCTURE + "shaker: {kind: tabel, body: 1}",
-     ":2: shaker.kind: got \"tabel\"; expected one of force, table, electrodynamic. Did you mean 'table'?"),
+     ":2: shaker.kind: got \"tabel\"; expected one of force, table, electrodynamic, base. Did you mean 'table'?"),
     (STRUCTURE + "shaker: {body: 1}", ":2: shaker.kind: missing; expected one of force, table, electrodynamic"),
     (STRUCTURE + "test: {kind: impulse, start: later, body: 1, peak: 1 N, width: 1 ms}",
      ':2: test.start: got "later"; expected one of settled or empty'),

@@ -253,7 +253,7 @@ def _best_model(
     local_peak = np.stack([magnitude[:, begin:end].max(axis=1) for begin, end in zip(first, stop, strict=True)], axis=1)
     models: list[tuple[Curves, ModalModel]] = []
     for error in _MODEL_ERRORS:
-        curves = replace(measured, weight=1.0 / np.hypot(sigma, error * local_peak))
+        curves = replace(measured, weight=1.0 / np.hypot(sigma, error * local_peak), has_model_error=error > 0.0)
         initial = initial_model(curves, stable)
         model = select_model(curves, initial, candidates, max_modes)
         if models:

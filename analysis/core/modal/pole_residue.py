@@ -38,6 +38,7 @@ class Curves:
     shared: float = 1.0  # number of neighboring lines with a common error
     resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
     references: int = 1  # number of inputs of the responses
+    has_model_error: bool = False  # whether the weights contain an assumed error of the model
 
     @property
     def n_values(self) -> int:

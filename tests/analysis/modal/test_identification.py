@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import analysis
 import daq
+from analysis.core.modal.order_selection import spurious_poles
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.core.modal.pole_residue import Curves, fit
 from analysis.core.responses.systematic import UNSETTLED
@@ -169,6 +170,18 @@ def test_stabilization_diagram_shows_poles_and_modes():
     # Each mode is a column of stable poles.
     distance = abs(stable.get_xdata()[:, None] - modes.frequency)
     assert np.all(np.sum(distance < 0.005 * modes.frequency, axis=0) > 10)
+
+
+@pytest.mark.parametrize("has_model_error", [False, True])
+def test_model_error_does_not_split_a_peak(has_model_error):
+    _, frfs = two_modes(30.0, 0.012, 0.01, 250, noise=1e-5, seed=3)
+    value = np.stack([frf.value for frf in frfs])
+    # The poles are 0.6 half-power bandwidths apart.
+    curves = Curves(
+        frfs[0].frequency, value, np.full(value.shape, 1e5 / abs(value).max()), has_model_error=has_model_error
+    )
+    model = fit(curves, 2 * np.pi * 30.0 * np.array([1.0, 1.012]) * (-0.01 + 1j))
+    assert bool(spurious_poles(curves, model).size) == has_model_error
 
 
 def test_clock_error_limits_frequencies():

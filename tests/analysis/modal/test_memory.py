@@ -72,7 +72,7 @@ def covariance_of_lines(spacing):
     lines, elements, width = 50, 4, 25
     errors = LocalErrors(
         gaussian(lines, elements, 1, width), spacing * np.arange(lines), gaussian(lines, elements, 1, width),
-        gaussian(lines, elements, width), np.ones(lines), 10.0, 1.0, True, np.zeros((lines, elements)),
+        gaussian(lines, elements, width), np.ones(lines), 10.0, 1.0, True, np.zeros((lines, elements, 0)),
     )  # fmt: skip
     return errors.covariance(np.ones((lines, elements)), 1.0)
 

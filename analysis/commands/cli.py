@@ -220,14 +220,16 @@ def report(
             help="Folder or page to write. Default: the folder of the first FILE.",
         ),
     ] = None,
-    note: Annotated[str, typer.Option("--note", help="Text below the summary: date, operator, remarks.")] = "",
+    note: Annotated[
+        str | None, typer.Option("--note", metavar="TEXT", help="Text below the summary: date, operator, remarks.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write an interactive HTML page about recordings."""
     from analysis.commands.report_page.report import write_report
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = write_report(files, output, progress, note)
+        result = write_report(files, output, progress, note or "")
     _print_output(result)
 
 

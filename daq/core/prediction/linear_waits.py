@@ -91,7 +91,7 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         # Beats of several modes are taken for noise after a number of windows.
         factors = np.exp((poles - 1j * omega[index]) * window / rate)
         powers = (remaining * abs(factors**_NOISE_WINDOWS * (factors - 1.0))) ** 2
-        coherence = abs(powers @ (factors / abs(factors))) ** 2 / np.maximum(powers.sum(axis=1) ** 2, 1e-280)
+        coherence = abs(powers @ np.exp(1j * np.angle(factors))) ** 2 / np.maximum(powers.sum(axis=1) ** 2, 1e-280)
         is_noise = (coherence < _MIN_COHERENCE)[:, None] & (windows >= _NOISE_WINDOWS)
         is_steady = ((change < steady_state.tolerance * amplitudes[:, None]) | is_noise).all(axis=0)
         count = int(np.argmax(is_steady)) if is_steady.any() else windows.size

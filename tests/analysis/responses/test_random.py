@@ -241,6 +241,7 @@ def test_fast_sweep_does_not_widen_peaks(tmp_path):
     assert not modes.warnings
 
 
+@pytest.mark.filterwarnings("ignore:.*an unusual value")
 @pytest.mark.parametrize(("force", "is_reported"), [(15.0, True), (0.3, False)])
 def test_possible_flight_in_multisine_is_reported(tmp_path, force, is_reported):
     scene = rig.loads(f"""

@@ -39,6 +39,7 @@ def test_contradictory_grain_settings_are_named(keys: str, message: str) -> None
         rig.loads(text)
 
 
+@pytest.mark.filterwarnings("ignore:.*times the mass of its body")
 @pytest.mark.parametrize(
     ("bed", "message"),
     [

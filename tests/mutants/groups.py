@@ -39,7 +39,7 @@ GROUPS: dict[str, dict[str, str]] = {
     "limits": {
         "daq/core/signal_chain/converter.py": "tests/daq/signal_chain/test_converter.py",
         "rig/core/settings/quantity_field.py": (
-            "tests/rig/scene/test_quantity_field.py tests/rig/scene/test_quantities.py"
+            "tests/rig/settings/test_quantity_field.py tests/rig/settings/test_quantities.py"
         ),
         "rig/core/system/assembly.py": "tests/rig/system",
     },

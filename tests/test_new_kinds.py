@@ -52,7 +52,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 def coil(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     files = {"rig/core/scene/shaker/voice_coil.py": "voice_coil_shaker.py"}
     product = tmp_path_factory.mktemp("product")
-    return use(product, files, "rig/core/scene/shaker", "ElectrodynamicShaker", "VoiceCoil", "use_voice_coil.py")
+    return use(product, files, "rig/core/scene/shaker", "BaseShaker", "VoiceCoil", "use_voice_coil.py")
 
 
 def test_new_kind_is_checked(results: dict[str, Any]) -> None:

@@ -24,8 +24,8 @@ _MAX_HEADING_LINES = 200
 _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit after an underscore, as `analysis export` writes it.
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
-# Units of time: the first cell of a line of units is one of them.
-_TIME_UNITS = ("s", "ms", "us", "sec", "Seconds", "")
+#: Units of time: the first cell of a line of units is one of them, or empty.
+TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
 # Length of the longest unit, characters.
 _MAX_UNIT_LENGTH = 12
 #: Name of a column without a name.
@@ -109,7 +109,7 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
         return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
     names, units = rows[-1], [""] * column_count
     are_units = all(len(cell) <= _MAX_UNIT_LENGTH for cell in rows[-1])
-    are_units &= rows[-1][0].strip("[]()") in _TIME_UNITS
+    are_units &= rows[-1][0].strip("[]()") in ("", *TIME_UNITS)
     if len(rows) == 2 and not any(map(_UNIT_IN_BRACKETS.fullmatch, rows[0])) and are_units:
         names, units = rows[0], [cell.strip("[]()") for cell in rows[1]]
     else:

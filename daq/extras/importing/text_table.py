@@ -26,6 +26,7 @@ from daq.extras.importing.signal import Signal
 from daq.extras.importing.text_layout import (
     LABVIEW_BEGIN,
     LABVIEW_SEGMENT_BEGINS,
+    TIME_UNITS,
     UNNAMED,
     LabviewHeading,
     Layout,
@@ -70,8 +71,8 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     table = _Table(path, layout, stack)
     columns = list(zip(layout.names, layout.units, strict=True))
     clock, first_data_column = Clock(None), 0
-    has_time_name = TIME_NAMES.fullmatch(layout.names[0]) is not None
-    if len(columns) > 1 and (has_time_name or table.has_times_of_day or table.first_column_can_only_be_times()):
+    are_named_times = TIME_NAMES.fullmatch(layout.names[0]) is not None or layout.units[0] in TIME_UNITS
+    if len(columns) > 1 and (are_named_times or table.has_times_of_day or table.first_column_can_only_be_times()):
         clock, first_data_column = table.estimate_clock(layout.units[0]), 1
     if not table.rows:
         raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")

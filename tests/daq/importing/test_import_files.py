@@ -571,3 +571,11 @@ def test_joined_files_have_one_rate(tmp_path):
     write_hit(tmp_path / "b.csv", 90.0, 1024.0)
     with pytest.raises(RecordingError, match=r"'hit' has the rate 1024\.0, and 2048\.0 in a\.csv"):
         daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], hammer_scene(), tmp_path / "r.mcap")
+
+
+def test_first_column_in_seconds_is_time(tmp_path):
+    heading = "SignalCalc 240\nDate: 12/03/2021\n\nX-Axis(s)\tG1,1(m/s²)\tX2(N)\n"
+    rows = "".join(f"{k / 1000:.6f}\t{k % 7}\t{k % 5}\n" for k in range(300))
+    (tmp_path / "a.txt").write_bytes((heading + rows).encode("latin-1"))
+    listed = CliRunner().invoke(app, ["import", str(tmp_path / "a.txt")]).output
+    assert 'signal1: {column: "G1,1", unit: "m/s²"}  # 300 samples at 1000 Hz' in listed

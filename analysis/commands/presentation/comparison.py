@@ -226,10 +226,10 @@ def present_compare(
     paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
 ) -> CommandOutput:
     """Print and tabulate the results of `compare_peaks`; the default is the folder of the first recording."""
-    check_outputs(paths, output, "compare", "csv")
+    table = with_ending(output_stem(paths, output, "compare"), "csv")
+    check_outputs(paths, table)
     comparison = compare_peaks(paths, progress)
-    stem = output_stem(paths, output, "compare")
-    table = write_table(with_ending(stem, "csv"), _HEADING, (_row(*change) for change in comparison.changes))
+    write_table(table, _HEADING, (_row(*change) for change in comparison.changes))
     return CommandOutput((table,), comparison.lines, comparison.warnings)
 
 

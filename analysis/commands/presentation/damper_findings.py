@@ -11,6 +11,7 @@ import numpy as np
 from analysis.commands.presentation.inputs import check_recording
 from analysis.commands.presentation.outputs import (
     CommandOutput,
+    check_outputs,
     separate_stems,
     with_ending,
     with_recording_name,
@@ -19,8 +20,7 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
-from analysis.core.recordings.names import OpenRecordings, excitation_text, require_file, scene_labels, with_recordings
-from rig.core.base.output_files import prepare_outputs
+from analysis.core.recordings.names import OpenRecordings, excitation_text, scene_labels, with_recordings
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_interval, format_number
 from rig.core.results.text import table_lines
@@ -59,10 +59,8 @@ def present_dampers(
     files: list[Path] = []
     lines: list[str] = []
     warnings: list[str] = []
-    for path in paths:
-        require_file(path)
     stems = separate_stems(paths, output, "dampers")
-    prepare_outputs(*(with_ending(stem, "csv") for stem in stems))
+    check_outputs(paths, *(with_ending(stem, "csv") for stem in stems))
     for path, stem, label in zip(paths, stems, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         check_recording(rec, path, "dampers")

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.commands.presentation.inputs import check_recording, duplicate_warnings
-from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending, with_recording_name
+from analysis.commands.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+)
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.core.recordings.names import (
     OpenRecordings,
@@ -17,11 +23,9 @@ from analysis.core.recordings.names import (
     has_moving_dampers,
     reference_label,
     relabel,
-    require_file,
     scene_labels,
     with_recordings,
 )
-from rig.core.base.output_files import prepare_outputs
 from rig.core.base.palette import place_styles, recording_styles
 from rig.core.results.text import format_interval, table_lines
 from rig.core.results.uncertainty import expand
@@ -63,11 +67,9 @@ def present_decay(
     moving: dict[str, bool] = {}
     excitations, places = [], []
     warnings = duplicate_warnings(paths)
-    for path in paths:
-        require_file(path)
     stem = output_stem(paths, output, "decay")
     envelopes, dampings = (stem.with_name(f"{stem.name}-{table}.csv") for table in ("envelope", "damping"))
-    prepare_outputs(with_ending(stem, "png"), with_ending(stem, "svg"), envelopes, dampings)
+    check_outputs(paths, with_ending(stem, "png"), with_ending(stem, "svg"), envelopes, dampings)
     for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         check_recording(rec, path, "decay")

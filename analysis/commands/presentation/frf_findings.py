@@ -79,7 +79,9 @@ def present_frf(
     theory_curves: list[Response] = []
     blocks = Blocks(estimator, block, overlap, window)
     warnings = check_inputs(recordings, paths, "frf", blocks, theory, unit)
-    check_outputs(paths, output, "frf", "csv")
+    stem = output_stem(paths, output, "frf")
+    table = with_ending(stem, "csv")
+    check_outputs(paths, table)
     tolerance_remarks: list[str] = []
     moving: dict[str, bool] = {}
     excitations: dict[str, str] = {}
@@ -101,9 +103,8 @@ def present_frf(
             from analysis.commands.presentation.theory import linear_theory
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
-    stem = output_stem(paths, output, "frf")
     files = _draw_figures(curves, theory_curves, stem, reference_label(moving), excitations)
-    files.append(frf_table(with_ending(stem, "csv"), curves))
+    files.append(frf_table(table, curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
 

@@ -66,16 +66,14 @@ def separate_stems(paths: Sequence[Path], output: Path | None, kind: str) -> lis
     ]
 
 
-def check_outputs(paths: Sequence[Path], output: Path | None, kind: str, *extensions: str) -> None:
+def check_outputs(paths: Sequence[Path], *files: Path) -> None:
     """Raise errors of the outputs before the analysis starts; missing recordings are reported first.
 
-    `extensions`: extensions of the files that are always written. Raises `SceneError` if one exists and may not be
-    replaced.
+    `files`: those that are always written. Raises `SceneError` if one exists and may not be replaced.
     """
     for path in paths:
         require_file(path)
-    stem = output_stem(paths, output, kind)
-    prepare_outputs(*(with_ending(stem, extension) for extension in extensions))
+    prepare_outputs(*files)
 
 
 def join_names(names: Sequence[str]) -> str:

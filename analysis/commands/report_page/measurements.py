@@ -32,9 +32,6 @@ from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response
 
-# A peak without an identified mode is interpolated between the frequencies divided and multiplied by this factor.
-_PEAK_BAND_FACTOR = 1.1
-
 Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 

@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from analysis.commands.presentation.outputs import CommandOutput, output_stem, with_ending
+from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending
 from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing, stabilization_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
@@ -25,10 +25,9 @@ from analysis.commands.report_page.tables import (
     settings,
     test_text,
 )
-from analysis.core.recordings.names import require_file
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
-from rig.core.base.output_files import atomic_write, prepare_outputs
+from rig.core.base.output_files import atomic_write
 from rig.core.base.progress import CountProgress
 
 
@@ -44,9 +43,8 @@ def write_report(
     """
     if not paths:
         raise SceneError("report: no recordings. Give at least one.")
-    for path in paths:
-        require_file(path)
     target = _page(paths, output)
+    check_outputs(paths, target)
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths, note)
     title = f"Vibration test: {', '.join(path.stem for path in paths)}"
@@ -69,11 +67,10 @@ def write_report(
 
 
 def _page(paths: Sequence[Path], output: Path | None) -> Path:
-    """Return the path of the page; raise `SceneError` if a page exists there and may not be replaced."""
-    is_page = output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir()
-    page = output if output is not None and is_page else with_ending(output_stem(paths, output, "report"), "html")
-    prepare_outputs(page)
-    return page
+    """Return the path of the page."""
+    if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
+        return output
+    return with_ending(output_stem(paths, output, "report"), "html")
 
 
 def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], str]:

@@ -146,11 +146,6 @@ def add_title(axes: Axes, text: str) -> None:
     axes.set_title("\n".join(lines), y=None if has_exponent else 1.0)
 
 
-def color_of(index: int) -> str:
-    """Return the color of the curve with this index."""
-    return COLORS[index % len(COLORS)]
-
-
 def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
     """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
     axes.set_xlim(low, high)

@@ -49,7 +49,7 @@ def cores() -> int:
 
 
 def free_cores() -> float:
-    """Return the number of cores that workers, one for each core, get beside the present load of other programs."""
+    """Return the number of cores that a study gets while other programs run."""
     # The operating system shares the cores equally among all running processes.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     return cores() ** 2 / (cores() + load)

@@ -330,7 +330,7 @@ class _OrbitSolver:
         event_times = x[len(x) - len(sequence.kind) :]
         integral = first_harmonic(equations, sequence, event_times, shooting.states)
         harmonic = 2.0 / equations.period * integral
-        prescribed = -1j * point.force / (self.spring or 1.0)
+        prescribed = -1j * point.level / (self.spring or 1.0)
         reference = complex(prescribed if self.table is None else harmonic[self.table])
         stored = replace(start, unknowns=x, drive=float(drive))
         return stored, harmonic[: self.bodies] / reference, abs(reference)

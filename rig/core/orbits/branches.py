@@ -20,7 +20,7 @@ from rig.core.numerics import continuation
 from rig.core.orbits.orbit import Orbit, OrbitFamily
 from rig.core.orbits.orbit_curve import OrbitBranch, OrbitCurve
 from rig.core.orbits.periodic_orbit import refine_orbit, search_orbit, set_to_orbit, start_propagator
-from rig.core.orbits.problem import OperatingPoint, OrbitProblem, Parameter, base_frequency, parameter_values, vary
+from rig.core.orbits.problem import Axis, OperatingPoint, OrbitProblem, Parameter, base_frequency, vary
 from rig.core.scene.loading import SceneLike, scene_of
 
 # Step control of the continuation; lengths are in scaled unknowns (`OrbitFamily.scale`).
@@ -55,8 +55,9 @@ def follow_orbits(
     ----------
     scene : Scene, str, Path or mapping
         As for `rig.periodic_orbit`.
-    parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
-        Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
+    parameter : {'frequency', 'force', 'drive', 'clearance', 'mass_ratio'}
+        Varied parameter: Hz, level of the scene's test (a force, N, or a drive in the unit of the shaker's drive),
+        clearance of all dampers (m), factor on their masses.
     bounds : tuple of float or str
         Range of the parameter, in SI or as strings with units.
     frequency : float or str, optional
@@ -71,15 +72,16 @@ def follow_orbits(
     SceneError
         If the parameter or its range is invalid.
     """
-    limits = parameter_values(parameter, bounds)
+    problem = OrbitProblem(scene_of(scene))
+    axis = problem.axis(parameter)
+    limits = axis.values(bounds)
     if limits.size != 2 or not limits[0] < limits[1]:
         raise SceneError(
             f"bounds: got {', '.join(f'{limit:g}' for limit in limits)}; expected two ascending values above 0"
         )
     low, high = limits.tolist()
-    problem = OrbitProblem(scene_of(scene))
-    base = problem.setting(base_frequency(parameter, frequency, low))
-    explorer = _Explorer(problem, base, parameter, (low, high), progress)
+    base = problem.setting(base_frequency(axis, frequency, low))
+    explorer = _Explorer(problem, base, axis, (low, high), progress)
     for value in np.linspace(low, high, searches + 2)[1:-1]:
         explorer.search(float(value))
     return OrbitCurve(tuple(explorer.branches), tuple(dict.fromkeys(explorer.failures)))
@@ -92,12 +94,12 @@ class _Explorer:
         self,
         problem: OrbitProblem,
         base: OperatingPoint,
-        parameter: Parameter,
+        axis: Axis,
         bounds: tuple[float, float],
         progress: Callable[[int], None] | None,
     ) -> None:
-        self.problem, self.parameter, self.bounds = problem, parameter, bounds
-        self.base, self.setting_at = base, vary(base, parameter)
+        self.problem, self.axis, self.bounds = problem, axis, bounds
+        self.base, self.setting_at = base, vary(base, axis.field)
         self.progress = progress
         self.branches: list[OrbitBranch] = []
         self.failures: list[str] = []
@@ -109,7 +111,7 @@ class _Explorer:
                 propagator, _ = start_propagator(self.problem, self.setting_at(value), from_linear_response)
                 self._add(search_orbit(self.problem, self.setting_at(value), propagator))
             except RunError as failure:
-                self.failures.append(f"at {self.parameter} {value:.6g}: {failure}")
+                self.failures.append(f"at {self.axis.name} {value:.6g}: {failure}")
 
     def _add(self, orbit: Orbit) -> None:
         """Follow an orbit unless it lies on a known branch; then continue beyond the borders of the new branch."""
@@ -118,9 +120,9 @@ class _Explorer:
             start = queue.pop(0)
             if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
-                    f"stopped after {MAX_BRANCHES} branches: the branch through {self.parameter} "
-                    f"{getattr(start.setting, self.parameter):.8g} (events [{start.plan.label}]) and adjacent branches "
-                    "are missing. Choose narrower bounds."
+                    f"stopped after {MAX_BRANCHES} branches: the branch through {self.axis.name} "
+                    f"{getattr(start.setting, self.axis.field):.8g} (events [{start.plan.label}]) and adjacent "
+                    "branches are missing. Choose narrower bounds."
                 )
                 return
             if any(self._contains(branch, start) for branch in self.branches):
@@ -138,12 +140,12 @@ class _Explorer:
 
     def _continue(self, start: Orbit) -> OrbitBranch:
         """Follow the branch through an orbit in both directions."""
-        family = OrbitFamily(self.problem, start.plan, start.setting, self.parameter, start.unknowns)
-        x = np.append(start.unknowns, getattr(start.setting, self.parameter))
+        family = OrbitFamily(self.problem, start.plan, start.setting, self.axis.field, start.unknowns)
+        x = np.append(start.unknowns, getattr(start.setting, self.axis.field))
         curve = continuation.trace(family, x, self.bounds, family.scale, STEPS, family.margins)
         orbits = tuple(family.orbit(x) for x in curve.points)
         return OrbitBranch(
-            parameter=self.parameter,
+            axis=self.axis,
             value=curve.points[:, -1],
             orbits=orbits,
             ends=curve.ends,
@@ -174,15 +176,15 @@ class _Explorer:
         try:
             return [search_orbit(self.problem, orbit.setting, propagator)]
         except RunError as failure:
-            value = getattr(orbit.setting, self.parameter)
-            self.failures.append(f"where Type {orbit.motion_type} is unstable, {self.parameter} {value:.8g}: {failure}")
+            value = getattr(orbit.setting, self.axis.field)
+            self.failures.append(f"where Type {orbit.motion_type} is unstable, {self.axis.name} {value:.8g}: {failure}")
             return []
 
     def _contains(self, branch: OrbitBranch, orbit: Orbit) -> bool:
         """Return whether an orbit lies on a branch: same events, and same response after interpolation."""
         if not branch.plan.has_same_cycle(orbit.plan):
             return False
-        offset = branch.value - getattr(orbit.setting, self.parameter)
+        offset = branch.value - getattr(orbit.setting, self.axis.field)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
         # An orbit found across the border of an adjacent branch is just beyond an end of this branch.
         if abs(offset[0]) < END_DISTANCE * abs(branch.value[0]):
@@ -206,7 +208,7 @@ class _Explorer:
         reason, orbit, value = branch.ends[index], branch.orbits[index], float(branch.value[index])
         if reason in ("range", "closed"):
             return None
-        location = f"at {self.parameter} {value:.8g} (Type {orbit.motion_type}, events [{orbit.plan.label}])"
+        location = f"at {self.axis.name} {value:.8g} (Type {orbit.motion_type}, events [{orbit.plan.label}])"
         if reason.startswith("no convergence") or reason == continuation.POINT_LIMIT:
             self.failures.append(f"{location}: {reason}")
         direction = np.sign(branch.curve.tangents[index, -1]) * (1 if at_end else -1)

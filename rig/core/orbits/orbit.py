@@ -23,7 +23,7 @@ from rig.core.orbits.admissibility import evaluate_motion
 from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.newton import IterationLimits, monodromy, newton_solve
 from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
-from rig.core.orbits.problem import OperatingPoint, OrbitProblem, Parameter, vary
+from rig.core.orbits.problem import OperatingPoint, OrbitProblem, vary
 from rig.core.orbits.shooting import ShootingResult, shoot
 from rig.core.orbits.track import track_orbit
 from rig.core.results import Result, complete_style
@@ -239,7 +239,7 @@ class OrbitFamily:
     """
 
     def __init__(
-        self, problem: OrbitProblem, plan: Plan, setting: OperatingPoint, parameter: Parameter, unknowns: Array
+        self, problem: OrbitProblem, plan: Plan, setting: OperatingPoint, parameter: str, unknowns: Array
     ) -> None:
         self.problem, self.plan, self.parameter = problem, plan, parameter
         self.setting_at = vary(setting, parameter)
@@ -309,7 +309,7 @@ class OrbitFamily:
         nearest_border = int(distances.argmin())
         bodies = self.bodies
         harmonic = 2 / equations.period * integral
-        amplitude = problem.reference.amplitude(setting.force, harmonic)
+        amplitude = problem.reference.amplitude(setting.level, harmonic)
         return Orbit(
             setting=setting,
             repetition=plan.repetition,

@@ -12,7 +12,7 @@ from rig.core.base.arrays import Array
 from rig.core.numerics import continuation
 from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.orbit import Orbit
-from rig.core.orbits.problem import AXES, PARAMETERS, Parameter, column_name
+from rig.core.orbits.problem import Axis
 from rig.core.results import Result, complete_style, format_percent, join_columns
 from rig.core.results.ratio_names import frf_display, per_force
 from rig.core.steady_response.frequency_response import frf_columns
@@ -31,7 +31,7 @@ class OrbitBranch(Result):
     multiplier passes -1), and at torus bifurcations (a complex pair of multipliers leaves the unit circle).
     """
 
-    parameter: Parameter
+    axis: Axis = field(repr=False)
     value: Array
     orbits: tuple[Orbit, ...]
     ends: tuple[str, str]  # reasons for the ends of the curve, before its first and after its last point
@@ -40,6 +40,11 @@ class OrbitBranch(Result):
     toruses: Array
     plan: Plan = field(repr=False)  # the sequence of events
     curve: continuation.Curve = field(repr=False)  # unknowns and tangents of the orbits
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter."""
+        return self.axis.name
 
     @property
     def motion_type(self) -> str:
@@ -78,16 +83,16 @@ class OrbitBranch(Result):
 
     def summary(self) -> str:
         """Return the type of motion, the range of the parameter and the stable fraction in words."""
-        unit = PARAMETERS[self.parameter].si
+        unit = self.axis.kind.si
         return (
-            f"{self.motion_type}, {self.value.size} orbits, {self.parameter} {self.value.min():.4g} to "
+            f"{self.motion_type}, {self.value.size} orbits, {self.axis.name} {self.value.min():.4g} to "
             f"{self.value.max():.4g} {unit}, {format_percent(self.stable.mean())} stable, {self.folds.size} folds"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return parameter, response of each body, type of motion, and stability."""
         return {
-            column_name(self.parameter): self.value,
+            self.axis.column: self.value,
             **frf_columns(self._labels, self.frf, self.reference),
             "motion_type": np.full(self.value.size, self.motion_type),
             "stable": self.stable,
@@ -95,7 +100,7 @@ class OrbitBranch(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the response of the body with the largest motion; unstable orbits are dashed."""
-        label, factor = AXES[self.parameter]
+        label, factor = self.axis.label, self.axis.factor
         name, unit, unit_factor = frf_display(self.reference)
         magnitude = unit_factor * abs(self.frf)
         body = int(magnitude.max(axis=1).argmax())

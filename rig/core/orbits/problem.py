@@ -21,22 +21,14 @@ from rig.core.base.errors import SceneError
 from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.core.scene.scene import Scene
-from rig.core.settings.quantities import FORCE, FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
+from rig.core.settings.quantities import FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 from rig.core.system.reference import reference_of
 
-Parameter = Literal["frequency", "force", "clearance", "mass_ratio"]
-#: Continuation parameters, with their kinds of quantity.
-PARAMETERS: dict[str, Kind] = {"frequency": FREQUENCY, "force": FORCE, "clearance": LENGTH, "mass_ratio": RATIO}
-#: Axis label of each parameter, and factor from SI to the unit of the axis.
-AXES = {
-    "frequency": ("frequency / Hz", 1.0),
-    "force": ("force / N", 1.0),
-    "clearance": ("clearance / mm", 1e3),
-    "mass_ratio": ("factor on the damper masses", 1.0),
-}
+#: Continuation parameters. "force" and "drive" are the level of the drive, in the unit of the scene's test.
+Parameter = Literal["frequency", "force", "drive", "clearance", "mass_ratio"]
 # Maximum number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
 MAX_CACHED = 200
 # Relative step of finite differences.
@@ -44,39 +36,44 @@ RELATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
+class Axis:
+    """A continuation parameter as an axis: its field in `OperatingPoint`, its name, kind of quantity, and label."""
+
+    field: str
+    name: str
+    kind: Kind
+    label: str
+    factor: float = 1.0  # from SI to the unit of the label
+
+    @property
+    def column(self) -> str:
+        """Name of its column in tables, such as clearance_m."""
+        return f"{self.name}_{self.kind.si}".replace("/", "_per_").replace("^", "").rstrip("_")
+
+    def values(self, values: ArrayLike) -> Array:
+        """Convert values, in SI or as text, to an array in SI; raises `SceneError` for an invalid value."""
+        return positive_values(values, self.kind, f"values of the {self.name}")
+
+
+@dataclass(frozen=True)
 class OperatingPoint:
     """Values of all continuation parameters."""
 
     frequency: float  # Hz
-    force: float  # Level of the drive, in the unit of the scene's test (N for a force)
+    level: float  # of the drive, in the unit of the scene's test (N for a force)
     clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
     mass_ratio: float = 1.0  # Mass factor: ratio of the damper masses to the masses in the scene
 
 
-def column_name(parameter: Parameter) -> str:
-    """Return the column name of a parameter, such as clearance_m."""
-    return f"{parameter}_{PARAMETERS[parameter].si}".rstrip("_")
-
-
-def parameter_values(parameter: Parameter, values: ArrayLike) -> Array:
-    """Convert values of a parameter, in SI or as text, to an array in SI.
-
-    Raises `SceneError` if the parameter does not exist or a value is invalid.
-    """
-    if parameter not in PARAMETERS:
-        raise SceneError(f"parameter: got {parameter!r}; expected one of {', '.join(PARAMETERS)}")
-    return positive_values(values, PARAMETERS[parameter], f"values of the {parameter}")
-
-
-def base_frequency(parameter: Parameter, frequency: float | str | None, first: float) -> float:
+def base_frequency(axis: Axis, frequency: float | str | None, first: float) -> float:
     """Return the frequency at which a parameter is varied, or its first value if it is the frequency.
 
     Raises `SceneError` if the frequency is missing or invalid.
     """
     if frequency is not None:
         return positive_value(frequency, FREQUENCY, "frequency")
-    if parameter != "frequency":
-        raise SceneError(f"frequency: missing. Give the frequency at which the {parameter} is varied.")
+    if axis.field != "frequency":
+        raise SceneError(f"frequency: missing. Give the frequency at which the {axis.name} is varied.")
     return first
 
 
@@ -128,6 +125,24 @@ class OrbitProblem:
         self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}
         self._systems: dict[float, HybridSystem] = {}
 
+    def axis(self, parameter: Parameter) -> Axis:
+        """Return a parameter as an axis; raises `SceneError` if it does not exist."""
+        shaker = self.scene.driven_shaker
+        assert shaker is not None
+        name = "force" if shaker.drive_is_force else "drive"
+        unit = f"({shaker.drive_unit})" if "/" in shaker.drive_unit else shaker.drive_unit
+        level = Axis("level", name, shaker.drive_quantity, f"{name} / {unit}")
+        axes = {
+            "frequency": Axis("frequency", "frequency", FREQUENCY, "frequency / Hz"),
+            "force": level,
+            "drive": level,
+            "clearance": Axis("clearance", "clearance", LENGTH, "clearance / mm", 1e3),
+            "mass_ratio": Axis("mass_ratio", "mass_ratio", RATIO, "factor on the damper masses"),
+        }
+        if parameter not in axes:
+            raise SceneError(f"parameter: got {parameter!r}; expected one of {', '.join(axes)}")
+        return axes[parameter]
+
     def varied_system(self, setting: OperatingPoint) -> HybridSystem:
         """Return the system with the clearance and mass factor of a setting."""
         system = self._system_at(setting.mass_ratio)
@@ -163,11 +178,11 @@ class OrbitProblem:
         """Return the complex amplitude of each input for a level that is a sine with zero phase at t = 0."""
         amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
-        amplitudes[self._driven_input] = -1j * setting.force * gain
+        amplitudes[self._driven_input] = -1j * setting.level * gain
         return amplitudes
 
     def equations(
-        self, setting: OperatingPoint, plan: Plan, parameter: Parameter | None = "frequency"
+        self, setting: OperatingPoint, plan: Plan, parameter: str | None = "frequency"
     ) -> tuple[Equations, EquationDerivatives]:
         """Return the equations of motion in a plan's configurations, and their derivatives with respect to a parameter.
 
@@ -233,10 +248,10 @@ class OrbitProblem:
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
 
-    def _drive_derivative(self, setting: OperatingPoint, parameter: Parameter | None, drive: Array) -> Array | None:
+    def _drive_derivative(self, setting: OperatingPoint, parameter: str | None, drive: Array) -> Array | None:
         """Differentiate the drive amplitudes (cosine, sine); return None if they do not depend on the parameter."""
-        if parameter == "force":
-            return np.asarray(drive / setting.force)
+        if parameter == "level":
+            return np.asarray(drive / setting.level)
         if parameter != "frequency" or self._is_driven_by_force:
             return None
         # The servo input is a smooth function of frequency: finite differences are accurate to about 1e-10.
@@ -339,7 +354,7 @@ class OrbitProblem:
         return OperatingPoint(frequency, self.level)
 
 
-def vary(setting: OperatingPoint, parameter: Parameter) -> Callable[[float], OperatingPoint]:
+def vary(setting: OperatingPoint, parameter: str) -> Callable[[float], OperatingPoint]:
     """Return a function that maps a value of one parameter to the setting with this value."""
     return lambda value: replace(setting, **{parameter: value})
 

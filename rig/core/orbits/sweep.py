@@ -9,7 +9,7 @@ A *setting* is an operating point: the values of all parameters. A *plan* is the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,14 +25,11 @@ from rig.core.orbits.newton import IterationLimits, distance
 from rig.core.orbits.orbit import Orbit, OrbitFamily
 from rig.core.orbits.periodic_orbit import period_steps, search_orbit, set_to_orbit, start_propagator
 from rig.core.orbits.problem import (
-    AXES,
-    PARAMETERS,
+    Axis,
     OperatingPoint,
     OrbitProblem,
     Parameter,
     base_frequency,
-    column_name,
-    parameter_values,
     vary,
 )
 from rig.core.results import Result
@@ -96,7 +93,7 @@ class OrbitResponse(Result):
         Force on the structure, or displacement of the table.
     """
 
-    parameter: Parameter
+    axis: Axis = field(repr=False)
     value: Array
     frf: NDArray[np.complex128]
     peak: Array
@@ -105,6 +102,11 @@ class OrbitResponse(Result):
     labels: tuple[str, ...]
     dampers: int
     reference: str = "force"
+
+    @property
+    def parameter(self) -> str:
+        """Name of the parameter."""
+        return self.axis.name
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
@@ -158,7 +160,7 @@ class OrbitResponse(Result):
     def summary(self) -> str:
         """Return the range of the parameter, the peaks and the types of motion in words."""
         body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
-        unit = PARAMETERS[self.parameter].si
+        unit = self.axis.kind.si
         frf_unit, factor = frf_display(self.reference)[1:]
         return (
             f"{self.value.size} steady-state motions, "
@@ -170,7 +172,7 @@ class OrbitResponse(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return parameter, response of each body, type of motion, and largest Floquet multiplier."""
         return {
-            column_name(self.parameter): self.value,
+            self.axis.column: self.value,
             **frf_columns(self.labels, self.frf, self.reference),
             "motion_type": self.motion_type,
             "multiplier": self.multiplier,
@@ -178,10 +180,9 @@ class OrbitResponse(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the response of each body."""
-        label, factor = AXES[self.parameter]
-        abscissa = factor * self.value
+        abscissa = self.axis.factor * self.value
         draw_frf(ax, abscissa, self.labels, self.frf, self.reference, self.simulated, "irregular, averaged", **style)
-        ax.set(xlabel=label)
+        ax.set(xlabel=self.axis.label)
 
 
 def orbit_response(
@@ -206,8 +207,9 @@ def orbit_response(
     values : array_like, shape (values,)
         Values of the parameter, in SI or as strings with units, in the order of computation: each starts from the
         motion at the previous value.
-    parameter : {'frequency', 'force', 'clearance', 'mass_ratio'}
-        Varied parameter: Hz, level of the drive (N), clearance of all dampers (m), factor on their masses.
+    parameter : {'frequency', 'force', 'drive', 'clearance', 'mass_ratio'}
+        Varied parameter: Hz, level of the scene's test (a force, N, or a drive in the unit of the shaker's drive),
+        clearance of all dampers (m), factor on their masses.
     frequency : float or str, optional
         Hz, or text with a unit; needed unless it is the parameter.
     progress : callable, optional
@@ -225,28 +227,29 @@ def orbit_response(
     >>> response.motion_type.tolist(), bool(response.simulated.any())
     (['III', 'II', 'II'], False)
     """
-    si_values = parameter_values(parameter, values)
     problem = OrbitProblem(scene_of(scene))
-    base = problem.setting(base_frequency(parameter, frequency, float(si_values[0])))
-    return sweep(problem, base, parameter, si_values, progress)
+    axis = problem.axis(parameter)
+    si_values = axis.values(values)
+    base = problem.setting(base_frequency(axis, frequency, float(si_values[0])))
+    return sweep(problem, base, axis, si_values, progress)
 
 
 def sweep(
     problem: OrbitProblem,
     base: OperatingPoint,
-    parameter: Parameter,
+    axis: Axis,
     values: Array,
     progress: CountProgress | None = None,
 ) -> OrbitResponse:
     """Compute `orbit_response` for an existing problem."""
-    continuation = _Continuation(problem, base, parameter)
+    continuation = _Continuation(problem, base, axis.field)
     points = []
     for completed, value in enumerate(values.tolist(), 1):
         points.append(continuation.point(value))
         if progress is not None:
             progress(completed, len(values))
     return OrbitResponse(
-        parameter=parameter,
+        axis=axis,
         value=values,
         frf=np.array([p.frf for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
@@ -299,7 +302,7 @@ def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
 class _Continuation:
     """Continuation of the steady-state motion from value to value."""
 
-    def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: Parameter) -> None:
+    def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: str) -> None:
         self.problem, self.parameter = problem, parameter
         self.setting_at = vary(base, parameter)
         # The last points of the current branch, in order; empty after an irregular motion.
@@ -423,5 +426,5 @@ def _average(problem: OrbitProblem, setting: OperatingPoint, propagator: Propaga
     phase = 2 * np.pi * np.arange(INSTANTS_PER_PERIOD) / INSTANTS_PER_PERIOD
     phase_factors: NDArray[np.complex128] = np.exp(-1j * phase)
     harmonic = 2 / INSTANTS_PER_PERIOD * (phase_factors @ mean_period)
-    amplitude = problem.reference.amplitude(setting.force, harmonic[: problem.system.states])
+    amplitude = problem.reference.amplitude(setting.level, harmonic[: problem.system.states])
     return _Point(frf=harmonic[:bodies] / amplitude, peak=half_ranges, orbit=None, reason=reason)

@@ -38,7 +38,7 @@ class Peak:
 
 def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -> OrbitResponse:
     """Compute the steady-state motion at each frequency, starting from the motion at the previous frequency."""
-    return sweep(problem, OperatingPoint(float(frequencies[0]), level), "frequency", frequencies)
+    return sweep(problem, OperatingPoint(float(frequencies[0]), level), problem.axis("frequency"), frequencies)
 
 
 def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
@@ -66,7 +66,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
         return largest, frequency
 
     def negative_magnitude(trial_frequency: float) -> float:
-        operating_point = OperatingPoint(float(trial_frequency), orbit.setting.force)
+        operating_point = OperatingPoint(float(trial_frequency), orbit.setting.level)
         try:
             solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
         except RunError:

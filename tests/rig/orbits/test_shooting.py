@@ -12,7 +12,7 @@ import rig
 from rig.core.orbits.matrix_exponential import exponential
 from rig.core.orbits.orbit import OrbitFamily
 from rig.core.orbits.periodic_orbit import periodic_orbit
-from rig.core.orbits.problem import PARAMETERS, OperatingPoint, OrbitProblem, Parameter, vary
+from rig.core.orbits.problem import OperatingPoint, OrbitProblem, vary
 from rig.core.scene.scene import Scene
 from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene
 
@@ -26,10 +26,10 @@ JACOBIANS = [
 ]
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
+@pytest.mark.parametrize("parameter", ["frequency", "level", "clearance", "mass_ratio"])
 @pytest.mark.parametrize(("scene", "frequency", "tolerance"), JACOBIANS)
 def test_shooting_jacobian_equals_finite_differences(
-    scene: Scene, frequency: float, tolerance: float, parameter: Parameter
+    scene: Scene, frequency: float, tolerance: float, parameter: str
 ) -> None:
     problem, orbit = OrbitProblem(scene), periodic_orbit(scene, frequency)
     setting = OperatingPoint(frequency, problem.level, float(problem.system.clearance[0]), 1.0)

@@ -107,3 +107,12 @@ def test_error_names_invalid_sweep_arguments() -> None:
         rig.orbit_response(scene, [3.0], "force")
     with pytest.raises(SceneError, match="expected one of frequency, force"):
         rig.orbit_response(scene, [3.0], "colour")
+
+
+def test_level_of_drive_has_its_unit() -> None:
+    scene = rig.load("fig9").replace(test={"kind": "sine", "frequency": "49.5 Hz", "drive": "5 V"})
+
+    response = rig.orbit_response(scene, ["4.9 V", "5 V"], "drive", frequency=49.5)
+
+    assert np.allclose(response.value, [4.9, 5.0])
+    assert "drive_V" in response.columns() and "drive 4.9 to 5 V" in response.summary()

@@ -117,7 +117,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: rig.simulate(BRACKET, None), "duration: got None"),
         (lambda: rig.simulate(BRACKET, object()), "is not a number; expected a time such as 4 ms"),
         (lambda: rig.periodic_orbit("fig9", None), "frequency: got nan"),
-        (lambda: rig.follow_orbits(BRACKET, "frequency", 60), "bounds: got 60"),
+        (lambda: rig.follow_orbits("fig9", "frequency", 60), "bounds: got 60"),
         (lambda: rig.approximate_response(BRACKET, 1, 60), "band: got 60 Hz; expected two values"),
         (lambda: rig.approximate_response(BRACKET, "1", (50, 60)), "mode: got '1'; expected the number of a mode"),
         (lambda: rig.approximate_response(BRACKET, 1, (50, 60), at="amr"), "Did you mean 'arm'"),

@@ -86,7 +86,7 @@ bench: $(STAMP)
 # Comparison with independent packages, which are installed in a separate environment.
 peers: $(STAMP)
 	test -x $(PEERS)/python$(EXE) || $(PYTHON) -m venv $(VENV)-peers
-	$(PEERS)/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0"
+	$(PEERS)/python -m pip install --quiet --disable-pip-version-check "pyFRF==1.5.0" "sdypy-EMA==0.31.0" "pyyeti==1.4.7"
 	$(BIN)/python -m tests.peers.ours build/peers
 	MPLBACKEND=agg $(PEERS)/python tests/peers/theirs.py build/peers
 

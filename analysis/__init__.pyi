@@ -8,6 +8,7 @@ from .core.fitting.fit import Fit, fit
 from .core.modal.identification import identify
 from .core.modal.modes import Modes, mac
 from .core.responses.frequency_responses import Response, compliance, frequency_responses, frfs
+from .core.signals.shock_spectrum import ShockSpectrum, srs
 from .extras.formats.export import sep005
 from .extras.formats.frf_files import read_frfs
 from .extras.formats.mode_files import read_modes
@@ -20,6 +21,7 @@ __all__ = [
     "Modes",
     "Response",
     "Results",
+    "ShockSpectrum",
     "compare",
     "compliance",
     "cost",
@@ -38,4 +40,5 @@ __all__ = [
     "read_modes",
     "report",
     "sep005",
+    "srs",
 ]

@@ -129,6 +129,38 @@ def decay(
     _print_output(result)
 
 
+@app.command(example="analysis srs shock.mcap --channel table --q 10")
+def srs(
+    files: Recordings,
+    output: Output = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="Channel. May be repeated. Default: all channels on bodies."),
+    ] = None,
+    q: Annotated[
+        float, typer.Option("--q", metavar="Q", help="Quality factor of the oscillators, 1 / (2 damping ratio).")
+    ] = 10.0,
+    lowest: Annotated[float | None, typer.Option(metavar="HZ", help="Lowest natural frequency. Default: 5 Hz.")] = None,
+    highest: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Highest natural frequency. Default: a fifth of the sample rate."),
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option("--from", metavar="S", help="Start of the evaluated part, in seconds.")
+    ] = None,
+    stop: Annotated[
+        float | None, typer.Option("--to", metavar="S", help="End of the evaluated part, in seconds.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compute shock response spectra of any channel."""
+    from analysis.commands.presentation.shock_findings import present_srs
+
+    with allow_overwriting(overwrite):
+        result = present_srs(files, output, channel, q, lowest, highest, start, stop)
+    _print_output(result)
+
+
 @app.command(example="analysis modes sweep.mcap")
 def modes(
     files: Curves,

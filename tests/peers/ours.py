@@ -17,6 +17,7 @@ import daq
 import rig
 from analysis.core.recordings.slices import Slice
 from analysis.extras.formats.export import export
+from daq.core.dsp.shock_response import shock_response
 from daq.core.recording.recording import Recording
 
 BLOCK_S = 8.0  # length of the blocks of the FRF estimate
@@ -80,7 +81,20 @@ def identify_modes(folder: Path) -> dict[str, np.ndarray]:
     return results
 
 
+def shock_spectrum() -> dict[str, np.ndarray]:
+    """Return a half sine of 100 m/s^2 and 11 ms, and its positive and negative shock response spectra."""
+    rate, width, q = 20000.0, 11e-3, 10.0
+    time = np.arange(round(width * rate) + 1) / rate
+    frequency, pulse = np.geomspace(5.0, 2000.0, 60), 100.0 * np.sin(np.pi * time / width)
+    positive, negative = shock_response(pulse, rate, frequency, q)
+    return {
+        "shock": pulse, "shock_rate": np.array(rate), "shock_q": np.array(q), "shock_frequency": frequency,
+        "shock_positive": positive, "shock_negative": -negative,
+    }  # fmt: skip
+
+
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    np.savez(folder / "ours.npz", **estimate_frfs(folder), **identify_modes(folder))  # type: ignore[arg-type]
+    results = estimate_frfs(folder) | identify_modes(folder) | shock_spectrum()
+    np.savez(folder / "ours.npz", **results)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Compare results of this project with pyFRF and sdypy-EMA, and its UFF file with a minimal reader (`make peers`).
+"""Compare results with pyFRF, sdypy-EMA and pyYeti, and a UFF file with a minimal reader (`make peers`).
 
     python tests/peers/theirs.py FOLDER
 
@@ -89,6 +89,17 @@ def compare_modes(ours: dict[str, np.ndarray]) -> Iterator[Row]:
         yield f"mode {mode + 1}, 1 - MAC, sdypy-EMA", 1.0 - mac, 1e-3, "shapes of both"
 
 
+def compare_shock_spectrum(ours: dict[str, np.ndarray]) -> Iterator[Row]:
+    """Compare the shock response spectrum with that of pyYeti, from the same samples."""
+    from pyyeti import srs
+
+    rate, q = float(ours["shock_rate"]), float(ours["shock_q"])
+    samples = np.append(ours["shock"], np.zeros(int(rate / ours["shock_frequency"][0]) + 1))
+    for name, peak in (("positive", "pos"), ("negative", "neg")):
+        theirs = srs.srs(samples, rate, ours["shock_frequency"], q, ic="zero", peak=peak)
+        yield f"SRS, {name}, pyYeti", largest(ours[f"shock_{name}"], abs(theirs)), 1e-2, "half sine of 11 ms"
+
+
 def compare_uff(ours: dict[str, np.ndarray], path: Path) -> Iterator[Row]:
     """Compare every sample of the UFF file with the recording."""
     for name, interval, values in read_uff(path):
@@ -131,7 +142,12 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1])
     warnings.simplefilter("ignore")
     ours = dict(np.load(folder / "ours.npz"))
-    rows = [*compare_frfs(ours), *compare_modes(ours), *compare_uff(ours, folder / "hits.uff")]
+    rows = [
+        *compare_frfs(ours),
+        *compare_modes(ours),
+        *compare_shock_spectrum(ours),
+        *compare_uff(ours, folder / "hits.uff"),
+    ]
     print(f"{'compared':38s}{'difference':>12s}{'allowed':>10s}   remark")
     for quantity, difference, allowed, remark in rows:
         mark = "" if difference <= allowed else "   <-- TOO LARGE"

@@ -63,6 +63,7 @@ def check_replacement(folder: Path, command: str, output: str) -> None:
     [
         ("analysis frf sweep.mcap --response body3", "sweep-frf.csv"),
         ("analysis modes sweep.mcap", "sweep-modes.png"),
+        ("analysis srs hit.mcap", "hit-srs.csv"),
         ("analysis report hit.mcap -o page.html", "page.html"),
         ("analysis export sweep.mcap -o out.csv --to 0.1", "out.csv"),
         ("rig simulate fig9 --duration 0.05s -o run.npz", "run.npz"),

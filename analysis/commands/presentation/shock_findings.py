@@ -1,0 +1,69 @@
+"""Output of `analysis srs`: shock response spectra as text, figure and table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from analysis.commands.presentation.outputs import (
+    CommandOutput,
+    check_outputs,
+    output_stem,
+    with_ending,
+    with_recording_name,
+)
+from analysis.commands.presentation.tables import Row, write_table
+from analysis.core.recordings.names import OpenRecordings, scene_labels, with_recordings
+from analysis.core.responses.measurands import select_channels
+from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
+from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import add_legend_below, add_title, new_figure, save_figure, set_log_scale
+
+
+@with_recordings
+def present_srs(
+    recordings: OpenRecordings,
+    paths: Sequence[Path],
+    output: Path | None = None,
+    channels: Sequence[str] | None = None,
+    q: float = 10.0,
+    lowest: float | None = None,
+    highest: float | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> CommandOutput:
+    """Draw and tabulate the shock response spectra of channels; those of several recordings are overlaid.
+
+    `channels`: default: all that measure motion of a body; for the other arguments see `srs`.
+    """
+    stem = output_stem(paths, output, "srs")
+    table = with_ending(stem, "csv")
+    check_outputs(paths, with_ending(stem, "png"), with_ending(stem, "svg"), table)
+    warnings: list[str] = []
+    spectra: list[tuple[str, ShockSpectrum]] = []
+    for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
+        rec = recordings.of(path)
+        for name in select_channels(rec, channels) or list(rec.channels):
+            spectrum = srs(rec, name, q=q, lowest=lowest, highest=highest, from_s=from_s, to_s=to_s)
+            spectra.append((label, spectrum))
+            warnings += with_recording_name(path, spectrum.warnings)
+    with new_figure(4.6) as figure:
+        axes = figure.add_subplot()
+        for index, (label, spectrum) in enumerate(spectra):
+            name = f"{label}, {spectrum.channel}" if len(paths) > 1 else spectrum.channel
+            spectrum.draw(axes, color=f"C{index % 8}", label=escape_figure(name))
+        for axis in (axes.xaxis, axes.yaxis):
+            set_log_scale(axis)
+        add_title(axes, f"Shock response spectrum, Q = {q:g}")
+        axes.legend()
+        add_legend_below(figure, "Solid: largest magnitude. Dashed: positive. Dotted: negative.")
+        files = save_figure(figure, stem)
+    rows: list[Row] = [
+        (label, spectrum.channel, spectrum.unit, spectrum.q, *values)
+        for label, spectrum in spectra
+        for values in zip(*spectrum.columns().values(), strict=True)
+    ]
+    heading = ["scene", "channel", "unit", "Q", "frequency_Hz", "maximax", "positive", "negative"]
+    files.append(write_table(table, heading, rows))
+    lines = tuple(f"{label}{s.summary().removeprefix(s.label)}" for label, s in spectra)
+    return CommandOutput(tuple(files), lines, tuple(dict.fromkeys(warnings)))

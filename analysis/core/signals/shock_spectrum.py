@@ -1,0 +1,200 @@
+"""Shock response spectrum of a channel: largest response of oscillators with the motion of the channel as their base.
+
+The method is that of ISO 18431-4 for the absolute acceleration (see `daq.core.dsp.shock_response`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor, log2
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.slices import Slice
+from analysis.core.responses.measurands import find_channel, response_channels
+from daq.core.dsp.shock_response import shock_response
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.numerics.memory import require_memory
+from rig.core.results import Result, complete_style, format_percent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+
+# Default limits of the natural frequencies: lowest in Hz, and highest as a fraction of the sample rate.
+_LOWEST_HZ = 5.0
+_HIGHEST_RATIO = 0.2
+# Highest natural frequency, as a fraction of the sample rate: the band of the signal ends there.
+_BAND_RATIO = 0.4
+# A sensor without response at 0 Hz is corrected down to this fraction of the lowest natural frequency.
+_CORRECTED_RATIO = 0.1
+# Lost samples are interpolated if they are at most this fraction.
+_MAX_LOST_FRACTION = 0.01
+# Number of copies of the samples in memory.
+_COPIES = 12.0
+# Largest number of natural frequencies.
+_MAX_FREQUENCIES = 10_000
+
+
+@dataclass(frozen=True, repr=False)
+class ShockSpectrum(Result):
+    """Shock response spectrum of one channel.
+
+    Attributes
+    ----------
+    channel, label : str
+        Channel, and scene name for legends.
+    unit : str
+        Unit of the spectrum: that of the channel, or m/s² for a channel of motion.
+    q : float
+        Quality factor of the oscillators.
+    frequency : ndarray, shape (n,)
+        Natural frequencies, Hz.
+    positive, negative : ndarray, shape (n,)
+        Largest positive acceleration, and magnitude of the largest negative acceleration.
+    warnings : tuple of str
+        Warnings about the validity of the results.
+    """
+
+    channel: str
+    label: str
+    unit: str
+    q: float
+    frequency: Array
+    positive: Array
+    negative: Array
+    warnings: tuple[str, ...]
+
+    @property
+    def maximax(self) -> Array:
+        """Largest magnitude."""
+        return np.maximum(self.positive, self.negative)
+
+    def summary(self) -> str:
+        """Return the channel, its largest value, and the frequency of this value."""
+        index = int(np.argmax(self.maximax))
+        return (
+            f"{self.label}, {self.channel}: at most {self.maximax[index]:.3g} {self.unit} at "
+            f"{self.frequency[index]:.4g} Hz, Q = {self.q:g}"
+        )
+
+    def columns(self) -> dict[str, Array]:
+        """Return natural frequency, maximax, positive and negative spectrum."""
+        spectra = {"maximax": self.maximax, "positive": self.positive, "negative": self.negative}
+        return {"frequency_Hz": self.frequency} | {f"{name}_{self.unit}": values for name, values in spectra.items()}
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the maximax spectrum as a line, and the positive and negative spectra as thin lines."""
+        (line,) = ax.loglog(self.frequency, self.maximax, **complete_style(style, label=self.channel))
+        for values, dashes in ((self.positive, "--"), (self.negative, ":")):
+            ax.loglog(self.frequency, np.maximum(values, 1e-12 * self.maximax), dashes, color=line.get_color(), lw=0.8)
+        ax.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({self.unit})")
+
+
+def octave_frequencies(lowest: float, highest: float, per_octave: int) -> Array:
+    """Return frequencies from `lowest` on with a number of steps per octave, up to `highest`, Hz.
+
+    >>> octave_frequencies(10.0, 41.0, 1)
+    array([10., 20., 40.])
+    """
+    return np.asarray(lowest * 2.0 ** (np.arange(floor(per_octave * log2(highest / lowest) + 1e-9) + 1) / per_octave))
+
+
+@takes_path
+def srs(
+    rec: Recording,
+    channel: str | None = None,
+    *,
+    q: float = 10.0,
+    lowest: float | None = None,
+    highest: float | None = None,
+    per_octave: int = 12,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> ShockSpectrum:
+    """Compute the shock response spectrum of a channel.
+
+    The spectrum is that of the true motion: the response of sensor and converter is removed. Motion is evaluated as
+    acceleration. At its start, the segment must be at rest.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        Recording.
+    channel : str, optional
+        Channel; default: the channel of the last body.
+    q : float
+        Quality factor of the oscillators, 1 / (2 damping ratio).
+    lowest, highest : float, optional
+        Limits of the natural frequencies, Hz; default: 5 Hz, and a fifth of the sample rate.
+    per_octave : int
+        Number of natural frequencies per octave.
+    from_s, to_s : float, optional
+        Start and end of the segment, s; default: the whole recording.
+
+    Examples
+    --------
+    >>> import analysis
+    >>> spectrum = analysis.srs("recordings/demo-impulse-no-damper.mcap", "body3", highest=500.0)
+    >>> spectrum.unit, bool(spectrum.maximax.max() > 100.0)
+    ('m/s²', True)
+    """
+    names = [*response_channels(rec), *rec.channels]
+    info = find_channel(rec, names[0] if channel is None else channel)
+    if channel is None and info.body:
+        info = rec.channels[response_channels(rec)[-1]]
+    first = _LOWEST_HZ if lowest is None else lowest
+    last = max(_HIGHEST_RATIO * rec.rate, first) if highest is None else highest
+    _check_options(rec, q, first, last, per_octave)
+    segment = Slice.of(rec, [info.name], from_s, to_s)
+    require_memory(8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment")
+    samples, warnings = _finite(rec, segment.read_channel(info.name))
+    # The oscillators are at rest before the segment, so that an offset would be a step.
+    samples = samples - np.median(samples)
+    responds_to_constant = abs(info.response(0.0)) > 0.5 * abs(info.response(first))
+    lower_limit = 0.0 if responds_to_constant and info.derivative in (2, None) else _CORRECTED_RATIO * first
+    acceleration = correct_motion(info, samples, "acceleration", lower_limit, _BAND_RATIO * rec.rate)
+    if any(
+        mark.fields.get("channel") == info.name and mark.first_sample < segment.stop and mark.end >= segment.start
+        for mark in rec.overloads
+    ):
+        warnings += (f"{info.name} was overloaded, so that its spectrum is too low. Widen converter.range.",)
+    frequency = octave_frequencies(first, last, per_octave)
+    largest, smallest = shock_response(acceleration, rec.rate, frequency, q)
+    unit = "m/s²" if info.derivative is not None else info.unit
+    # The response after the motion crosses zero, so that neither spectrum is negative.
+    positive, negative = np.maximum(largest, 0.0), np.maximum(-smallest, 0.0)
+    return ShockSpectrum(info.name, rec.scene.name, unit, q, frequency, positive, negative, warnings)
+
+
+def _check_options(rec: Recording, q: float, lowest: float, highest: float, per_octave: int) -> None:
+    """Raise `SceneError` for an option outside of its range."""
+    limit = _BAND_RATIO * rec.rate
+    if not 0.5 < q < np.inf:
+        raise SceneError(f"q: got {q:g}; expected a quality factor above 0.5.")
+    if not 0.0 < lowest <= highest:
+        raise SceneError(f"lowest: got {lowest:g} Hz; expected a frequency above 0 and up to {highest:g} Hz.")
+    if not highest <= limit:
+        raise SceneError(
+            f"highest: got {highest:g} Hz; expected at most {limit:g} Hz, {_BAND_RATIO:g} of the sample rate of "
+            f"{rec.path.name}."
+        )
+    if not 1 <= per_octave * max(1.0, log2(highest / lowest)) <= _MAX_FREQUENCIES:
+        raise SceneError(f"per_octave: got {per_octave}; expected 1 or more, and {_MAX_FREQUENCIES} in total at most.")
+
+
+def _finite(rec: Recording, samples: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return the samples with lost samples interpolated, and a warning if there were any."""
+    lost = ~np.isfinite(samples)
+    if not lost.any():
+        return samples, ()
+    if lost.mean() > _MAX_LOST_FRACTION:
+        message = f"{rec.path}: {format_percent(lost.mean())} of the samples are lost. Choose a segment without gaps."
+        raise RecordingError(message)
+    filled = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+    return filled, (f"{int(lost.sum())} lost samples were interpolated; a peak among them is missing.",)

@@ -1,0 +1,82 @@
+"""Shock response spectra of recordings: channels with different sensors, options, and their messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+import daq
+import rig
+from daq.core.dsp.shock_response import shock_response
+from rig.core.base.errors import SceneError
+
+HIT = Path(__file__).parents[3] / "recordings" / "demo-impulse-no-damper.mcap"
+
+
+@pytest.fixture(scope="module")
+def hits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A hit measured by an ideal accelerometer, a real one, and an integrator; and its force."""
+    integrator = {"order": 2, "corner": "1 Hz"}
+    sensor = {"sensitivity": "10 mV/(m/s^2)", "low_cutoff": "0.5 Hz", "resonance": "20 kHz"}
+    scene = rig.load("fig4-structure").replace(
+        test={"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "interval": "2 s"},
+        channels=[
+            {"name": "ideal", "at": "body 1"},
+            {"name": "real", "at": "body 1", "accelerometer": sensor},
+            {"name": "displacement", "at": "body 1", "accelerometer": sensor, "integrator": integrator},
+            {"name": "hammer", "at": "hammer"},
+        ],
+        converter={"rate": 5120.0},
+    )
+    return daq.record(scene, tmp_path_factory.mktemp("hits") / "hit.mcap")
+
+
+@pytest.mark.parametrize("name", ["real", "displacement"])
+def test_spectrum_is_independent_of_sensor(hits: Path, name: str) -> None:
+    ideal = analysis.srs(hits, "ideal", highest=300.0).maximax
+    assert analysis.srs(hits, name, highest=300.0).maximax == pytest.approx(ideal, rel=0.02)
+
+
+def test_spectrum_is_that_of_samples(hits: Path) -> None:
+    with daq.open(hits) as rec:
+        spectrum = analysis.srs(rec, "hammer", lowest=20.0, q=20.0)
+        expected = shock_response(rec.read("hammer"), rec.rate, spectrum.frequency, 20.0)
+    assert spectrum.unit == "N"
+    assert spectrum.positive == pytest.approx(expected[0], rel=0.02)
+
+
+def test_segment_without_hit_has_small_spectrum(hits: Path) -> None:
+    assert analysis.srs(hits, "hammer", to_s=0.2).maximax.max() < 1.0 < analysis.srs(hits, "hammer").maximax.max()
+
+
+def test_default_is_channel_of_last_body() -> None:
+    spectrum = analysis.srs(HIT)
+    assert spectrum.channel == "body3" and "maximax_m/s²" in spectrum.columns()
+    assert "Q = 10" in spectrum.summary()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"q": 0.5}, "q: got 0.5; expected a quality factor above 0.5"),
+        ({"lowest": 100.0, "highest": 50.0}, "lowest: got 100 Hz; expected a frequency above 0 and up to 50 Hz"),
+        ({"highest": 4000.0}, "highest: got 4000 Hz; expected at most"),
+        ({"per_octave": 0}, "per_octave: got 0; expected 1 or more"),
+    ],
+)
+def test_wrong_option_is_named(options: dict[str, float], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        analysis.srs(HIT, **options)  # type: ignore[arg-type]
+
+
+def test_overload_is_reported(hits: Path, tmp_path: Path) -> None:
+    scene = rig.load("fig4-structure").replace(
+        test={"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "interval": "1 s"},
+        channels=[{"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": 1.0}}],
+        converter={"rate": 5120.0, "bits": 24, "range": 5.0},
+    )
+    (warning,) = analysis.srs(daq.record(scene, tmp_path / "hit.mcap")).warnings
+    assert "a1 was overloaded" in warning and np.isfinite(analysis.srs(hits).maximax).all()

@@ -22,17 +22,27 @@ if TYPE_CHECKING:
 
 
 class TestKind(StrEnum):
-    """Kinds of tests, which are evaluated by different methods; recordings state the values."""
+    """Kinds of tests, which are evaluated by different methods; recordings state the values.
+
+    Each value says what its estimator assumes, and which fields it needs in the markers of the measured intervals.
+    """
 
     __test__ = False  # not a test for pytest
 
     TONES = "tones"
-    """Dwells until steady state: sine, stepped sine, and the manually set tone of `daq bench`."""
+    """One tone at a time in steady state: sine, stepped sine, and the manually set tone of `daq bench`. Markers
+    `measure`: frequency (Hz), level, drive, settled; with several sweeps also direction."""
     SWEEP = "sweep"
+    """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to (Hz), spacing, duration,
+    level."""
     MULTISINE = "multisine"
+    """Periods that repeat exactly, at least two in steady state. Markers `measure`: realisation (from 1), period
+    (samples), periods, lines (the first and last that are driven), level, settled."""
     RANDOM = "random"
+    """Stationary noise, or bursts of it, in a band. Markers `measure`: from and to (Hz), level; of bursts also
+    burst (driven share of a block) and block (samples)."""
     HITS = "hits"
-    """Hammer hits."""
+    """Pulses that end long before the next one, as of a hammer. Markers `hit`: none are required."""
     FREE = "free"
     """A free decay without a force."""
     NONE = "none"

@@ -130,5 +130,30 @@ def test_links_of_pages_lead_somewhere(page) -> None:
     assert all((page.parent / link).exists() for link in links), links
 
 
+def glossary() -> list[list[str]]:
+    """Return the cells of the rows of the glossary, without headings."""
+    text = (ROOT / "rig/guide/glossary.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+    return [row for row in rows if row[0] != "term" and not row[0].startswith("---")]
+
+
+def product_text() -> str:
+    """Return documents and code of the product without the glossary, in lower case."""
+    files = [*PAGES, *ROOT.glob("*/README.md"), *(f for name in PROGRAMS for f in (ROOT / name).rglob("*.py"))]
+    return "\n".join(f.read_text(encoding="utf-8").lower() for f in files if f.name != "glossary.md")
+
+
+def test_each_term_of_glossary_is_used() -> None:
+    text = product_text()
+    terms = [term.strip(" *").lower() for row in glossary() for term in row[0].split(",") if len(term.strip(" *")) > 1]
+    assert len(terms) > 40 and [term for term in terms if term not in text] == []
+
+
+def test_other_names_of_glossary_are_not_used() -> None:
+    text = product_text()
+    names = [name.strip() for row in glossary() for name in row[2:3] and row[2].split(",") if name.strip()]
+    assert len(names) > 4 and [name for name in names if re.search(rf"\b{name}s?\b", text)] == []
+
+
 def test_readme_has_at_most_150_lines() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150

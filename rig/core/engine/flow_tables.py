@@ -23,6 +23,7 @@ the *margin*, the largest approach to a limit within a step beyond the values at
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import fields
 from threading import Lock
 from typing import Any
 
@@ -355,8 +356,9 @@ class FlowTables:
 
 def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
     """Return the tables of a system, from the cache if it was used recently."""
-    arrays = [value for part in (system, drive) for value in vars(part).values() if isinstance(value, np.ndarray)]
-    key = (step, drive.max_rate, system.gravity, *(array.tobytes() for array in arrays))
+    values = [getattr(part, item.name) for part in (system, drive) for item in fields(part)]
+    arrays = [value.tobytes() for value in values if isinstance(value, np.ndarray)]
+    key = (step, drive.max_rate, system.gravity, *arrays, *(element.key for element in system.elements))
     with _LOCK:
         tables = _CACHE.pop(key, None) or FlowTables(system, drive, step)
         if tables.has_series:

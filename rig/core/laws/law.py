@@ -82,11 +82,25 @@ class Mode(NamedTuple):
         return 1.0 if any(signal.low > -inf for signal in self.signals) else -1.0
 
 
+class Wall(NamedTuple):
+    """A wall that limits the gap: gap at contact, m; stiffness, N/m, and damping, N s/m, of a contact that lasts."""
+
+    gap: float
+    stiffness: float = 0.0
+    damping: float = 0.0
+
+
 class Law(NamedTuple):
-    """A contact law: its modes by name, and the mode at the start."""
+    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first."""
 
     modes: dict[str, Mode]
     start: str
+    walls: tuple[Wall, ...] = ()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """The content of the law, which can be hashed."""
+        return tuple(self.modes.items()), self.start
 
     @property
     def force_indices(self) -> dict[str, int]:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SEPARATION
-from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal
+from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, Wall
 
 
-def particle_bed(clearance: float, restitution: float) -> Law:
+def particle_bed(restitution: float, clearance: float) -> Law:
     """Declare the law of a bed; `clearance`: height of its free flight, m, infinite without a ceiling."""
     rebound = ("flight",) if restitution > 0.0 else ()
     floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution)
@@ -25,4 +25,5 @@ def particle_bed(clearance: float, restitution: float) -> Law:
             "ceiling": Mode((Signal(HOLD, high=0.0, at_high=separation),), None, CEILING, clearance),
         },
         "floor",
+        (Wall(0.0), Wall(clearance)),
     )

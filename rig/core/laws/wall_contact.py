@@ -11,10 +11,10 @@ from __future__ import annotations
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_TOUCH, FLOOR, FLOOR_TOUCH, RELEASE
-from rig.core.laws.law import GAP, Exit, Law, Mode, Row, Signal
+from rig.core.laws.law import GAP, Exit, Law, Mode, Row, Signal, Wall
 
 
-def wall_contact(clearance: float, stiffness: tuple[float, float], damping: tuple[float, float]) -> Law:
+def wall_contact(stiffness: tuple[float, float], damping: tuple[float, float], clearance: float) -> Law:
     """Declare the law for a clearance [m], and stiffness [N/m] and damping [N s/m] of floor and ceiling."""
     has_ceiling = clearance < inf
     floor = Row(gap=-stiffness[0], speed=-damping[0])
@@ -38,4 +38,5 @@ def wall_contact(clearance: float, stiffness: tuple[float, float], damping: tupl
             ),
         },
         "on floor",
+        (Wall(0.0, stiffness[0], damping[0]), Wall(clearance, stiffness[1], damping[1])),
     )

@@ -148,7 +148,7 @@ class OrbitProblem:
         system = self._system_at(setting.mass_ratio)
         if np.isnan(setting.clearance):
             return system
-        return replace(system, clearance=np.full(system.dampers, setting.clearance))
+        return system.with_clearance(setting.clearance)
 
     def _system_at(self, mass_factor: float) -> HybridSystem:
         """Return the system with a mass factor."""
@@ -162,10 +162,11 @@ class OrbitProblem:
 
     def _assemble(self, mass_factor: float) -> HybridSystem:
         """Assemble the system with a mass factor."""
-        if not self.system.finite_contact.any():
-            return replace(self.system, damper_mass=mass_factor * self.system.damper_mass)
-        # A damper with finite-duration contact is part of the mass matrix, and its mass and contact duration determine
-        # the wall stiffness and damping.
+        if (self.system.gap_coordinate < 0).all():
+            elements = [replace(element, mass=mass_factor * element.mass) for element in self.system.elements]
+            return replace(self.system, elements=tuple(elements))
+        # A damper whose gap is a coordinate is part of the mass matrix, and its mass and contact duration determine the
+        # wall stiffness and damping.
         dampers = [
             damper.replace(mass=mass_factor * damper.mass)
             if damper.mass is not None
@@ -323,9 +324,13 @@ class OrbitProblem:
         inverse_mass = self._configurations((configuration,), mass_factor).inverse_mass[0]
         inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
-        stiffness_derivative, damping_derivative = self._wall_derivatives(mass_factor)
-        derivative_system = replace(system, wall_stiffness=stiffness_derivative, wall_damping=damping_derivative)
-        wall_force_derivative, clearance_force_derivative = _finite_contact_forces(derivative_system, configuration)
+        above, below, step = self._around(mass_factor)
+        wall_force_derivative, clearance_force_derivative = (
+            (force_above - force_below) / step
+            for force_above, force_below in zip(
+                _finite_contact_forces(above, configuration), _finite_contact_forces(below, configuration), strict=True
+            )
+        )
         force = system.force_state + wall_force
         generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
         generator[nq : 2 * nq, :n] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
@@ -341,13 +346,19 @@ class OrbitProblem:
         """
         if not self.system.finite_contact.any():
             return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
-        # The functions are smooth: finite differences are accurate to about 1e-10.
-        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_factor) for sign in (1, -1))
-        step = 2.0 * RELATIVE_STEP * mass_factor
+        above, below, step = self._around(mass_factor)
         return (
             np.asarray((above.wall_stiffness - below.wall_stiffness) / step),
             np.asarray((above.wall_damping - below.wall_damping) / step),
         )
+
+    def _around(self, mass_factor: float) -> tuple[HybridSystem, HybridSystem, float]:
+        """Return the systems with a larger and a smaller mass factor, for finite differences, and the difference.
+
+        The functions are smooth: finite differences are accurate to about 1e-10.
+        """
+        above, below = (self._system_at((1.0 + sign * RELATIVE_STEP) * mass_factor) for sign in (1, -1))
+        return above, below, 2.0 * RELATIVE_STEP * mass_factor
 
     def setting(self, frequency: float) -> OperatingPoint:
         """Return the operating point of the unchanged scene at a frequency, Hz."""
@@ -373,7 +384,7 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
 
     They have the shapes (coordinates, states) and (coordinates, dampers).
     """
-    force, constant = replace(system, clearance=np.ones(system.dampers)).contact_forces(configuration)
+    force, constant = system.with_clearance(1.0).contact_forces(configuration)
     clearance_force = np.zeros((system.coordinates, system.dampers))
     finite = np.flatnonzero(system.finite_contact)
     clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]

@@ -6,20 +6,23 @@ floor of the cavity; otherwise it *flies*.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.base.once import once_per_object
 from rig.core.equations import Equations
 from rig.core.laws.landing import spring_damper
+from rig.core.laws.law import Law
+from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.wall_contact import wall_contact
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import at_shaker
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.structural_model import StructuralModel, ground_connection, structural_model
 
 #: Maximum number of free dampers: configurations, two for each damper, are 64-bit integers.
@@ -53,25 +56,12 @@ def assemble(scene: Scene) -> HybridSystem:
     weight = np.zeros(bodies)
     np.subtract.at(weight, body[locked], masses[locked] * scene.gravity)
     equations = _without_free_beds(scene, model, weight)
-    clearance = np.array([scene.dampers[j].clearance for j in free], dtype=np.float64)
-    restitution = np.array([scene.dampers[j].restitution for j in free], dtype=np.float64)
-    walls = _stiffness_and_damping(equations.matrices()[0], [scene.dampers[j] for j in free], masses[free])
-    gap_coordinate = np.full(len(free), -1, dtype=np.intp)
-    for row, j in enumerate(free):
-        if scene.dampers[j].contact is not None:
-            gap_coordinate[row] = _add_bed(equations, body[j], masses[j], scene.gravity)
-    system = _system(
-        equations,
-        gravity=scene.gravity,
-        coordinate=body[free],
-        masses=masses[free],
-        clearance=clearance,
-        restitution=restitution,
-        number=free + 1,
-        gap_coordinate=gap_coordinate,
-        walls=walls,
-        grains=np.array([scene.dampers[j].grains is not None for j in free], dtype=bool),
+    inverse_mass = np.diag(np.linalg.inv(equations.matrices()[0])) if finite_contact else np.zeros(bodies)
+    elements = tuple(
+        _element(equations, scene, number=int(j) + 1, mass=float(masses[j]), inverse_mass=float(inverse_mass[body[j]]))
+        for j in free
     )
+    system = _system(equations, scene.gravity, elements)
     system.initial[:] = _initial_state(scene, system)
     return system
 
@@ -98,12 +88,23 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> E
     return equations
 
 
-def _system(
-    equations: Equations, gravity: float, coordinate: NDArray[np.intp], masses: Array, clearance: Array,
-    restitution: Array, number: NDArray[np.intp], gap_coordinate: NDArray[np.intp], walls: tuple[Array, Array],
-    grains: NDArray[np.bool_],
-) -> HybridSystem:  # fmt: skip
-    """Return the system of equations; the other arguments are the fields of `HybridSystem` for the free dampers."""
+def _element(equations: Equations, scene: Scene, number: int, mass: float, inverse_mass: float) -> Element:
+    """Return the element of a damper, after its bed was added to the equations if its gap must be a coordinate.
+
+    `mass`: of the bed, kg; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
+    """
+    damper, gap = scene.dampers[number - 1], -1
+    declare: Callable[[float], Law] = partial(particle_bed, damper.restitution)
+    if damper.contact is not None:
+        gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
+        declare = partial(wall_contact, *_stiffness_and_damping(damper, 1.0 / (1.0 / mass + inverse_mass)))
+    return Element(
+        declare, damper.body - 1, gap, mass, damper.clearance, damper.restitution, number, damper.grains is not None
+    )
+
+
+def _system(equations: Equations, gravity: float, elements: tuple[Element, ...]) -> HybridSystem:
+    """Return the system of equations; the other arguments are fields of `HybridSystem`."""
     mass, damping, stiffness = equations.matrices()
     n, currents, n_inputs = len(mass), equations.currents, len(equations.inputs)
     force_state = np.hstack([-stiffness, -damping, np.zeros((n, len(currents)))])
@@ -136,15 +137,7 @@ def _system(
         state_power=state_power,
         prescribed=np.array(equations.prescribed, dtype=np.intp),
         reaction=equations.reaction(),
-        damper_coordinate=coordinate,
-        damper_mass=masses,
-        clearance=clearance,
-        restitution=restitution,
-        damper_number=number,
-        gap_coordinate=gap_coordinate,
-        wall_stiffness=walls[0],
-        wall_damping=walls[1],
-        grains=grains,
+        elements=elements,
         initial=np.zeros(2 * n + len(currents)),
     )
 
@@ -158,26 +151,13 @@ def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> in
     return row
 
 
-def _stiffness_and_damping(mass: Array, dampers: list[Damper], bed_mass: Array) -> tuple[Array, Array]:
-    """Return stiffness and damping of floor and ceiling of each damper, (dampers, 2); 0 for instant contact.
-
-    `mass` is the mass matrix without the dampers that move, `bed_mass` their masses, kg.
-    """
-    stiffness, damping = np.zeros((2, len(dampers), 2))
-    if all(damper.contact is None for damper in dampers):
-        return stiffness, damping
-    inverse_mass = np.diag(np.linalg.inv(mass))
-    for row, damper in enumerate(dampers):
-        contact = damper.contact
-        if contact is None:
-            continue
-        walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
-        reduced_mass = 1.0 / (1.0 / bed_mass[row] + inverse_mass[damper.body - 1])
-        for wall_index, wall in enumerate(walls):
-            stiffness[row, wall_index], damping[row, wall_index] = _wall_stiffness_and_damping(
-                wall, damper.restitution, reduced_mass
-            )
-    return stiffness, damping
+def _stiffness_and_damping(damper: Damper, reduced_mass: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return stiffness [N/m] and damping [N s/m] of floor and ceiling; `reduced_mass`: of bed and body, kg."""
+    contact = damper.contact
+    assert contact is not None
+    walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
+    floor, ceiling = (_wall_stiffness_and_damping(wall, damper.restitution, reduced_mass) for wall in walls)
+    return (floor[0], ceiling[0]), (floor[1], ceiling[1])
 
 
 def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:

@@ -7,11 +7,10 @@ states which of the forces of its law acts in each element: it determines the eq
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,24 +18,39 @@ from numpy.typing import NDArray
 from rig.core.base.errors import SceneError
 from rig.core.laws.landing import duration_and_restitution
 from rig.core.laws.law import Law, Row
-from rig.core.laws.particle_bed import particle_bed
-from rig.core.laws.wall_contact import wall_contact
 
 #: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
 FORCE_OF_BED = "grains"
 
 
-class Element(NamedTuple):
-    """A contact law at one place.
+@dataclass(frozen=True)
+class Element:
+    """A contact law at one place: a damper.
 
-    `body`: coordinate of the body to which the gap is measured. `gap`: coordinate that is the gap; -1 for a *detached*
-    mass, whose position is not a coordinate: its force is constant while it is not held. `mass`: of the damper, kg.
+    `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
+    `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
+    constant while it is not held. `mass`: of the damper, kg. `clearance`: m; `restitution`: coefficient in the scene.
+    `number`: in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
     """
 
-    law: Law
+    declare: Callable[[float], Law]
     body: int
     gap: int
     mass: float
+    clearance: float
+    restitution: float
+    number: int
+    is_grains: bool = False
+
+    @cached_property
+    def law(self) -> Law:
+        """The law for the clearance."""
+        return self.declare(self.clearance)
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """All that determines the motion, which can be hashed."""
+        return self.law.key, self.body, self.gap, self.mass
 
 
 @dataclass(frozen=True)
@@ -56,14 +70,8 @@ class HybridSystem:
     r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last has the shape (further states, inputs).
     `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed, states) whose product with the
     state is the force of their actuator, N.
-    `damper_coordinate`, `damper_mass`, `clearance`, `restitution`, `damper_number`: coordinate of the body, mass [kg],
-    clearance [m], coefficient of restitution and number in the scene (from 1) of each free damper.
-    `wall_stiffness`, `wall_damping`: of floor and ceiling with finite-duration contact, N/m and N s/m; shape
-    (dampers, 2).
-    `gap_coordinate`: index of the coordinate that is the gap of a damper with finite-duration contact; -1 for instant
-    contact.
-    `grains`: whether a damper is a bed of grains. Here the bed is one mass at rest; `rig.extras.grains` computes its
-    motion.
+    `elements`: the dampers that can move in their cavities. A bed of grains is here one mass at rest;
+    `rig.extras.grains` computes its motion.
     `initial`: state at t = 0 without drive, with all dampers on their floors.
     """
 
@@ -84,15 +92,7 @@ class HybridSystem:
     state_power: np.ndarray
     prescribed: np.ndarray
     reaction: np.ndarray
-    damper_coordinate: np.ndarray
-    damper_mass: np.ndarray
-    clearance: np.ndarray
-    restitution: np.ndarray
-    damper_number: np.ndarray
-    gap_coordinate: np.ndarray
-    wall_stiffness: np.ndarray
-    wall_damping: np.ndarray
-    grains: np.ndarray
+    elements: tuple[Element, ...]
     initial: np.ndarray = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -120,7 +120,60 @@ class HybridSystem:
     @property
     def dampers(self) -> int:
         """Number of dampers that can move in their cavities."""
-        return self.damper_mass.shape[0]
+        return len(self.elements)
+
+    @cached_property
+    def damper_coordinate(self) -> NDArray[np.intp]:
+        """Coordinate of each damper's body."""
+        return np.array([element.body for element in self.elements], dtype=np.intp)
+
+    @cached_property
+    def damper_mass(self) -> np.ndarray:
+        """Mass of each damper, kg."""
+        return np.array([element.mass for element in self.elements], dtype=np.float64)
+
+    @cached_property
+    def clearance(self) -> np.ndarray:
+        """Clearance of each damper, m."""
+        return np.array([element.clearance for element in self.elements], dtype=np.float64)
+
+    @cached_property
+    def restitution(self) -> np.ndarray:
+        """Coefficient of restitution of each damper."""
+        return np.array([element.restitution for element in self.elements], dtype=np.float64)
+
+    @cached_property
+    def damper_number(self) -> NDArray[np.intp]:
+        """Number of each damper in the scene, from 1."""
+        return np.array([element.number for element in self.elements], dtype=np.intp)
+
+    @cached_property
+    def gap_coordinate(self) -> NDArray[np.intp]:
+        """Index of the coordinate that is the gap of each damper; -1 for a detached mass."""
+        return np.array([element.gap for element in self.elements], dtype=np.intp)
+
+    @cached_property
+    def wall_stiffness(self) -> np.ndarray:
+        """Stiffness of floor and ceiling of each damper with finite-duration contact, N/m, shape (dampers, 2)."""
+        return self._of_walls("stiffness")
+
+    @cached_property
+    def wall_damping(self) -> np.ndarray:
+        """Damping of floor and ceiling of each damper with finite-duration contact, N s/m, shape (dampers, 2)."""
+        return self._of_walls("damping")
+
+    def _of_walls(self, name: str) -> np.ndarray:
+        values = [[getattr(wall, name) for wall in element.law.walls] or [0.0, 0.0] for element in self.elements]
+        return np.array(values, dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
+    def grains(self) -> NDArray[np.bool_]:
+        """Whether each damper is a bed of grains."""
+        return np.array([element.is_grains for element in self.elements], dtype=bool)
+
+    def with_clearance(self, clearance: float) -> HybridSystem:
+        """Return the system with the same clearance of all dampers, m."""
+        return replace(self, elements=tuple(replace(element, clearance=clearance) for element in self.elements))
 
     def reject_grains(self) -> None:
         """Raise `SceneError` if a damper is a bed of grains, which the engine cannot simulate."""
@@ -154,20 +207,6 @@ class HybridSystem:
         """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
         stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
         return duration_and_restitution(float(stiffness), float(damping), float(self.reduced_mass[damper]))
-
-    @cached_property
-    def elements(self) -> tuple[Element, ...]:
-        """The contact law of each damper."""
-        laws = [
-            particle_bed(float(self.clearance[j]), float(self.restitution[j]))
-            if self.gap_coordinate[j] < 0
-            else wall_contact(
-                float(self.clearance[j]), tuple(self.wall_stiffness[j].tolist()), tuple(self.wall_damping[j].tolist())
-            )
-            for j in range(self.dampers)
-        ]
-        columns = (self.damper_coordinate.tolist(), self.gap_coordinate.tolist(), self.damper_mass.tolist())
-        return tuple(Element(*fields) for fields in zip(laws, *columns, strict=True))
 
     @cached_property
     def strides(self) -> tuple[int, ...]:

@@ -269,7 +269,10 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
         force_drive=np.hstack([system_without_beds.force_drive, bed_inputs]),
         rate_drive=np.hstack([system_without_beds.rate_drive, no_effect]),
         state_power=np.hstack([system_without_beds.state_power, no_effect]),
-        damper_number=system.damper_number[~system.grains],
+        elements=tuple(
+            replace(element, number=int(number))
+            for element, number in zip(system_without_beds.elements, system.damper_number[~system.grains], strict=True)
+        ),
         initial=system.initial,
     )
 

@@ -16,8 +16,8 @@ STAY = Exit(("rest",))
 @pytest.mark.parametrize("clearance", [1e-3, inf])
 @pytest.mark.parametrize("restitution", [0.0, 0.4])
 def test_laws_have_no_faults(clearance: float, restitution: float) -> None:
-    assert faults(particle_bed(clearance, restitution)) == []
-    assert faults(wall_contact(clearance, (1e4, 2e4), (0.0, 1.0))) == []
+    assert faults(particle_bed(restitution, clearance)) == []
+    assert faults(wall_contact((1e4, 2e4), (0.0, 1.0), clearance)) == []
 
 
 @pytest.mark.parametrize(
@@ -40,12 +40,12 @@ def test_unknown_start_is_a_fault() -> None:
 
 
 def test_rest_on_both_walls_shares_tables() -> None:
-    law = particle_bed(1e-3, 0.0)
+    law = particle_bed(0.0, 1e-3)
     assert law.force_indices == {"flight": 0, "floor": 1, "ceiling": 1} and law.forces[1] is None
 
 
 def test_equal_walls_have_separate_forces() -> None:
     numbers = [
-        list(wall_contact(clearance, (1e4, 1e4), (0.0, 0.0)).force_indices.values()) for clearance in (1e-3, inf)
+        list(wall_contact((1e4, 1e4), (0.0, 0.0), clearance).force_indices.values()) for clearance in (1e-3, inf)
     ]
     assert numbers == [[0, 1, 2, 0, 0]] * 2

@@ -106,14 +106,14 @@ def frf(
     estimator : {'H1', 'H2', 'Hv'}, optional
         Average the spectra of blocks, for random and impact tests. If omitted, the whole record is evaluated, without
         leakage.
-    block, overlap, window
+    block, overlap, window : float, float and str, optional
         Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in
         `scipy.signal.get_window`.
     unit : str, optional
         Unit of the values, such as ``"g/N"``, for files that do not give it.
     progress : callable, optional
         Called with (completed, total).
-    level, direction
+    level, direction : float or str, and str, optional
         Sweep to select if a test ran several: its level, such as ``"2.6 N"``, and ``"up"`` or ``"down"``.
 
     Returns
@@ -158,10 +158,12 @@ def modes(
 
     Parameters
     ----------
-    recordings, reference, block, unit, progress
-        As in `frf`.
+    recordings, reference : as in `frf`
+        Recordings or files with responses, and the input.
     modes : int, optional
         Largest number of modes; if omitted, all significant modes.
+    block, unit, progress : as in `frf`
+        Length of blocks, unit of files, and a callable for the progress.
 
     Returns
     -------
@@ -176,6 +178,13 @@ def modes(
 
 def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Results[Dampers]:
     """Estimate impacts and dissipated energy of dampers in stepped sines, as `analysis dampers`.
+
+    Parameters
+    ----------
+    recordings : daq.Recording, str, Path or a sequence of these
+        Recordings.
+    progress : callable, optional
+        Called with (completed, total).
 
     Returns
     -------
@@ -197,7 +206,20 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
 
 
 def compare(recordings: Sequence[OneRecording], progress: CountProgress | None = None) -> Comparison:
-    """Compare height and frequency of resonance peaks with the first recording, like `analysis compare`."""
+    """Compare height and frequency of resonance peaks with the first recording, like `analysis compare`.
+
+    Parameters
+    ----------
+    recordings : sequence of daq.Recording, str or Path
+        Two or more recordings.
+    progress : callable, optional
+        Called with (completed, total).
+
+    Returns
+    -------
+    Comparison
+        Change of each peak with its 95 % interval.
+    """
     from analysis.commands.presentation.comparison import compare_peaks
 
     return compare_peaks(_paths(recordings), progress)
@@ -210,16 +232,25 @@ def report(
     progress: CountProgress | None = None,
     note: str = "",
 ) -> Path:
-    """Write an interactive HTML page about recordings, as `analysis report`; return its path.
+    """Write an interactive HTML page about recordings, as `analysis report`.
 
     Parameters
     ----------
+    recordings : daq.Recording, str, Path or a sequence of these
+        Recordings; the first one without moving dampers is the reference.
     output : str or Path, optional
         Folder, or .html file; if omitted, the folder of the first recording.
     overwrite : bool
         Whether an existing page may be replaced.
+    progress : callable, optional
+        Called with (completed, total).
     note : str
         Text below the summary, such as date, operator and remarks.
+
+    Returns
+    -------
+    Path
+        The page.
     """
     from analysis.commands.report_page.report import write_report
     from rig.core.base.output_files import allow_overwriting
@@ -239,10 +270,12 @@ def export(
     what: str = "samples",
     progress: CountProgress | None = None,
 ) -> Path:
-    """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file, as `analysis export`; return its path.
+    """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file, as `analysis export`.
 
     Parameters
     ----------
+    recording : daq.Recording, str or Path
+        The recording.
     output : str or Path
         File to write: .uff, .mat, .csv, .npz or .wav.
     channel : sequence of str, optional
@@ -251,8 +284,17 @@ def export(
         Limits of the segment in s; if omitted, the whole recording.
     speed : float
         Playback speed factor of a .wav file: with 10, a tone of 30 Hz sounds at 300 Hz.
+    overwrite : bool
+        Whether an existing file may be replaced.
     what : {'samples', 'frfs', 'modes'}
         Content of the file. Frequency responses and modes require .uff or .mat.
+    progress : callable, optional
+        Called with (completed, total).
+
+    Returns
+    -------
+    Path
+        The file.
     """
     from analysis.core.recordings.names import open_existing
     from analysis.core.recordings.slices import Slice
@@ -275,8 +317,17 @@ def cost(
 
     Parameters
     ----------
+    scene : Scene, str, Path or mapping
+        A scene, or an argument of `rig.load`.
     frequency : sequence of float, optional
         Test frequencies in Hz; if omitted, both ends of the test and the frequency of largest acceleration.
+    progress : callable, optional
+        Called with (completed, total).
+
+    Returns
+    -------
+    ChainStudy
+        Error and time of each variant.
     """
     from analysis.studies.cost.study import chain_study
     from rig.core.scene.loading import scene_of
@@ -291,7 +342,7 @@ def paper(
     overwrite: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Reproduce the figures of the paper and assess its claims, as `analysis paper`; return figures and pages.
+    """Reproduce the figures of the paper and assess its claims, as `analysis paper`.
 
     Parameters
     ----------
@@ -301,8 +352,15 @@ def paper(
         Parts to compute again.
     cluster : str, optional
         Address of a Dask scheduler, as in `rig.design`.
+    overwrite : bool
+        Whether existing figures and pages may be replaced.
     progress : callable, optional
         Called with lines of text.
+
+    Returns
+    -------
+    list of Path
+        Figures and pages.
     """
     from analysis.studies.paper.reproduce import reproduce
     from rig.core.base.output_files import allow_overwriting

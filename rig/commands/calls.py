@@ -43,6 +43,11 @@ def response(
     progress : callable, optional
         Called with the number of completed points and the total.
 
+    Returns
+    -------
+    SteadyResponse
+        Response of each body at each frequency, with types of motion.
+
     Raises
     ------
     SceneError
@@ -71,14 +76,21 @@ def grains(
 
     Parameters
     ----------
-    scene, first, last, points, progress
-        As in `rig.response`.
+    scene, first, last, points : as in `rig.response`
+        The scene, and its frequencies.
     periods : int
         Drive periods in each averaged block.
     table : str or Path, optional
         CSV file that stores the results; frequencies in this file are not recomputed.
     cluster : str, optional
         Address of a Dask scheduler; default: the processors of this machine.
+    progress : callable, optional
+        Called with the number of completed points and the total.
+
+    Returns
+    -------
+    BedResponse
+        Motion of both models at each frequency.
 
     Raises
     ------
@@ -111,18 +123,29 @@ def map(
 
     Parameters
     ----------
-    scene, first, last, progress
-        As in `rig.response`.
+    scene : as in `rig.response`
+        The scene.
     over : {'force', 'drive', 'clearance'}, optional
         Quantity of the vertical axis; default: the level of the test.
     least, most : float or str, optional
         Limits of the vertical axis, in SI or as strings such as ``"0.5 N"``.
-    rows, points : int
-        Number of levels or clearances, and of frequencies.
+    rows : int
+        Number of levels or clearances.
+    first, last : as in `rig.response`
+        Lowest and highest frequency.
+    points : int
+        Number of frequencies.
     cluster : str, optional
         Address of a Dask scheduler; default: the processors of this machine.
     kept : str or Path, optional
         CSV file to which each finished row is added; rows in this file are not recomputed.
+    progress : callable, optional
+        Called with the number of completed points and the total.
+
+    Returns
+    -------
+    MotionMap
+        Type of motion, response and settling time of each point.
 
     Raises
     ------
@@ -150,11 +173,17 @@ def cost(
     ----------
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
-    frequency : float or str, optional Drive frequency; default: the frequency of the test, or of the largest
-    acceleration of the linear structure. periods : int
+    frequency : float or str, optional
+        Drive frequency; default: the frequency of the test, or of the largest acceleration of the linear structure.
+    periods : int
         Number of drive periods to simulate.
     say : callable, optional
         Called with the name of the next method.
+
+    Returns
+    -------
+    Cost
+        Error and time of each method.
 
     Raises
     ------

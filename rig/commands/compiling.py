@@ -17,8 +17,8 @@ def warm_up(*parts: Part) -> None:
 
     Parameters
     ----------
-    parts : "engine" or "orbits"
-        engine: time integration, which suffices for `simulate`, `frequency_response` and `daq.record`; orbits:
+    *parts : {"engine", "orbits"}
+        Engine: time integration, which suffices for `simulate`, `frequency_response` and `daq.record`; orbits:
         periodic orbits, whose functions also need the engine.
 
     Raises

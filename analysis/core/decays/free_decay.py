@@ -177,6 +177,11 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         Number of the hit, from 1.
     modes : int, optional
         Maximum number of modes; default: the number of bodies of the structure.
+
+    Returns
+    -------
+    Decay
+        Frequency and damping of each mode, envelope and energy of the decay.
     """
     names = response_channels(rec)
     if not names:

@@ -202,6 +202,7 @@ def fit(
     Returns
     -------
     Fit
+        Values with their intervals, correlations and misfit.
 
     Raises
     ------

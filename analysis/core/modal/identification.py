@@ -73,6 +73,11 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     count : int, optional
         Largest number of modes; all significant modes if omitted.
 
+    Returns
+    -------
+    Modes
+        Natural frequencies, damping ratios and shapes, with standard uncertainties.
+
     Raises
     ------
     RecordingError

@@ -215,7 +215,20 @@ class Modes(Result):
 def mac(first: NDArray[np.generic] | Modes, second: NDArray[np.generic] | Modes) -> Array:
     """Compute the modal assurance criterion between the columns of two shape matrices, or between identified modes.
 
-    Raises `SceneError` if an argument is neither, or if the numbers of points differ.
+    Parameters
+    ----------
+    first, second : ndarray of shape (points, shapes), or Modes
+        Shapes at the same points.
+
+    Returns
+    -------
+    ndarray, shape (shapes of first, shapes of second)
+        Values from 0 to 1; 1 for equal shapes.
+
+    Raises
+    ------
+    SceneError
+        If an argument is neither, or if the numbers of points differ.
 
     Examples
     --------

@@ -159,8 +159,13 @@ def frfs(
 
     Parameters
     ----------
-    rec, channels, reference, motion, level, direction
+    rec, channels, reference, motion, level, direction : as in `frequency_responses`
         As in `frequency_responses`; a response may also be named by the body that carries the sensor.
+
+    Returns
+    -------
+    Response
+        All outputs over the force or the table motion.
 
     Raises
     ------
@@ -199,9 +204,16 @@ def compliance(
 
     Parameters
     ----------
-    rec, reference, level, direction
-        As in `frfs`.
+    rec : daq.Recording, str or Path
+        The recording, or its path.
     response : str
         Channel, or the body that carries the sensor.
+    reference, level, direction : as in `frfs`
+        Denominator and sweep.
+
+    Returns
+    -------
+    Response
+        The curve.
     """
     return frfs(rec, [response], reference, level=level, direction=direction)[0]

@@ -137,6 +137,11 @@ def srs(
     from_s, to_s : float, optional
         Start and end of the segment, s; default: the whole recording.
 
+    Returns
+    -------
+    ShockSpectrum
+        Positive, negative and maximax response at each natural frequency.
+
     Examples
     --------
     >>> import analysis

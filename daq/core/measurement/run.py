@@ -59,6 +59,11 @@ def record(
     progress : callable, optional
         ``progress(fraction, message)``, called during the test.
 
+    Returns
+    -------
+    Path
+        The recording.
+
     Raises
     ------
     SceneError

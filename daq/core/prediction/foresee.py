@@ -66,6 +66,11 @@ def foresee(scene: Scene | str | Path) -> Foresight:
     scene : Scene or str or Path
         Scene, name of a bundled scene, or path of a scene file.
 
+    Returns
+    -------
+    Foresight
+        Largest values with their limits, duration and size.
+
     Raises
     ------
     SceneError

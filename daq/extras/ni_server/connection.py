@@ -104,6 +104,7 @@ def connect(
     Returns
     -------
     Connection
+        Give it to tasks as `grpc_options`; close it at the end, or use it in a `with` block.
 
     Raises
     ------

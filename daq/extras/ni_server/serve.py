@@ -70,8 +70,8 @@ def serve(
 
     Parameters
     ----------
-    scene, clock
-        As in `daq.connect`.
+    scene, clock : as in `daq.connect`
+        The rig, and the clock that advances it.
     host, port : str and int
         Address of the server; an IPv6 address may be in brackets, and a port may follow the host.
     certificates : Certificates, optional

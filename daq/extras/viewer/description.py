@@ -93,6 +93,11 @@ def info(path: str | Path, check: bool = False) -> Info:
     check : bool
         Whether to read the whole file and verify every record.
 
+    Returns
+    -------
+    Info
+        Channels, and the lines of `daq info`.
+
     Raises
     ------
     RecordingError

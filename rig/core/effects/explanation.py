@@ -118,6 +118,11 @@ def explain(scene: SceneLike) -> Explanation:
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
 
+    Returns
+    -------
+    Explanation
+        Effects with their states, and the effects that are off.
+
     Examples
     --------
     >>> import rig

@@ -67,6 +67,11 @@ def follow_orbits(
     progress : callable, optional
         Called with the number of orbits computed so far.
 
+    Returns
+    -------
+    OrbitCurve
+        All branches that were found, with their stability and folds.
+
     Raises
     ------
     SceneError

@@ -69,6 +69,11 @@ def periodic_orbit(scene: SceneLike, frequency: float | str, start: Orbit | None
         A nearby orbit of this scene with the same events. Without it, the motion is simulated from rest until it
         repeats, and is then refined by Newton's iteration.
 
+    Returns
+    -------
+    Orbit
+        The motion, with its events and stability.
+
     Raises
     ------
     SceneError

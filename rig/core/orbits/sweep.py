@@ -215,6 +215,11 @@ def orbit_response(
     progress : callable, optional
         Called with the number of completed values and the total number.
 
+    Returns
+    -------
+    OrbitResponse
+        Motion at each value.
+
     Raises
     ------
     SceneError

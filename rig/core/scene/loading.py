@@ -103,6 +103,11 @@ def loads(text: str, where: str = "scene", folder: str | Path | None = None) -> 
     folder : str or Path, optional
         Folder of the .npy files; None: matrices must be inline.
 
+    Returns
+    -------
+    Scene
+        The scene.
+
     Raises
     ------
     SceneError

@@ -135,6 +135,11 @@ def simulate(
     progress : callable, optional
         Called in runs with grains with the completed and total number of samples.
 
+    Returns
+    -------
+    Run
+        Motion at the samples, with all events.
+
     Raises
     ------
     SceneError

@@ -256,6 +256,11 @@ def frequency_response(
     progress : callable, optional
         Called with the number of completed points and the total.
 
+    Returns
+    -------
+    SteadyResponse
+        Response of each body at each frequency, with types of motion.
+
     Raises
     ------
     SceneError

@@ -200,6 +200,11 @@ def design(
     say : callable, optional
         Called with a description of the step after the search.
 
+    Returns
+    -------
+    Design
+        The chosen dampers, their effect, and all trials.
+
     Raises
     ------
     SceneError

@@ -208,6 +208,11 @@ def map_motion(
     table_path : Path, optional
         CSV file to which each finished row is added; rows of the same map in this file are not recomputed.
 
+    Returns
+    -------
+    MotionMap
+        Type of motion, response and settling time of each point.
+
     Raises
     ------
     RunError

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,11 +17,11 @@ ROOT = Path(__file__).parents[1]
 KINDS = ROOT / "tests" / "kinds"
 
 
-def use(product: Path, files: dict[str, str], union: str, last: str, new: str, script: str) -> dict[str, Any]:
+def use(product: Path, files: dict[str, str], union: str, new: str, script: str) -> dict[str, Any]:
     """Copy the product with the files of a new kind, and return what a script prints.
 
-    `files`: modules of the product and their sources; `union`: the package that lists the kinds; `last`, `new`: the
-    classes of its last and of the new kind.
+    `files`: modules of the product and their sources; `union`: the package that lists the kinds; `new`: the class
+    of the new kind.
     """
     for package in ("rig", "daq", "analysis"):
         shutil.copytree(ROOT / package, product / package, ignore=shutil.ignore_patterns("__pycache__"))
@@ -28,7 +29,7 @@ def use(product: Path, files: dict[str, str], union: str, last: str, new: str, s
         shutil.copy(KINDS / source, product / target)
     module = next(iter(files)).removesuffix(".py").replace("/", ".")
     package = product / union / "__init__.py"
-    text = package.read_text(encoding="utf-8").replace(f"{last},", f"{last} | {new},")
+    text = re.sub(r",(\s*Alternatives\()", rf" | {new},\1", package.read_text(encoding="utf-8"), count=1)
     text = text.replace("from rig.core.settings", f"from {module} import {new} as {new}\nfrom rig.core.settings", 1)
     package.write_text(text, encoding="utf-8")
     command = [sys.executable, "-P", str(KINDS / script), str(product / "new.mcap")]
@@ -45,14 +46,14 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "daq/core/excitation/two_tones.py": "two_tones_procedure.py",
     }
     product = tmp_path_factory.mktemp("product")
-    return use(product, files, "rig/core/scene/excitation", "Free", "TwoTones", "use_two_tones.py")
+    return use(product, files, "rig/core/scene/excitation", "TwoTones", "use_two_tones.py")
 
 
 @pytest.fixture(scope="module")
 def coil(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     files = {"rig/core/scene/shaker/voice_coil.py": "voice_coil_shaker.py"}
     product = tmp_path_factory.mktemp("product")
-    return use(product, files, "rig/core/scene/shaker", "BaseShaker", "VoiceCoil", "use_voice_coil.py")
+    return use(product, files, "rig/core/scene/shaker", "VoiceCoil", "use_voice_coil.py")
 
 
 def test_new_kind_is_checked(results: dict[str, Any]) -> None:

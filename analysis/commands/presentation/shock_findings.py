@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from analysis.commands.presentation.outputs import (
     CommandOutput,
@@ -16,8 +17,13 @@ from analysis.commands.presentation.tables import Row, write_table
 from analysis.core.recordings.names import OpenRecordings, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
 from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
+from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, new_figure, save_figure, set_log_scale
+from rig.core.results.text import table_lines
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
 
 
 @with_recordings
@@ -40,9 +46,11 @@ def present_srs(
     table = with_ending(stem, "csv")
     check_outputs(paths, with_ending(stem, "png"), with_ending(stem, "svg"), table)
     warnings: list[str] = []
+    lines: list[str] = []
     spectra: list[tuple[str, ShockSpectrum]] = []
     for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
+        lines += pulse_lines(rec)
         for name in select_channels(rec, channels) or list(rec.channels):
             spectrum = srs(rec, name, q=q, lowest=lowest, highest=highest, from_s=from_s, to_s=to_s)
             spectra.append((label, spectrum))
@@ -65,5 +73,19 @@ def present_srs(
     ]
     heading = ["scene", "channel", "unit", "Q", "frequency_Hz", "maximax", "positive", "negative"]
     files.append(write_table(table, heading, rows))
-    lines = tuple(f"{label}{s.summary().removeprefix(s.label)}" for label, s in spectra)
-    return CommandOutput(tuple(files), lines, tuple(dict.fromkeys(warnings)))
+    lines += [f"{label}{spectrum.summary().removeprefix(spectrum.label)}" for label, spectrum in spectra]
+    return CommandOutput(tuple(files), tuple(lines), tuple(dict.fromkeys(warnings)))
+
+
+def pulse_lines(rec: Recording) -> list[str]:
+    """Return a table of the practice pulses and shocks of a recording with their deviations; empty without a shock."""
+    rows = [("pulse", "level / dB", "peak / (m/s²)", "deviation", "tolerance", "")]
+    for mark in shocks_of(rec.markers, with_practice=True):
+        fields, unit = mark.fields, str(mark.fields["unit"])
+        factor, suffix = (1.0, " dB") if unit == "dB" else (100.0, f" % {unit}")
+        deviation, tolerance = (f"{factor * float(fields[key]):.3g}{suffix}" for key in ("deviation", "tolerance"))
+        is_within = float(fields["deviation"]) <= float(fields["tolerance"])
+        name, level = f"{mark.kind} {fields['number']}", f"{float(fields['level']):g}"
+        peak = f"{float(fields['peak']):.4g}"
+        rows.append((name, level, peak, deviation, tolerance, "within" if is_within else "outside"))
+    return table_lines(rows, "<>>>><") if len(rows) > 1 else []

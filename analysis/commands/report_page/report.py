@@ -11,6 +11,7 @@ from string import Template
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending
 from analysis.commands.report_page.charts import ChartWriter
+from analysis.commands.report_page.control import control_charts
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing, stabilization_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.measurements import Measurement, Measurements
@@ -96,6 +97,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
             if sweep.modes is not None and sweep.modes.chart
         ],
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
+        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each.rec)],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),
         **{f"Recording {each.path.name}": _recording(each, charts, each is not first) for each in results},

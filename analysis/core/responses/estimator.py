@@ -33,6 +33,7 @@ MODULES = {
     "random": "random",
     "multisine": "multisine",
     "hits": "impact",
+    "shock": "shock",
 }
 
 

@@ -16,6 +16,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import Slice
 from analysis.core.responses.measurands import find_channel, response_channels
 from daq.core.dsp.shock_response import shock_response
+from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.numerics.memory import require_memory
@@ -135,7 +136,7 @@ def srs(
     per_octave : int
         Number of natural frequencies per octave.
     from_s, to_s : float, optional
-        Start and end of the segment, s; default: the whole recording.
+        Start and end of the segment, s; default: the first shock at full level, otherwise the whole recording.
 
     Returns
     -------
@@ -156,6 +157,9 @@ def srs(
     first = _LOWEST_HZ if lowest is None else lowest
     last = max(_HIGHEST_RATIO * rec.rate, first) if highest is None else highest
     _check_options(rec, q, first, last, per_octave)
+    shock = next(iter(shocks_of(rec.markers)), None)
+    if shock is not None and from_s is None and to_s is None:
+        from_s, to_s = shock.first_sample / rec.rate, (shock.end + 1) / rec.rate
     segment = Slice.of(rec, [info.name], from_s, to_s)
     require_memory(8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment")
     samples, warnings = _finite(rec, segment.read_channel(info.name))

@@ -38,8 +38,8 @@ class FormValues:
 class Form:
     """How the bench page offers a kind of test.
 
-    `fields`: names of the `FormValues` of the test. `adjustable`: the operator can change frequency and level of a tone
-    while it runs.
+    `fields`: names of the `FormValues` of the test; without any, the page offers the test of the scene unchanged.
+    `adjustable`: the operator can change frequency and level of a tone while it runs.
     """
 
     title: str

@@ -10,9 +10,10 @@ from zlib import crc32
 import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.errors import SceneError
+from rig.core.base.errors import RunError, SceneError
 from rig.core.base.progress import FractionProgress
-from rig.core.scene.shaker import at_shaker
+from rig.core.scene.presets import complete_from_preset
+from rig.core.scene.shaker import DRIVE_PER_VOLT, at_shaker
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 # A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and receives the readings of
 # the channels in that window, shape (channels, samples), in physical units.
 Excitation = Generator[Array, Array, None]
+
+
+class GivenUp(RunError):
+    """A test cannot continue; the loop that runs it then ramps the drive to zero."""
 
 
 @dataclass
@@ -104,6 +109,24 @@ class Station:
     def drive_limit(self) -> float:
         """Largest drive within the range of the shaker's amplifier; V, m or N."""
         return np.inf if self.scene.driven_shaker is None else self.scene.driven_shaker.drive_limit
+
+    @property
+    def output_limit(self) -> float:
+        """Largest drive within the ranges of the amplifier and of the output; V, m, N or m/s^2."""
+        shaker = self.scene.driven_shaker
+        volts = None if shaker is None else complete_from_preset(shaker.output).range
+        if shaker is None or volts is None:
+            return self.drive_limit
+        return min(self.drive_limit, volts * DRIVE_PER_VOLT[shaker.drive_unit])
+
+    def row_of(self, channel: str) -> int:
+        """Return the row of a channel in the readings."""
+        return next(row for row, info in enumerate(self.channels) if info.name == channel)
+
+    def acceleration_factor(self, row: int, frequency: Array | float) -> ComplexArray:
+        """Return the factor from a channel's complex amplitude to its acceleration in m/s^2, at frequencies in Hz."""
+        omega = 2j * np.pi * np.asarray(frequency, dtype=float)
+        return np.asarray(self.displacement_factor(row, frequency) * omega**2)
 
     @property
     def cautious_drive(self) -> float:

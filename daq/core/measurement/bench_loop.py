@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.excitation.station import Excitation, Station
+from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.measurement.limits import ControlLoss, Limits
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
-from rig.core.base.errors import RunError
 from rig.core.scene.scene import Scene
 
 # Duration of the drive's ramp to zero after an early end of a test.
@@ -35,7 +34,7 @@ def ramp_down(last: Array, samples: int) -> Array:
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
 
 
-class LimitReached(RunError):
+class LimitReached(GivenUp):
     """A channel exceeded its abort limit, or the controlled force could no longer be measured."""
 
 
@@ -84,7 +83,8 @@ class BenchLoop(ABC):
     def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
         """Run a test; return whether the test ran to completion within `max_duration`, s.
 
-        `drive`: drive of the first window. An error of `ending_error` is raised after a ramp of the drive to zero.
+        `drive`: drive of the first window. An error of `ending_error`, or of a test that gives up, is raised after a
+        ramp of the drive to zero.
         """
         check_samples = self.station.samples(self._limits.interval)
         while self.station.now < max_duration * self.bench.rate:
@@ -104,6 +104,9 @@ class BenchLoop(ABC):
                     # The last samples of the test are still in the converter's filter.
                     self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
+            except GivenUp:
+                self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
+                raise
         return False
 
     def ending_error(self, readings: Array) -> BaseException | None:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.console import progress
 from rig.core.base.errors import ShotrigError
 from rig.core.results import format_frequencies
@@ -116,6 +117,7 @@ def next_steps(rec: Recording) -> list[str]:
         # The response to one tone has no modes.
         is_one_tone = kind.steady and len({mark.fields.get("frequency") for mark in measured}) == 1
         steps += ["frf"] if is_one_tone else ["frf", "modes"]
+    steps = ["srs"] if shocks_of(rec.markers) else steps
     steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from daq.core.excitation import excitation, procedure_of
 from daq.core.excitation.impulse import settling_time
-from daq.core.measurement.bench_loop import BenchLoop, LimitReached
+from daq.core.excitation.station import GivenUp
+from daq.core.measurement.bench_loop import BenchLoop
 from daq.core.recording.recorder import Recorder
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
@@ -136,8 +137,8 @@ class Rehearsal(BenchLoop):
         test = excitation(self.station)
         try:
             self.complete = self.run_test(test, next(test), max_duration)
-        except LimitReached as limit_reached:
-            self.aborted = str(limit_reached)
+        except GivenUp as reason:
+            self.aborted = str(reason)
         self.seconds = self.station.now / self.rate
         return self
 

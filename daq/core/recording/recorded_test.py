@@ -8,7 +8,7 @@ the scene.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -45,6 +45,8 @@ class TestKind(StrEnum):
     """Pulses that end long before the next one, as of a hammer. Markers `hit`: none are required."""
     FREE = "free"
     """A free decay without a force."""
+    SHOCK = "shock"
+    """Shocks with a prescribed motion of a channel."""
     NONE = "none"
     """No test, or a test without a measurement."""
 
@@ -123,6 +125,11 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
         return TestKind.HITS
     stated = kind_of_settings(settings)
     return stated if measure_markers or not stated.drives else TestKind.NONE
+
+
+def shocks_of(markers: Iterable[Marker], with_practice: bool = False) -> list[Marker]:
+    """Return the markers of the shocks at full level, or of all pulses."""
+    return [mark for mark in markers if mark.kind == "shock" or (with_practice and mark.kind == "practice")]
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
     """Return the procedures that the page offers, by the titles of their forms."""
     # The levels on the page are forces.
     exerts_force = any("force" in shaker.level_keys for shaker in scene.shakers)
-    kinds = [kind for kind in KINDS if kind.uses_shaker] if exerts_force else []
+    kinds = [kind for kind in KINDS if kind.uses_shaker]
     if scene.test is not None and scene.hammer is not None:
         # Only a scene with a hammer test has a channel for the hammer.
         kinds = [type(scene.test)]
@@ -53,7 +53,9 @@ def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
         # A kind without a procedure can only be simulated.
         with suppress(SceneError):
             procedure = procedure_of(kind)
-            if procedure.form is not None:
+            is_own = scene.test is not None and type(scene.test) is kind
+            # A form without fields runs the test of the scene.
+            if procedure.form is not None and (is_own if not procedure.form.fields else exerts_force or scene.hammer):
                 forms[procedure.form.title] = procedure
     return forms
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.excitation import Excitation, Station, excitation
+from daq.core.excitation.station import GivenUp
 from daq.core.measurement.bench_loop import RAMP_S, ramp_down
 from daq.core.signal_chain.oversampling import DriveInterpolator
 from rig.core.base.arrays import Array
@@ -52,6 +53,7 @@ class BackgroundTest:
         self._station, self._to_units, self._make_excitation, self._on_end = station, to_units, make_excitation, on_end
         self._interpolator = DriveInterpolator(len(station.inputs), ticks_per_sample)
         self._is_stopping = False
+        self._reason = ""  # why the test gave up
         self._position = 0  # in the drive of the current block, ticks
         self._readings: list[Array] = []  # of the current block
         self._drive = np.zeros((len(station.inputs), 0))  # of the current block, at every tick
@@ -72,6 +74,11 @@ class BackgroundTest:
     def _start_block(self, drive: Array) -> None:
         """Start the next block, with its drive at the sample rate, shape (inputs, samples)."""
         self._block_drive, self._drive, self._position = drive, self._interpolator.interpolate(drive), 0
+
+    def _start_ramp(self) -> None:
+        """Start a last block, in which the drive decreases to zero."""
+        self._test = _ramp(self._block_drive[:, -2:], self._station.samples(RAMP_S))
+        self._start_block(next(self._test))
 
     def _finish(self, failure: str, reason: str) -> None:
         """End the drive, and report the reason; `failure`: verb phrase of the warning, such as "has ended"."""
@@ -129,13 +136,15 @@ class BackgroundTest:
             if self._is_stopping:
                 self._is_stopping = False
                 self._test.close()
-                self._test = _ramp(self._block_drive[:, -2:], self._station.samples(RAMP_S))
-                self._start_block(next(self._test))
+                self._start_ramp()
             else:
                 self._start_block(self._test.send(readings))
+        except GivenUp as error:
+            self._reason = str(error)
+            self._start_ramp()
         except StopIteration:
-            if self._on_end is not None:
-                self._finish("", "")
+            if self._on_end is not None or self._reason:
+                self._finish("has ended", self._reason)
             else:
                 self._station = replace(self._station, now=0)
                 self._start_test("cannot be repeated")

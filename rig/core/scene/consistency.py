@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import AfterValidator, ValidationInfo
 
+from rig.core.base.errors import suggestion
 from rig.core.scene.body_names import body_problems
 from rig.core.scene.measurement_chain import Channel, Converter
 from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
@@ -150,3 +151,16 @@ def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem
             f"{frequency:.6g} Hz at {rate:.6g} samples a second; expected less than half the rate, {rate / 2:.6g} Hz. "
             "Lower the frequency, or raise converter.rate.",
         )
+
+
+def check_named_channels(
+    test: Test | None, channels: tuple[Channel, ...] | None, ideal: tuple[str, ...]
+) -> Iterable[Problem]:
+    """Check that the channels that a test names exist and measure motion; `ideal`: locations without `channels`."""
+    motion = [place.replace(" ", "") for place in ideal]
+    if channels is not None:
+        motion = [each.name for each in channels if not (each.measures_force or each.measures_voltage)]
+    for key_path, name in () if test is None else test.named_channels:
+        if name not in motion:
+            hint = suggestion(name, motion) or f"Choose one of {', '.join(motion) or 'new channels'}."
+            yield Problem(("test", *key_path), f"no motion channel {name!r}. {hint}")

@@ -125,8 +125,10 @@ class Scene(Settings):
         return at_shaker(name, self.driven or 1, len(self.shakers) or 1)
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check the frequencies of the test against the sample rate."""
-        return consistency.check_frequency(self.test, self.converter)
+        """Check the frequencies of the test against the sample rate, and the channels that it names."""
+        yield from consistency.check_frequency(self.test, self.converter)
+        ideal = (*(f"body {k + 1}" for k in range(self.structure.bodies)), *(name for name, _ in self.tables))
+        yield from consistency.check_named_channels(self.test, self.channels, ideal)
 
     def to_yaml(self) -> str:
         """Write a scene file that loads back as an equal scene.

@@ -53,6 +53,7 @@ siemens = ampere / volt = S
 henry = volt * second / ampere = H
 tesla = volt * second / metre ** 2 = T
 kelvin = [temperature] = K
+decibel = [level] = dB
 standard_gravity = 9.80665 metre / second ** 2 = gn
 percent = 0.01
 ppm = 1e-6
@@ -100,6 +101,8 @@ RATE = Kind("a rate", "1/s", "0.1 1/s")
 FREQUENCY = Kind("a frequency", "Hz", "50 Hz or 312.4 rad/s", 1e-6, 1e8)
 SAMPLE_RATE = Kind("a sample rate", "Hz", "25.6 kHz", FREQUENCY.minimum, FREQUENCY.maximum)
 RATIO = Kind("a ratio", "", "10 %")
+LEVEL = Kind("a level", "dB", "3 dB")
+ACCELERATION_DENSITY = Kind("an acceleration density", "(m/s^2)^2/Hz", "0.01 g^2/Hz")
 VOLTAGE = Kind("a voltage", "V", "5 V")
 CURRENT = Kind("a current", "A", "2 mA")
 RESISTANCE = Kind("a resistance", "ohm", "2 ohm")

@@ -183,7 +183,9 @@ def test_stepped_sine_order_follows_direction_and_spacing() -> None:
     assert (listed.order, listed.levels) == ((10.0, 11.5), (0.3,))
 
 
-@pytest.mark.parametrize("name", [name for name in bundled_scenes() if name not in ("fe-beam", "shaker-table")])
+@pytest.mark.parametrize(
+    "name", [name for name in bundled_scenes() if name != "fe-beam" and "shaker-table" not in name]
+)
 def test_paper_scene_has_the_structure_of_the_paper(name: str) -> None:
     structure = rig.load(name).structure
     assert structure.masses == (0.74, 0.71, 0.64)

@@ -191,6 +191,22 @@ class KindOfTest(Settings):
             return {}
         return shaker.force_terms("", table)
 
+    @property
+    def named_channels(self) -> Iterable[tuple[KeyPath, str]]:
+        """Key paths and names of the channels that the test names; they must measure motion."""
+        return ()
+
+    def pulse(self, time: Array) -> tuple[Array, float] | None:
+        """Return the prescribed acceleration of a shock and its tolerance, m/s^2; None without one.
+
+        `time`: from the middle of the pulse, s.
+        """
+        return None
+
+    def shock_spectrum(self) -> tuple[Array, Array, float] | None:
+        """Return frequencies (Hz), prescribed shock response spectrum (m/s^2) and tolerance (dB); None without one."""
+        return None
+
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
         """Check references to other sections; `valid`: the valid sections before the test, by key."""
         if self.uses_shaker and "shaker" in valid:

@@ -1,0 +1,60 @@
+"""Charts of tests that control the motion of a channel: pulses and shock response spectra."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel
+from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.responses.measurands import response_channels
+from analysis.core.signals.shock_spectrum import srs
+from daq.core.recording.recorded_test import shocks_of
+from rig.core.base.palette import place_style
+from rig.core.scene.excitation.profile import from_decibels
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+
+def control_charts(rec: Recording) -> list[Chart]:
+    """Return the charts of the shocks of a recording; empty without shocks."""
+    shocks = shocks_of(rec.markers)
+    if not shocks or rec.scene.test is None:
+        return []
+    test, mark = rec.scene.test, shocks[0]
+    control = next(name for _, name in test.named_channels)
+    samples = rec.read(control, mark.first_sample, mark.end + 1)
+    wave = correct_motion(rec.channels[control], samples, "acceleration", 2.0 / test.shortest, 0.4 * rec.rate)
+    center = int(mark.fields["center"]) - mark.first_sample
+    time = EvenlySpaced(-center / rec.rate, 1.0 / rec.rate, wave.size)
+    curves = [Curve(control, time, wave, style=place_style(rec.channels[control].at))]
+    pulse = test.pulse((np.arange(wave.size) - center) / rec.rate)
+    if pulse is not None:
+        curves.append(Curve("prescribed", time, pulse[0], pulse[0] - pulse[1], pulse[0] + pulse[1]))
+    waveform = Chart(
+        "First shock at the control channel; band: tolerance.",
+        f"Acceleration of {control} in the first shock.",
+        [Panel("acceleration", "m/s²", curves, height=220)],
+        x_name="time",
+        x_unit="s",
+    )
+    spectra = [srs(rec, name) for name in dict.fromkeys((control, *response_channels(rec)))]
+    curves = [
+        Curve(each.channel, each.frequency, each.maximax, style=place_style(rec.channels[each.channel].at))
+        for each in spectra
+    ]
+    prescribed = test.shock_spectrum()
+    if prescribed is not None:
+        frequency, values, tolerance = prescribed
+        ratio = from_decibels(tolerance)
+        curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio))
+    response = Chart(
+        "Shock response spectra (maximax) of the first shock, Q = 10.",
+        "Shock response spectra of the control channel and the bodies.",
+        [Panel("shock response", "m/s²", curves, height=260, logarithmic=True)],
+        x_name="natural frequency",
+        logarithmic=True,
+    )
+    return [waveform, response]

@@ -1,0 +1,130 @@
+"""Frequency responses of control channels to the drive, from a weak multisine of increasing level.
+
+The responses are accelerations per unit of drive; sensor, integrator and converter are removed, their delay is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.core.excitation.spectrum_shaping import Lines, crossfade, sum_of_tones
+from daq.core.excitation.station import GivenUp, Station
+from rig.core.base.arrays import Array, ComplexArray
+
+#: Lines with a lower coherence are not used.
+MIN_COHERENCE = 0.9
+# The response is raised to this fraction of that in the test.
+_RESPONSE_RATIO = 0.1
+# The first level is this fraction of the level that a table requires, or a structure of 1 kg.
+_FIRST_RATIO = 0.1
+# Largest change of a line, or of all lines, in one step.
+_MAX_STEP = 10.0
+# Largest number of steps until there is a response, and of steps that shape the spectrum.
+_MAX_SEARCHES, _MAX_SHAPINGS = 10, 3
+# Below this multiple of the noise, there is no response.
+_MIN_SIGNAL_TO_NOISE = 4.0
+# Part of the range of the output that the peak of the drive may use.
+_OUTPUT_RATIO = 0.3
+# Number of periods in which the transient decays, and of measured periods.
+_SETTLING_PERIODS = 2
+_PERIODS = 4
+#: Expected number of periods of an identification.
+EXPECTED_PERIODS = 16
+# The test gives up if the coherent lines contain less than this part of the required power.
+_MIN_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Identified:
+    """Responses of channels to the drive at spectral lines."""
+
+    lines: Lines
+    gain: ComplexArray  # m/s^2 per unit of drive, shape (channels, lines)
+    coherence: Array  # shape (channels, lines)
+
+
+def accelerations(station: Station, rows: Sequence[int], readings: Array, lines: Lines, period: int) -> ComplexArray:
+    """Return the complex amplitudes of the accelerations in one period of readings, shape (rows, lines), m/s^2."""
+    frequency = lines * station.rate / period
+    factors = np.array([station.acceleration_factor(row, frequency) for row in rows])
+    # The first reading is subtracted, so that constant readings are exactly zero.
+    changes = readings[list(rows)] - readings[list(rows), :1]
+    return np.asarray(factors * np.fft.rfft(changes, axis=1)[:, lines] * (2.0 / period))
+
+
+def identify(
+    station: Station, rows: Sequence[int], lines: Lines, period: int, required: Array, limits: Array, purpose: str
+) -> Generator[Array, Array, Identified]:
+    """Identify the responses of channels.
+
+    `rows`: their rows, that of a control channel first; `period`: samples; `required`: amplitude of the first channel
+    at each line in the test, m/s^2; `limits`: largest root mean square of each channel in the test, m/s^2; `purpose`:
+    of the random phases.
+    """
+    phases, first = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size), station.now
+    # Lines without power in the test are measured, too.
+    floor = 0.1 * float(np.sqrt(np.mean(required**2)))
+    desired = _RESPONSE_RATIO * np.sqrt(required**2 + floor**2)
+    amplitudes, wave, shapings = _first_drive(station, lines, period, desired), np.zeros(period), 0
+    station.report(0.0, "measuring the noise")
+    noise = _rms(accelerations(station, rows, (yield station.zero_drive(period)), lines, period))
+    for _ in range(_MAX_SEARCHES + _MAX_SHAPINGS):
+        station.report(0.0, "searching the level of the identification")
+        previous, wave = wave, sum_of_tones(lines, amplitudes, phases, period)
+        largest = float(abs(wave).max())
+        is_limited = largest > _OUTPUT_RATIO * station.output_limit
+        if is_limited:
+            factor = _OUTPUT_RATIO * station.output_limit / largest
+            amplitudes, wave = factor * amplitudes, factor * wave
+        yield station.drive(crossfade(previous, wave))
+        response = np.abs(accelerations(station, rows, (yield station.drive(wave)), lines, period))
+        if _rms(response)[0] < _MIN_SIGNAL_TO_NOISE * noise[0]:
+            if is_limited:
+                break
+            amplitudes = _MAX_STEP * amplitudes
+            continue
+        if shapings == _MAX_SHAPINGS:
+            break
+        shapings += 1
+        ratio = desired / np.maximum(response[0], np.finfo(float).tiny)
+        # No channel may exceed its part of the limit.
+        excess = float(np.max(_rms(np.asarray(response * ratio)) / (_RESPONSE_RATIO * limits)))
+        amplitudes = amplitudes * np.clip(ratio / max(excess, 1.0), 1.0 / _MAX_STEP, _MAX_STEP)
+    station.report(0.0, "identifying the responses to the drive")
+    for _ in range(_SETTLING_PERIODS):
+        yield station.drive(wave)
+    spectra = []
+    for _ in range(_PERIODS):
+        spectra.append(accelerations(station, rows, (yield station.drive(wave)), lines, period))
+    yield station.drive(crossfade(wave, np.zeros(period)))
+    measured, drive = np.array(spectra), np.fft.rfft(wave)[lines] * (2.0 / period)
+    mean, power = measured.mean(axis=0), np.mean(abs(measured) ** 2, axis=0)
+    coherence = np.clip(abs(mean) ** 2 / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    share = float(np.sum(required[coherence[0] >= MIN_COHERENCE] ** 2) / np.sum(required**2))
+    level = float(np.sqrt(np.mean(wave**2)))
+    station.mark("identification", first, station.now, drive=level, coherent=round(share, 3))
+    if share < _MIN_SHARE:
+        raise GivenUp(
+            f"{station.channels[rows[0]].name} does not follow the drive: for {100 * (1 - share):.0f} % of the "
+            f"required power, the coherence is below {MIN_COHERENCE:g}. Use a more sensitive sensor, a smaller "
+            "converter.range, or a higher level."
+        )
+    return Identified(lines, np.asarray(mean / drive), coherence)
+
+
+def _first_drive(station: Station, lines: Lines, period: int, desired: Array) -> Array:
+    """Return amplitudes of a weak drive: from the model of a table, or equal ones from a rough static estimate."""
+    shaker = station.scene.driven_shaker
+    assert shaker is not None
+    if shaker.prescribed:
+        s = np.asarray(2j * np.pi * lines * station.rate / period)
+        return np.asarray(_FIRST_RATIO * desired * abs(shaker.required_drive(s)[0] / s**2))
+    return np.full(lines.size, _FIRST_RATIO * float(np.sqrt(np.mean(desired**2))) / shaker.newtons_per_drive)
+
+
+def _rms(amplitudes: Array | ComplexArray) -> Array:
+    """Return the root mean square of sums of tones, shape (rows,), from their amplitudes, shape (rows, lines)."""
+    return np.asarray(np.sqrt(np.sum(abs(amplitudes) ** 2, axis=1) / 2.0))

@@ -1,0 +1,144 @@
+"""Shock test: the response to the drive is identified, and the pulse replicated with practice pulses before the shocks.
+
+IEC 60068-2-27 (half sine), IEC 60068-2-81 (shock response spectrum).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.core.excitation.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
+from rig.core.base.errors import SceneError
+from rig.core.scene.excitation.profile import from_decibels
+from rig.core.scene.excitation.shock import PULSE_POSITION
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import Shock
+    from rig.core.scene.excitation.kind import KindOfTest
+    from rig.core.scene.scene import Scene
+
+
+# Number of practice pulses after which the test gives up, if the scene does not give more.
+_MAX_PRACTICE = 3
+# Highest frequency of the drive, as a fraction of the sample rate.
+_BAND_RATIO = 0.4
+# Smallest number of samples in a half sine.
+_MIN_SAMPLES = 6
+# Time without drive after the last pulse, as a fraction of the interval.
+_REST = 0.25
+
+
+def excite(station: Station, test: Shock) -> Excitation:
+    """Run practice pulses (marked `practice`) and shocks (marked `shock`)."""
+    period = station.samples(test.interval)
+    pulse = _pulse(test, period, station.rate)
+    lines = lines_between(pulse.band[0], min(pulse.band[1], _BAND_RATIO * station.rate), period, station.rate)
+    row = station.row_of(test.control)
+    required = np.asarray(abs(np.fft.rfft(pulse.target)[lines]) * (2.0 / period))
+    identified = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
+    gain = np.where(identified.coherence[0] >= MIN_COHERENCE, identified.gain[0], 0.0)
+    replication = Replication(pulse.target, lines, gain)
+    _check_drive(station, replication, test)
+    levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
+    total, number, is_within, message = n_practice + test.repeats, 0, False, ""
+    while levels or not is_within:
+        if number == n_practice:
+            remedy = "Add practice pulses at higher levels (test.practice), or widen the tolerance."
+            raise GivenUp(f"after {number} practice pulses {message}. {remedy}")
+        level = levels.pop(0) if levels else test.practice[-1]
+        number += 1
+        station.report(number / total, f"practice pulse {number} at {level:g} dB")
+        deviation, message = yield from _run_pulse(station, test, replication, pulse, level, "practice", number)
+        is_within = deviation <= pulse.tolerance
+        _check_drive(station, replication, test)
+    outside = []
+    for number in range(1, test.repeats + 1):
+        station.report((n_practice + number) / total, f"shock {number} of {test.repeats}")
+        deviation, message = yield from _run_pulse(station, test, replication, pulse, 0.0, "shock", number)
+        if deviation > pulse.tolerance:
+            outside.append(f"shock {number}: {message}")
+    yield station.zero_drive(station.samples(_REST * test.interval))
+    if outside:
+        station.warn(f"{'; '.join(outside)}. Add practice pulses at higher levels (test.practice).")
+
+
+def _run_pulse(
+    station: Station, test: Shock, replication: Replication, pulse: Pulse, level: float, kind: str, number: int
+) -> Any:
+    """Run a pulse at a level in dB, mark it, correct the drive, and return the deviation with its description."""
+    first, ratio = station.now, from_decibels(level)
+    period = pulse.target.size
+    readings = yield station.drive(replication.drive(ratio))
+    response = accelerations(station, [station.row_of(test.control)], readings, replication.lines, period)[0]
+    wave = replication.to_wave(response) / ratio
+    deviation, message = pulse.deviation(wave)
+    replication.correct(response, ratio)
+    # The readings of the window begin earlier than its drive by the latency.
+    start = max(first - station.latency, 0)
+    station.mark(
+        kind, start, start + period, number=number, level=level, peak=round(float(abs(wave).max()) * ratio, 6),
+        deviation=round(deviation, 4), tolerance=pulse.tolerance, unit=pulse.unit,
+        center=start + round(PULSE_POSITION * period),
+    )  # fmt: skip
+    return deviation, message
+
+
+def _pulse(test: Shock, period: int, rate: float) -> Pulse:
+    """Return the pulse of a test."""
+    if test.half_sine is None:
+        assert test.spectrum is not None
+        return SpectrumPulse(test.spectrum, period, rate)
+    if test.half_sine.width * rate < _MIN_SAMPLES:
+        raise SceneError(
+            f"test.half_sine.width: a pulse of {test.half_sine.width * 1e3:g} ms has less than {_MIN_SAMPLES} samples "
+            f"at {rate:g} Hz. Give a longer pulse, or raise converter.rate."
+        )
+    return HalfSinePulse(test.half_sine, period, rate)
+
+
+def _check_drive(station: Station, replication: Replication, test: Shock) -> None:
+    """Give up if the drive of the shock exceeds the output or the amplifier."""
+    largest, shaker = float(abs(replication.drive(1.0)).max()), station.scene.driven_shaker
+    assert shaker is not None
+    if largest > station.output_limit:
+        size = "Lower the spectrum." if test.half_sine is None else "Shorten the width, or lower the peak."
+        raise GivenUp(
+            f"the pulse requires a drive of {largest:.3g} {shaker.drive_unit}; the output gives "
+            f"{station.output_limit:.3g} {shaker.drive_unit}. {size}"
+        )
+
+
+class ShockProcedure(Procedure["Shock"]):
+    """Shocks at a control channel."""
+
+    form = Form("shock of the scene", ())
+
+    def excite(self, station: Station, test: Shock) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def waits(self, test: Shock, scene: Scene) -> float:
+        """Return the expected time of the identification, and of the rest at the end, s."""
+        return (EXPECTED_PERIODS + _REST) * test.interval
+
+    def stored(self, test: Shock) -> float:
+        """Return the length of a pulse with its interval, s."""
+        return test.interval
+
+    def part(self, test: Shock, seconds: float, scene: Scene) -> Shock:
+        """Return the test with one shock: all are equal."""
+        return test.replace(repeats=1)
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
+        """Return the test of the scene."""
+        assert test is not None
+        return test
+
+
+PROCEDURE = ShockProcedure()

@@ -1,0 +1,144 @@
+"""Replication of a transient at a control channel: target pulses, their drive, and its correction after each pulse.
+
+The drive of a period is U = A / H at spectral lines, for the target A and the response H to the drive. After a pulse
+with the error E, U is corrected by a part of E / H, which converges if |1 - part H_true / H| < 1 at all lines. A target
+with a prescribed shock response spectrum is a sum of wavelets (D. O. Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974)
+43), which end with zero velocity and displacement.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from daq.core.dsp.shock_response import shock_response
+from daq.core.excitation.spectrum_shaping import Lines
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
+from rig.core.scene.excitation.profile import in_decibels
+from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, ShockProfile
+
+# Part of the error that a correction removes.
+_CORRECTION = 0.7
+# Number of half periods of a wavelet, an odd number: so many that its bandwidth is less than the distance of the lines.
+_HALF_PERIODS = 25
+# The amplitudes of the wavelets are adjusted until the spectrum agrees within this, dB.
+_SYNTHESIS_DB = 0.5
+_MAX_SYNTHESIS_STEPS = 200
+# Exponent of the adjustment.
+_SYNTHESIS_EXPONENT = 0.7
+# Fraction of a period in which the drive rises at its start, and falls at its end.
+_EDGE = 0.05
+
+
+class Replication:
+    """The drive of a pulse, one period long; `gain`: response of the control channel at `lines`, zero if unknown."""
+
+    def __init__(self, target: Array, lines: Lines, gain: ComplexArray) -> None:
+        self.lines, self._period = lines, target.size
+        self._target = np.fft.rfft(target)[lines] * (2.0 / target.size)
+        known = gain != 0.0
+        self._inverse = np.zeros(gain.size, dtype=complex)
+        self._inverse[known] = 1.0 / gain[known]
+        self._drive = self._target * self._inverse
+        ramp = (1.0 - np.cos(np.pi * np.arange(round(_EDGE * target.size)) / round(_EDGE * target.size))) / 2.0
+        self._envelope = np.ones(target.size)
+        self._envelope[: ramp.size], self._envelope[target.size - ramp.size :] = ramp, ramp[::-1]
+
+    def drive(self, level: float) -> Array:
+        """Return the drive of a pulse at a level relative to the target, shape (period,)."""
+        return level * self.to_wave(self._drive) * self._envelope
+
+    def to_wave(self, amplitudes: ComplexArray) -> Array:
+        """Return one period of the sum of tones with complex amplitudes at the lines, shape (period,)."""
+        spectrum = np.zeros(self._period // 2 + 1, dtype=complex)
+        spectrum[self.lines] = amplitudes * (self._period / 2.0)
+        return np.fft.irfft(spectrum, self._period)
+
+    def correct(self, response: ComplexArray, level: float) -> None:
+        """Correct the drive after a pulse at a level; `response`: accelerations at the lines, m/s^2."""
+        self._drive = self._drive + _CORRECTION * (self._target - response / level) * self._inverse
+
+
+class Pulse(Protocol):
+    """A pulse to replicate."""
+
+    target: Array  # acceleration of one period, m/s^2, shape (period,)
+    band: tuple[float, float]  # lowest and highest frequency of its drive, Hz
+    tolerance: float  # largest deviation
+    unit: str  # of the deviation
+
+    def deviation(self, wave: Array) -> tuple[float, str]:
+        """Return the deviation of an acceleration of one period, scaled to full level, and describe it."""
+
+
+class HalfSinePulse:
+    """A compensated half sine; the deviation is relative to its peak."""
+
+    unit = "of the peak"
+
+    def __init__(self, settings: HalfSine, period: int, rate: float) -> None:
+        self.target = settings.wave(_time(period, rate))
+        self.band = 0.02 / settings.width, 10.0 / settings.width
+        self.tolerance, self._peak = settings.tolerance, settings.peak
+
+    def deviation(self, wave: Array) -> tuple[float, str]:
+        """Return the largest difference from the pulse, relative to its peak."""
+        worst = float(abs(wave - self.target).max()) / self._peak
+        return worst, f"the pulse deviates by {100 * worst:.0f} % of its peak"
+
+
+class SpectrumPulse:
+    """A sum of wavelets with a shock response spectrum; the deviation is that of the spectrum in dB."""
+
+    unit = "dB"
+
+    def __init__(self, settings: ShockProfile, period: int, rate: float) -> None:
+        self._lines, self._q, self._rate = settings.lines, settings.q, rate
+        self._required = settings.at(self._lines)
+        self.tolerance = settings.tolerance
+        self.band = 0.3 * settings.frequencies[0], 2.0 * settings.frequencies[-1]
+        wavelets = np.array([_wavelet(_time(period, rate), frequency) for frequency in self._lines])
+        wavelets[1::2] *= -1.0  # alternating signs reduce the peak
+        amplitudes, smallest = self._required / settings.q**0.5, np.inf
+        for _ in range(_MAX_SYNTHESIS_STEPS):
+            target = amplitudes @ wavelets
+            ratio = self._required / self.spectrum(target)
+            worst = float(np.max(abs(in_decibels(ratio))))
+            if worst < smallest:
+                self.target, smallest = target, worst
+            if worst < _SYNTHESIS_DB:
+                break
+            amplitudes = amplitudes * ratio**_SYNTHESIS_EXPONENT
+        if smallest > settings.tolerance:
+            raise SceneError(
+                f"test.spectrum: no sum of wavelets has it; of the best sum, {self.deviation(self.target)[1]}. Give a "
+                "spectrum that changes less steeply, or a wider tolerance."
+            )
+
+    def spectrum(self, wave: Array) -> Array:
+        """Return the maximax shock response spectrum at the controlled frequencies, m/s^2."""
+        largest, smallest = shock_response(wave, self._rate, self._lines, self._q)
+        return np.maximum(largest, -smallest)
+
+    def deviation(self, wave: Array) -> tuple[float, str]:
+        """Return the largest difference from the spectrum, dB."""
+        difference = in_decibels(self.spectrum(wave) / self._required)
+        index = int(np.argmax(abs(difference)))
+        side = "above" if difference[index] > 0.0 else "below"
+        text = f"the spectrum at {self._lines[index]:.3g} Hz is {abs(difference[index]):.1f} dB {side}"
+        return float(abs(difference[index])), text
+
+
+def _time(period: int, rate: float) -> Array:
+    """Return the times of the samples of a period, with the middle of the pulse at 0, s."""
+    return (np.arange(period) - round(PULSE_POSITION * period)) / rate
+
+
+def _wavelet(time: Array, frequency: float) -> Array:
+    """Return a wavelet of a frequency in Hz with a length of some half periods, about t = 0."""
+    length = _HALF_PERIODS / (2.0 * frequency)
+    t = time + length / 2.0
+    omega = 2.0 * np.pi * frequency
+    return np.where(abs(time) < length / 2.0, np.sin(omega * t / _HALF_PERIODS) * np.sin(omega * t), 0.0)

@@ -1,0 +1,126 @@
+"""Prescribed spectra of tests with profile control: breakpoints that are joined by straight lines in log-log axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.kind import Frequency
+from rig.core.settings.problems import Problem
+from rig.core.settings.quantities import ACCELERATION, ACCELERATION_DENSITY, LENGTH, LEVEL, RATIO, VELOCITY
+from rig.core.settings.quantity_field import Quantity
+from rig.core.settings.settings import Settings
+
+ChannelName = Annotated[str, Field(min_length=1, max_length=200)]
+Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=2, max_length=1000)]
+#: Maximum difference from a profile, dB.
+Decibels = Annotated[float, Quantity(LEVEL, above=0.0)]
+#: Levels of the first parts of a test, relative to the full level, dB.
+Ramp = tuple[Annotated[float, Quantity(LEVEL, below=0.0)], ...]
+Share = Annotated[float, Quantity(RATIO, above=0.0, below=1.0)]
+
+
+class Breakpoints(Settings):
+    """Frequencies with a value each; subclasses have the keys of the values."""
+
+    value_keys: ClassVar[tuple[str, ...]]
+    frequencies: Frequencies
+    """Frequencies of the breakpoints, ascending [Hz]."""
+
+    @property
+    def key(self) -> str:
+        """Key of the values."""
+        return next(key for key in self.value_keys if getattr(self, key) is not None)
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the frequencies ascend, and that each has a value."""
+        values = getattr(self, self.key)
+        if any(high <= low for low, high in zip(self.frequencies, self.frequencies[1:], strict=False)):
+            yield Problem(("frequencies",), "not ascending. Give the breakpoints by increasing frequency.")
+        if len(values) != len(self.frequencies):
+            message = f"got {len(values)} values; expected {len(self.frequencies)}, one for each frequency"
+            yield Problem((self.key,), message)
+
+    def at(self, frequency: Array) -> Array:
+        """Return the values at frequencies in Hz; beyond the breakpoints NaN."""
+        logarithm = np.interp(np.log(frequency), np.log(self.frequencies), np.log(getattr(self, self.key)))
+        margin = 1e-9 * self.frequencies[-1]
+        inside = (frequency >= self.frequencies[0] - margin) & (frequency <= self.frequencies[-1] + margin)
+        return np.where(inside, np.exp(logarithm), np.nan)
+
+
+class DensityProfile(Breakpoints):
+    """Power spectral density of an acceleration over frequency, straight between breakpoints in log-log axes."""
+
+    value_keys: ClassVar = ("density",)
+    density: tuple[Annotated[float, Quantity(ACCELERATION_DENSITY, above=0.0)], ...]
+    """Power spectral density of the acceleration [(m/s^2)^2/Hz]."""
+
+
+class MotionProfile(Breakpoints):
+    """Amplitude of a motion over frequency, straight between breakpoints in log-log axes."""
+
+    one_of: ClassVar = (("acceleration", "velocity", "displacement"),)
+    value_keys: ClassVar = ("displacement", "velocity", "acceleration")
+    acceleration: tuple[Annotated[float, Quantity(ACCELERATION, above=0.0)], ...] | None = None
+    """Amplitude of the acceleration [m/s^2]."""
+    velocity: tuple[Annotated[float, Quantity(VELOCITY, above=0.0)], ...] | None = None
+    """Instead of `acceleration`: amplitude of the velocity [m/s]."""
+    displacement: tuple[Annotated[float, Quantity(LENGTH, above=0.0)], ...] | None = None
+    """Instead of `acceleration`: amplitude of the displacement [m]."""
+
+    def at(self, frequency: Array) -> Array:
+        """Return the amplitude of the acceleration, m/s^2, at frequencies in Hz; beyond the breakpoints NaN."""
+        order = 2 - self.value_keys.index(self.key)
+        return super().at(frequency) * (2.0 * np.pi * np.asarray(frequency)) ** order
+
+
+class DensityLimit(DensityProfile):
+    """Largest power spectral density of a channel; the drive is reduced where it would be exceeded (notching)."""
+
+    channel: ChannelName
+    """Name of the limited channel."""
+
+
+class MotionLimit(MotionProfile):
+    """Largest amplitude of a channel; the drive is reduced where it would be exceeded (notching)."""
+
+    channel: ChannelName
+    """Name of the limited channel."""
+
+
+class Control(Settings):
+    """The channels that are held at the profile."""
+
+    channels: Annotated[tuple[ChannelName, ...], Field(min_length=1, max_length=64)]
+    """Names of the channels."""
+    combine: Literal["average", "maximum", "minimum"] = "average"
+    """How several channels are combined at each frequency."""
+
+    def combined(self, values: Array) -> Array:
+        """Return the combination of values of the channels, shape (channels, ...)."""
+        if self.combine == "average":
+            return np.asarray(values.mean(axis=0))
+        return np.asarray(values.max(axis=0) if self.combine == "maximum" else values.min(axis=0))
+
+
+def in_decibels(ratio: Array | float) -> Array:
+    """Return a ratio of amplitudes in dB.
+
+    >>> float(in_decibels(10.0))
+    20.0
+    """
+    return np.asarray(20.0 * np.log10(ratio))
+
+
+def from_decibels(level: float) -> float:
+    """Return the ratio of amplitudes of a level in dB.
+
+    >>> from_decibels(-20.0)
+    0.1
+    """
+    return float(10.0 ** (level / 20.0))

@@ -152,14 +152,14 @@ def map(
     SceneError
         If an argument is invalid, or no damper of the scene can move.
     """
-    from rig.studies.motion_map.grid import KIND_OF_UNIT, select_frequencies, select_row_values, vertical_axis
+    from rig.studies.motion_map.grid import select_frequencies, select_row_values, vertical_axis
     from rig.studies.motion_map.motion_map import map_motion
 
     scene = scene_of(scene)
-    over, unit = vertical_axis(scene, over)
+    over, kind = vertical_axis(scene, over)
     band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
     frequencies = select_frequencies(scene, *band, points)
-    limits = (number(least, KIND_OF_UNIT[unit], "least"), number(most, KIND_OF_UNIT[unit], "most"))
+    limits = (number(least, kind, "least"), number(most, kind, "most"))
     values = select_row_values(scene, over, frequencies, *limits, rows)
     return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
 

@@ -362,13 +362,12 @@ def map_(
     import rig
     from rig.core.base.output_files import allow_overwriting, prepare_outputs
     from rig.core.settings.quantities import FREQUENCY
-    from rig.studies.motion_map.grid import KIND_OF_UNIT, vertical_axis
+    from rig.studies.motion_map.grid import vertical_axis
     from rig.studies.motion_map.motion_map import output_stem, summarize_map, write_map
 
     loaded_scene = load_scene(scene, changes)
-    over, unit = vertical_axis(loaded_scene, over)
+    over, kind = vertical_axis(loaded_scene, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
-    kind = KIND_OF_UNIT[unit]
     limits = _quantity(lowest, kind, "--least"), _quantity(highest, kind, "--most")
     stem = output_stem(loaded_scene, over, output)
     finished_points = stem.with_suffix(".csv.kept")

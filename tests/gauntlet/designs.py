@@ -138,7 +138,7 @@ def worst_peak_below(objective: Objective, levels: list[float], bound: float, ch
     """Return the worst peak of a choice, m/N, or None as soon as the peak at a level exceeds a bound."""
     worst = 0.0
     for level in levels:
-        worst = max(worst, replace(objective, levels=(level,)).worst(choice).compliance)
+        worst = max(worst, replace(objective, levels=(level,)).worst(choice).magnitude)
         if worst >= bound:
             return None
     return worst
@@ -149,14 +149,14 @@ def best_peak(design: rig.Design, choices: list[Choice], workers: ProcessPoolExe
     fine = replace(design.question, density=FINE_DENSITY)
     # The level of the design's worst peak first: most choices already exceed the bound there.
     levels = sorted(fine.levels, key=lambda level: level != design.best.peak.level)
-    peak_below = partial(worst_peak_below, design.question, levels, design.best.peak.compliance)
+    peak_below = partial(worst_peak_below, design.question, levels, design.best.peak.magnitude)
     candidates = [
         (size, choice)
         for size, choice in zip(workers.map(peak_below, choices, chunksize=20), choices, strict=True)
         if size is not None
     ]
     finalists = [choice for _, choice in sorted(candidates, key=lambda candidate: candidate[0])[:_FINALISTS]]
-    return min((peak.compliance for peak in workers.map(fine.worst, finalists)), default=np.inf)
+    return min((peak.magnitude for peak in workers.map(fine.worst, finalists)), default=np.inf)
 
 
 def record_compliance(scene: rig.Scene, peak: Peak, folder: Path) -> float:
@@ -188,7 +188,7 @@ def run_trial(seed: int, number: int, workers: ProcessPoolExecutor) -> bool:
         bare = record_compliance(scene.replace(test=test), bare_peak, Path(folder))
     difference_db = 20 * np.log10(bare / damped) - design.reduction(peak)
     low, high = requirements["band"]
-    excess = max(peak.compliance / best - 1, 0.0)
+    excess = max(peak.magnitude / best - 1, 0.0)
     print(
         f"{scene.name}: {scene.structure.bodies} bodies, {low:.3g} to {high:.3g} Hz: "
         f"{design.best.choice}: {design.reduction(peak):.2f} dB, {len(design.trials)} trials, {seconds:.0f} s; "

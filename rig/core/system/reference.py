@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import force_row
 from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.structural_model import receptance, transmissibility
 
 
 @dataclass(frozen=True)
@@ -40,3 +42,20 @@ def reference_of(scene: Scene, system: HybridSystem) -> Reference:
     row = np.zeros(system.states)
     row[system.points.index(scene.at_driven("table"))] = 1.0
     return Reference("table", row)
+
+
+def linear_response(scene: Scene, frequency: ArrayLike) -> ComplexArray:
+    """Return the displacement of each body over the default reference of a scene, linear, shape (bodies, frequencies).
+
+    It is the transmissibility if the table carries the structure, otherwise the receptance. `frequency`: Hz.
+    """
+    return transmissibility(scene, frequency) if scene.reference == "table" else receptance(scene, frequency)
+
+
+def reference_per_level(scene: Scene, frequency: float) -> float:
+    """Return the amplitude of the default reference per unit of level: 1 for a force; `frequency`: Hz."""
+    shaker = scene.driven_shaker
+    if shaker is None or scene.reference == "force":
+        return 1.0
+    drive_per_displacement, _ = shaker.required_drive(np.array(2j * np.pi * frequency))
+    return float(1.0 / abs(drive_per_displacement))

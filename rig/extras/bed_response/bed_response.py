@@ -143,6 +143,11 @@ def bed_response(
             f"scene {scene.name!r} has no bed of grains that can move. Add grains: {{diameter: 2 mm}} to a damper that "
             "is not locked."
         )
+    if scene.reference == "table":
+        raise SceneError(
+            f"scene {scene.name!r}: the structure is excited at its base, so that it has no compliance. Compare "
+            "recordings of grains and of one mass with analysis compare, or use a shaker of another kind."
+        )
     cases = [_Case(scene, float(frequency), periods) for frequency in requested]
 
     def pack() -> None:

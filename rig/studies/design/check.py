@@ -34,13 +34,13 @@ PEAK_HALF_WIDTH = 0.04
 class Expected:
     """Expected measurement at a peak.
 
-    `compliances`: minimum, nominal value and maximum over the tolerances of force control and steady state, m/N. They
-    are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak` is for a purely
-    sinusoidal force. None if no steady-state motion was reached within `MAX_WAIT_PERIODS` periods.
+    `magnitudes`: minimum, nominal value and maximum of the response over the tolerances of force control and steady
+    state. They are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak` is for
+    a purely sinusoidal force. None if no steady-state motion was reached within `MAX_WAIT_PERIODS` periods.
     """
 
     peak: Peak  # as computed by the design
-    compliances: tuple[float, float, float] | None
+    magnitudes: tuple[float, float, float] | None
     closing_speed: tuple[float, ...]  # largest approach speed of each damper to a wall at the peak, m/s
 
 
@@ -50,7 +50,7 @@ def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
     test = {
         "kind": "stepped_sine",
         "frequencies": _frequencies_around(peaks, objective.band).tolist(),
-        "force": list(objective.levels),
+        objective.level.name: list(objective.levels),
         "shaker": None if scene.test is None else scene.test.driven,
     }
     check_scene = scene.replace(dampers=trial.choice.dampers(objective.impact_law), test=test)
@@ -59,7 +59,7 @@ def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
 
 
 def missing_channels(scene: Scene, body: int) -> list[Channel]:
-    """Return channels that a check needs and the scene lacks: the force, and the body with the largest peak.
+    """Return channels that a check needs and the scene lacks: the reference, and the body with the largest peak.
 
     A shaker without a coil spring needs a force channel; its sensor fills half of the converter's range. With a coil
     spring, the force follows from the displacements of both ends of the spring. New motion channels have the sensor and
@@ -70,7 +70,7 @@ def missing_channels(scene: Scene, body: int) -> list[Channel]:
     shaker = scene.driven_shaker
     assert shaker is not None
     force_locations = sorted(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
-    needed_locations = [f"body {body}", *force_locations]
+    needed_locations = [f"body {body}", *(force_locations or [scene.at_driven("table")])]
     measured_locations = {channel.at for channel in scene.channels}
     names = {channel.name for channel in scene.channels}
     template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
@@ -118,17 +118,19 @@ def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
     test = scene.test
     assert test is not None
     frequencies = [frequency for frequency in test.dwells if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
-    compliances, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
-    for force_ratio in (1.0, 1.0 - FORCE_TOLERANCE, 1.0 + FORCE_TOLERANCE):
-        controlled = scene.replace(channels=None, test=test.at_level(force_ratio * peak.level))
+    magnitudes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
+    # Only a force is controlled.
+    tolerances = (0.0, -FORCE_TOLERANCE, FORCE_TOLERANCE) if scene.level_key == "force" else (0.0,)
+    for deviation in tolerances:
+        controlled = scene.replace(channels=None, test=test.at_level((1.0 + deviation) * peak.level))
         response = frequency_response(controlled, frequencies, tolerance=STEADY_TOLERANCE, longest=MAX_WAIT_PERIODS)
         closing_speed = np.maximum(closing_speed, response.closing_speed[:, -1])
         is_steady = bool(response.converged[-1])
         if not is_steady:
             break
-        compliances.append(float(abs(response.compliance[peak.body - 1, -1])))
+        magnitudes.append(float(abs(response.frf[peak.body - 1, -1])))
     tolerance = test.steady_state.tolerance
     limits = None
     if is_steady:
-        limits = min(compliances) * (1.0 - tolerance), compliances[0], max(compliances) * (1.0 + tolerance)
+        limits = min(magnitudes) * (1.0 - tolerance), magnitudes[0], max(magnitudes) * (1.0 + tolerance)
     return Expected(peak, limits, tuple(closing_speed.tolist()))

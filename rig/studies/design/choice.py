@@ -12,8 +12,9 @@ import numpy as np
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.base.study import digest
-from rig.core.orbits.problem import OrbitProblem
+from rig.core.orbits.problem import Axis, OrbitProblem
 from rig.core.results import format_number
+from rig.core.results.ratio_names import frf_display
 from rig.core.scene.damper import Contact, Damper, SpringDamper, TimedContact, walls_of
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
@@ -165,8 +166,8 @@ class Trial:
 
     @property
     def mean_peak(self) -> float:
-        """Geometric mean of the peaks over the levels (the mean in dB), m/N."""
-        return float(np.exp(np.mean(np.log([peak.compliance for peak in self.peaks]))))
+        """Geometric mean of the peaks over the levels (the mean in dB), as `Peak.magnitude`."""
+        return float(np.exp(np.mean(np.log([peak.magnitude for peak in self.peaks]))))
 
 
 @dataclass(frozen=True)
@@ -197,14 +198,24 @@ class SearchSpace:
 
 @dataclass(frozen=True)
 class Objective:
-    """The objective of a design: its worst peak over structures, force levels, frequencies and bodies."""
+    """The objective of a design: its worst peak over structures, levels, frequencies and bodies."""
 
     scenes: tuple[Scene, ...]  # nominal structure without dampers first, then its variants
-    levels: tuple[float, ...]  # force amplitudes, N
+    levels: tuple[float, ...]  # force amplitudes, N, or drives
     band: tuple[float, float]  # lowest and highest frequency, Hz
     bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
     impact_law: ImpactLaw = INSTANTANEOUS  # restitution and contact of the dampers
     density: int = COARSE_DENSITY  # number of frequencies per natural frequency in the band
+
+    @property
+    def level(self) -> Axis:
+        """The level as an axis: its name, unit and label."""
+        return OrbitProblem(self.scenes[0]).axis("drive")
+
+    @property
+    def response_display(self) -> tuple[str, str, float]:
+        """Name of the response, the unit in which it is printed, and the factor to it from SI."""
+        return frf_display(self.scenes[0].reference)
 
     @cached_property
     def bare_peak(self) -> Peak:

@@ -114,7 +114,7 @@ class Design(Result):
         """Levels at which the best dampers have no effect, with the reason; empty if there are none."""
         row = self.chart[int(np.argmin(np.abs(np.log(self.clearance_factors))))]
         charted = dict(zip(self.levels.tolist(), row, strict=True))
-        return describe_shortfall(self.best, self.bare, self.flight, charted, self.trials)
+        return describe_shortfall(self.best, self.bare, self.flight, charted, self.trials, self.question.level.kind.si)
 
     def columns(self) -> dict[str, Array]:
         """Return added mass and reduction of the worst peak for all computed designs."""

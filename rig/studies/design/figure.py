@@ -17,7 +17,7 @@ from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.scene import STANDARD_GRAVITY, Scene
-from rig.core.system.structural_model import receptance
+from rig.core.system.reference import linear_response
 from rig.studies.design.check import Expected
 from rig.studies.design.choice import Choice, mass_unit
 from rig.studies.design.design import Design
@@ -45,8 +45,9 @@ def summary(design: Design) -> str:
     levels = ", ".join(format_number(level) for level in objective.levels)
     smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
     lines = [
-        f"{design.scene.name}: {len(design.trials)} designs at {levels} N, {objective.band[0]:.4g} to "
-        f"{objective.band[1]:.4g} Hz" + (f", {len(objective.scenes)} structures" if len(objective.scenes) > 1 else ""),
+        f"{design.scene.name}: {len(design.trials)} designs at {levels} {objective.level.kind.si}, "
+        f"{objective.band[0]:.4g} to {objective.band[1]:.4g} Hz"
+        + (f", {len(objective.scenes)} structures" if len(objective.scenes) > 1 else ""),
         f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.allows_no_ceiling else ''}",
         "",
         str(objective.impact_law),
@@ -60,7 +61,8 @@ def summary(design: Design) -> str:
         percentages = ", ".join(f"{share:.0f}" for share in shares)
         lines += [
             "",
-            f"the motion is irregular at {percentages} % of the frequencies at {levels} N; the compliance there is an "
+            f"the motion is irregular at {percentages} % of the frequencies at {levels} {objective.level.kind.si}; the "
+            f"{objective.response_display[0]} there is an "
             "average, accurate to a few percent",
         ]
     for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
@@ -74,7 +76,7 @@ def summary(design: Design) -> str:
 
 def _verdict(design: Design) -> list[str]:
     """Report the dampers, their worst peak and the tolerance of the clearance, or that no dampers are effective."""
-    peak = design.best.peak
+    peak, (_, unit, factor) = design.best.peak, design.question.response_display
     reduction = design.reduction(peak)
     below_or_above = "below" if reduction > 0.0 else "above"
     heading = (
@@ -82,9 +84,10 @@ def _verdict(design: Design) -> list[str]:
     )
     lines = [
         f"{heading}: {design.best.choice}",
-        f"largest peak {1e6 * peak.compliance:.4g} µm/N (body {peak.body}, {format_decimals(peak.frequency, 2)} Hz, "
-        f"{format_number(peak.level)} N): {abs(reduction):.1f} dB {below_or_above} the bare structure's "
-        f"{1e6 * design.bare.compliance:.4g} µm/N",
+        f"largest peak {factor * peak.magnitude:.4g} {unit} (body {peak.body}, "
+        f"{format_decimals(peak.frequency, 2)} Hz, {format_number(peak.level)} {design.question.level.kind.si}): "
+        f"{abs(reduction):.1f} dB {below_or_above} the bare structure's "
+        f"{factor * design.bare.magnitude:.4g} {unit}",
         *design.shortfall,
     ]
     if design.serves:
@@ -107,16 +110,17 @@ def _verdict(design: Design) -> list[str]:
 def _tables(design: Design) -> list[str]:
     """Return two tables over the levels: reductions by the best dampers of each mass, and the peaks of each mode."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
-    forces = "".join(f"{f'{format_number(level)} N':>9}" for level in design.question.levels)
-    lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{forces}  dampers"]
+    level_unit, (_, response_unit, scale) = design.question.level.kind.si, design.question.response_display
+    levels = "".join(f"{f'{format_number(level)} {level_unit}':>9}" for level in design.question.levels)
+    lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{levels}  dampers"]
     for trial in design.front:
         reductions = "".join(f"{design.reduction(peak):9.1f}" for peak in trial.peaks)
         lines.append(f"{format_decimals(factor * trial.choice.mass, 1):>14}{reductions}  {trial.choice}")
-    lines += ["", f"{'':14}  largest peak in µm/N", f"{'mode, Hz':>14}{'without':>10}{forces}"]
+    lines += ["", f"{'':14}  largest peak in {response_unit}", f"{'mode, Hz':>14}{'without':>10}{levels}"]
     for mode in design.modes:
-        peaks = "".join(f"{1e6 * peak.compliance:9.4g}" for peak in mode.damped)
+        peaks = "".join(f"{scale * peak.magnitude:9.4g}" for peak in mode.damped)
         remark = "" if mode.in_band else "  outside the band"
-        lines.append(f"{format_decimals(mode.frequency, 2):>14}{1e6 * mode.undamped.compliance:10.4g}{peaks}{remark}")
+        lines.append(f"{format_decimals(mode.frequency, 2):>14}{scale * mode.undamped.magnitude:10.4g}{peaks}{remark}")
     return lines
 
 
@@ -136,8 +140,10 @@ def describe_check(design: Design, scene: Path) -> str:
     """Describe the test in the scene of a design, its expected results, and the commands to run it."""
     test = design.scene.test
     assert test is not None and test.band is not None
-    levels = ", ".join(format_number(level) for level in test.levels)
-    overloads = predict_overloads(design.scene, design.expected, design.bare)
+    level, display = design.question.level, design.question.response_display
+    levels = ", ".join(map(format_number, test.levels))
+    bare = f"test.{level.name}={format_number(test.levels[0])}{level.kind.si}"
+    overloads = predict_overloads(design.scene, design.expected, design.bare, level.kind.si)
     remedies = "".join(f" --set {quote(change)}" for overload in overloads for change in overload.changes)
     finite_contact = all(damper.contact is not None for damper in design.scene.dampers)
     locations = {channel.name: channel.at for channel in design.scene.channels or ()}
@@ -149,51 +155,53 @@ def describe_check(design: Design, scene: Path) -> str:
         [
             (
                 f"{scene}: the scene with these dampers and a test of the design, a stepped sine from "
-                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} N around the largest peaks "
+                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} {level.kind.si} around the largest peaks "
                 "with and without dampers"
             ),
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
             "",
-            "expected largest peaks in µm/N: for a sinusoidal force, as in the design, and in this test (with limits).",
-            f"In the test, {_harmonics_of_force(design.scene)}the force is accurate to "
-            f"{format_percent(FORCE_TOLERANCE)} and the motion is measured when it is steady within "
+            f"expected largest peaks in {display[1]}: for a sinusoidal {level.name}, as in the design, and in this "
+            "test (with limits).",
+            f"In the test, {_accuracy_of_level(design.scene)}the motion is measured when it is steady within "
             f"{format_percent(test.steady_state.tolerance)}.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
-            f"{'force, N':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
-            *map(_expected_line, design.expected),
+            f"{f'{level.name}, {level.kind.si}':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
+            *(_expected_line(expected, display[2]) for expected in design.expected),
             *overload_lines(overloads, finite_contact),
             "",
             "to check the design, record and compare tests without and with dampers:",
-            f"daq record {file} --set dampers=null --set test.force={format_number(test.levels[0])}N{remedies} "
-            f"-o {without_dampers}",
+            f"daq record {file} --set dampers=null --set {quote(bare)}{remedies} -o {without_dampers}",
             f"daq record {file}{remedies} -o {with_dampers}",
             f"analysis frf {without_dampers} {with_dampers}",
             f"analysis compare {without_dampers} {with_dampers}",
             "",
-            *grain_check(design.scene.dampers, design.expected, scene),
+            *(grain_check(design.scene.dampers, design.expected, scene) if level.name == "force" else []),
         ]
     )
 
 
-def _harmonics_of_force(scene: Scene) -> str:
-    """Return the first part of a sentence about the force of a test: with a coil spring it is not sinusoidal."""
+def _accuracy_of_level(scene: Scene) -> str:
+    """Return the first part of a sentence about the force of a test: its accuracy, and harmonics by a coil spring."""
+    if scene.level_key != "force":
+        return ""
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
-    return "" if spring is None else "the coil spring adds harmonics to the force, "
+    harmonics = "" if spring is None else "the coil spring adds harmonics to the force, "
+    return f"{harmonics}the force is accurate to {format_percent(FORCE_TOLERANCE)} and "
 
 
 def _has_other_motion(expected: Expected) -> bool:
     """Return whether the largest peak is above the range that the test should measure."""
-    return expected.compliances is not None and expected.peak.compliance > expected.compliances[2]
+    return expected.magnitudes is not None and expected.peak.magnitude > expected.magnitudes[2]
 
 
-def _expected_line(expected: Expected) -> str:
+def _expected_line(expected: Expected, factor: float) -> str:
     peak = expected.peak
     in_this_test = "no steady state, so that measured values scatter"
-    if expected.compliances is not None:
-        low, nominal, high = (f"{1e6 * compliance:.4g}" for compliance in expected.compliances)
+    if expected.magnitudes is not None:
+        low, nominal, high = (f"{factor * magnitude:.4g}" for magnitude in expected.magnitudes)
         in_this_test = f"{nominal} ({low} to {high})"
     operating_point = f"{format_number(peak.level):>14}{f'body {peak.body}':>9}{format_decimals(peak.frequency, 2):>9}"
-    return f"{operating_point}{1e6 * peak.compliance:15.4g}  {in_this_test}"
+    return f"{operating_point}{factor * peak.magnitude:15.4g}  {in_this_test}"
 
 
 def _draw(design: Design) -> Figure:
@@ -209,25 +217,25 @@ def _draw(design: Design) -> Figure:
 
 
 def _draw_chart(axes: Axes, design: Design) -> None:
-    """Draw the reduction of the worst peak over force and clearance (the chart of the design)."""
+    """Draw the reduction of the worst peak over level and clearance (the chart of the design)."""
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
     choice = design.charted
     chosen = choice.clearances[choice.heaviest_index]
     clearance = design.clearance_factors * chosen
     borders = cell_edges(design.levels, True), cell_edges(clearance, True)
     mesh = axes.pcolormesh(*borders, reduction, cmap="viridis", rasterized=True)
-    axes.figure.colorbar(mesh, ax=axes, pad=0.02, label="reduction at this force / dB")
+    axes.figure.colorbar(mesh, ax=axes, pad=0.02, label=f"reduction at this {design.question.level.name} / dB")
     levels = design.question.levels
     label = "chosen" if design.best.choice.has_ceiling else "largest searched"
     axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4, label=label)
     axes.grid(False)
-    axes.set(xlabel="force / N", ylabel=clearance_label(choice))
+    axes.set(xlabel=design.question.level.label, ylabel=clearance_label(choice))
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     # Outside the axes, because a legend inside would hide cells.
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    axes.set_title("Clearance and force")
+    axes.set_title(f"Clearance and {design.question.level.name}")
 
 
 def clearance_label(choice: Choice) -> str:
@@ -259,19 +267,20 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
 
 
 def _draw_responses(axes: Axes, design: Design) -> None:
-    """Draw the largest compliance of all bodies without dampers, and the peaks of each mode with dampers."""
+    """Draw the largest response of all bodies without dampers, and the peaks of each mode with dampers."""
     scene, (low, high) = design.question.scenes[0], design.question.band
+    (name, unit, factor), level_unit = design.question.response_display, design.question.level.kind.si
     peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
     frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
-    bare = abs(receptance(scene.replace(dampers=[]), frequency)).max(axis=0)
-    axes.plot(frequency, 1e6 * bare, color=REFERENCE, lw=1.0, label="without dampers")
+    bare = abs(linear_response(scene.replace(dampers=[]), frequency)).max(axis=0)
+    axes.plot(frequency, factor * bare, color=REFERENCE, lw=1.0, label="without dampers")
     for number, level in enumerate(design.question.levels):
         damped = [mode.damped[number] for mode in design.modes if mode.in_band]
         axes.plot(
-            [peak.frequency for peak in damped], [1e6 * peak.compliance for peak in damped], "os^DvP"[number % 6],
-            color=BLUE, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} N",
+            [peak.frequency for peak in damped], [factor * peak.magnitude for peak in damped], "os^DvP"[number % 6],
+            color=BLUE, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} {level_unit}",
         )  # fmt: skip
-    axes.set(xlabel="frequency / Hz", ylabel="largest compliance / (µm/N)", xlim=(low, high))
+    axes.set(xlabel="frequency / Hz", ylabel=f"largest {name} / ({unit})", xlim=(low, high))
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, 5)
     axes.legend()
@@ -280,10 +289,10 @@ def _draw_responses(axes: Axes, design: Design) -> None:
 
 def headline(design: Design) -> str:
     """State the dampers, the largest peak without and with them, and its change in dB."""
-    peak = design.best.peak
-    heights = " to ".join(f"{1e6 * each.compliance:.4g}" for each in (design.bare, peak))
+    peak, (_, unit, factor) = design.best.peak, design.question.response_display
+    heights = " to ".join(f"{factor * each.magnitude:.4g}" for each in (design.bare, peak))
     change = f"{-design.reduction(peak):+.1f}".replace("-", "−")
-    return f"{design.best.choice}: {heights} µm/N ({change} dB)"
+    return f"{design.best.choice}: {heights} {unit} ({change} dB)"
 
 
 class Agreement(NamedTuple):

@@ -32,7 +32,7 @@ class Flight:
     where part of the motion is irregular, or where the dampers reach their ceiling.
     """
 
-    take_off: float  # lowest level at which a damper takes off in the band, N
+    take_off: float  # lowest level at which a damper takes off in the band, N or drive
     body: int  # body of that damper, from 1
     height: float
 
@@ -88,11 +88,11 @@ def ineffective_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
 
 
 def describe_shortfall(
-    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial]
+    trial: Trial, bare: Peak, flight: Flight, charted: Mapping[float, Peak], trials: Iterable[Trial], unit: str
 ) -> list[str]:
     """Report ineffective levels, the reason, and effective levels; empty if the dampers are effective at all levels.
 
-    `charted`: peak of these dampers at each level of the chart, N; `trials`: all designs computed.
+    `charted`: peak of these dampers at each level of the chart; `trials`: all designs computed; `unit`: of the levels.
     """
     ineffective = ineffective_levels(trial, bare, flight)
     if not ineffective:
@@ -103,8 +103,9 @@ def describe_shortfall(
         acceleration = flight.acceleration_g(level)
         state = "cannot fly" if acceleration <= 1.0 else "are not effective"
         lines.append(
-            f"at {format_number(level)} N the dampers {state} and change the peak by {-reductions_db[level]:+.1f} dB: "
-            f"take-off needs more than 1 g, and body {flight.body} reaches {format_number(acceleration)} g"
+            f"at {format_number(level)} {unit} the dampers {state} and change the peak by "
+            f"{-reductions_db[level]:+.1f} dB: take-off needs more than 1 g, and "
+            f"body {flight.body} reaches {format_number(acceleration)} g"
         )
     largest_reductions_db = {
         level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)
@@ -120,20 +121,20 @@ def describe_shortfall(
         and charted[level].reduction_from(bare) >= EFFECTIVE_DB
     ]
     if effective_levels:
-        forces = ",".join(f"{format_number(level)}N" for level in effective_levels)
+        levels = ",".join(f"{format_number(level)}{unit}" for level in effective_levels)
         reductions_text = ", ".join(
-            f"{largest_reductions_db[level]:.1f} dB at {format_number(level)} N" for level in effective_levels
+            f"{largest_reductions_db[level]:.1f} dB at {format_number(level)} {unit}" for level in effective_levels
         )
-        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give --levels {forces}.")
+        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give --levels {levels}.")
     elif charted_levels:
         lines.append(
-            f"at levels of {format_number(min(charted_levels))} N and more, these dampers reduce the peak by "
+            f"at levels of {format_number(min(charted_levels))} {unit} and more, these dampers reduce the peak by "
             f"{EFFECTIVE_DB:g} dB or more. Give such levels with --levels."
         )
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
         lines.append(
-            f"dampers are usually effective if their body exceeds {_EFFECTIVE_G:g} g. Give levels above {suggested} N "
-            "with --levels."
+            f"dampers are usually effective if their body exceeds {_EFFECTIVE_G:g} g. Give levels above {suggested} "
+            f"{unit} with --levels."
         )
     return lines

@@ -29,7 +29,7 @@ class Overload:
     changes: tuple[str, ...]  # changes of the scene for ``--set`` that remove the limit
 
 
-def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) -> list[Overload]:
+def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak, level_unit: str = "N") -> list[Overload]:
     """Return overloaded accelerometers and converter inputs of a check, with remedies.
 
     `scene`: the scene of the check; `expected`: expected results of the check at each level; `bare`: largest peak
@@ -71,8 +71,8 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak) ->
                 else ""
             )
             reason = (
-                f"{channel.name}: up to {_format_acceleration(max(largest))} at {levels} N{cause}; its accelerometer "
-                f"saturates at {_format_acceleration(sensor.saturation)}"
+                f"{channel.name}: up to {_format_acceleration(max(largest))} at {levels} {level_unit}{cause}; "
+                f"its accelerometer saturates at {_format_acceleration(sensor.saturation)}"
             )
             overloaded.append(Overload(reason, _remedies(number, channel.accelerometer, max(largest))))
     converter = None if scene.converter is None else complete_from_preset(scene.converter)
@@ -108,13 +108,13 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
 
 
 def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> float:
-    """Estimate an upper bound of the steady acceleration at a point, m/s^2, from the largest displacement of a body."""
-    displacement = peak.compliance * level
+    """Estimate an upper bound of the steady acceleration at a point, m/s^2, from the largest acceleration of a body."""
+    acceleration = peak.acceleration * level / peak.level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     # The displacement of the shaker table includes the elongation of the spring.
     if not at.startswith("body") and spring:
-        displacement += level / spring
-    return displacement * (2.0 * np.pi * peak.frequency) ** 2
+        acceleration += level / spring * (2.0 * np.pi * peak.frequency) ** 2
+    return acceleration
 
 
 def _voltage(sensor: Accelerometer, integrator: Integrator | None, acceleration: float, frequency: float) -> float:

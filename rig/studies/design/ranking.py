@@ -33,13 +33,13 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
     A design with fewer dampers becomes the first if it equals the best design within the scatter of irregular motion.
     """
     trials = list(trials)
-    worst_limit = EQUAL_RATIO * min(trial.peak.compliance for trial in trials)
-    mean_limit = EQUAL_RATIO * min(trial.mean_peak for trial in trials if trial.peak.compliance <= worst_limit)
+    worst_limit = EQUAL_RATIO * min(trial.peak.magnitude for trial in trials)
+    mean_limit = EQUAL_RATIO * min(trial.mean_peak for trial in trials if trial.peak.magnitude <= worst_limit)
 
     def criteria(trial: Trial) -> tuple[float, ...]:
         choice = trial.choice
         return (
-            max(trial.peak.compliance, worst_limit),
+            max(trial.peak.magnitude, worst_limit),
             max(trial.mean_peak, mean_limit),
             _rounded(choice.mass),
             len(choice.bodies),
@@ -64,9 +64,7 @@ def rank_trials(trials: Iterable[Trial]) -> list[Trial]:
 
 def is_equally_good(trial: Trial, best: Trial) -> bool:
     """Return whether a trial equals the best trial at the worst level and in the mean over levels."""
-    return (
-        trial.peak.compliance <= EQUAL_RATIO * best.peak.compliance and trial.mean_peak <= EQUAL_RATIO * best.mean_peak
-    )
+    return trial.peak.magnitude <= EQUAL_RATIO * best.peak.magnitude and trial.mean_peak <= EQUAL_RATIO * best.mean_peak
 
 
 def equal_trials(trials: Iterable[Trial], best: Trial) -> list[Trial]:
@@ -87,7 +85,7 @@ def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
     return (
         len(choice.bodies) < len(best_choice.bodies)
         and _rounded(choice.mass) <= _rounded(best_choice.mass)
-        and trial.peak.compliance <= ratio * best.peak.compliance
+        and trial.peak.magnitude <= ratio * best.peak.magnitude
         and trial.mean_peak <= ratio * best.mean_peak
     )
 
@@ -99,7 +97,7 @@ def _rounded(mass: float) -> float:
 
 def search_cost(trial: Trial) -> float:
     """Return the cost that local searches minimize; its mean over levels has a slope where the worst peak is flat."""
-    return float(np.log(trial.peak.compliance) + _MEAN_WEIGHT * np.log(trial.mean_peak))
+    return float(np.log(trial.peak.magnitude) + _MEAN_WEIGHT * np.log(trial.mean_peak))
 
 
 def pareto_front(trials: Sequence[Trial]) -> list[Trial]:

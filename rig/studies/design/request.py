@@ -10,7 +10,6 @@ from rig.core.base.errors import SceneError
 from rig.core.scene.body_names import body_number
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import (
-    FORCE,
     FREQUENCY,
     LENGTH,
     MASS,
@@ -72,8 +71,8 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
 
 
 def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
-    """Replace a drive level of the test (V or m) with a controlled force, because the levels of a design are forces."""
-    if scene.level_key != "drive":
+    """Replace a drive level of the test (V or m) with a controlled force if the reference is a force."""
+    if scene.level_key != "drive" or scene.reference == "table":
         return scene
     if levels is None:
         raise SceneError(
@@ -105,11 +104,6 @@ def parse_request(
 
     Raises `SceneError` if an argument is invalid, or nothing drives the structure.
     """
-    if scene.reference == "table":
-        raise SceneError(
-            f"scene {scene.name!r}: the structure is excited at its base, so that it has no compliance. Compare "
-            "dampers with rig.orbit_response, or use a shaker of another kind."
-        )
     damper_bodies = _bodies(bodies, scene, "bodies")
     evaluated_bodies = tuple(sorted({*_bodies(watched, scene, "watched")}))
     if count(dampers, 1, "dampers") > len(damper_bodies):
@@ -136,17 +130,20 @@ def parse_request(
     impact_law = impact_law_of(scene.dampers)
     bare = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
     default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]
-    forces = tuple(sorted(positive_values(levels or default_levels, FORCE, "levels").tolist()))
+    shaker = bare.driven_shaker
+    assert shaker is not None  # it has a level
+    values = tuple(sorted(positive_values(levels or default_levels, shaker.drive_quantity, "levels").tolist()))
     band_limits = ascending_pair(band or select_frequencies(bare, points=2), FREQUENCY, "band")
     locations = SearchSpace.locations_of(damper_bodies, dampers)
-    objective = Objective(variants(bare, *uncertainties), forces, band_limits, evaluated_bodies, impact_law)
+    objective = Objective(variants(bare, *uncertainties), values, band_limits, evaluated_bodies, impact_law)
     if clearance is not None:
         return objective, SearchSpace(
             locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), allows_no_ceiling=False
         )
-    compliance = objective.bare_peak.compliance
+    peak = objective.bare_peak
+    displacement = peak.acceleration / peak.level / (2.0 * np.pi * peak.frequency) ** 2  # per level
     return objective, SearchSpace(
         locations,
         max_mass,
-        (MIN_CLEARANCE_RATIO * compliance * forces[0], MAX_CLEARANCE_RATIO * compliance * forces[-1]),
+        (MIN_CLEARANCE_RATIO * displacement * values[0], MAX_CLEARANCE_RATIO * displacement * values[-1]),
     )

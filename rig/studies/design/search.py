@@ -148,7 +148,7 @@ def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
     """
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
-        if trial.choice.has_ceiling and trial.peak.compliance <= max_ratio * row[0].peak.compliance:
+        if trial.choice.has_ceiling and trial.peak.magnitude <= max_ratio * row[0].peak.magnitude:
             best.setdefault(trial.choice.bodies, trial.choice)
     return list(best.values())
 
@@ -173,8 +173,8 @@ def _branch_and_bound(
             trial = known_trials(row[number - LOOKAHEAD])
             if trial is None:
                 return
-            smallest_peak = min(smallest_peak, trial.peak.compliance)
-        if lower_bounds[choice].compliance >= EQUAL_RATIO * smallest_peak:
+            smallest_peak = min(smallest_peak, trial.peak.magnitude)
+        if lower_bounds[choice].magnitude >= EQUAL_RATIO * smallest_peak:
             return
         yield choice
 

@@ -68,7 +68,7 @@ def clearance_tolerance(
 
     `best`: the design whose interval is computed; `trials`: all designs computed.
     """
-    max_peak = best.peak.compliance * 10.0 ** (MAX_RISE_DB / 20.0)
+    max_peak = best.peak.magnitude * 10.0 ** (MAX_RISE_DB / 20.0)
     choice, heaviest_index = best.choice, best.choice.heaviest_index
     # The clearances of this design are multiplied by a common factor.
     unscaled = choice if choice.has_ceiling else choice.with_clearance(space.clearance[1])
@@ -80,12 +80,12 @@ def clearance_tolerance(
             same_dampers and np.isfinite(factor)
             and np.allclose(trial.choice.clearances, unscaled.scale_clearances(factor).clearances, rtol=1e-6)
         ):  # fmt: skip
-            acceptable.setdefault(factor, trial.peak.compliance <= max_peak)
+            acceptable.setdefault(factor, trial.peak.magnitude <= max_peak)
 
     def is_acceptable(factor: float) -> bool:
         if factor not in acceptable:
             (trial,) = evaluator.compute(objective, [unscaled.scale_clearances(factor)])
-            acceptable[factor] = trial.peak.compliance <= max_peak
+            acceptable[factor] = trial.peak.magnitude <= max_peak
         return acceptable[factor]
 
     unscaled_clearance = unscaled.clearances[heaviest_index]
@@ -101,7 +101,7 @@ def clearance_tolerance(
     )
     if high_at_limit and space.allows_no_ceiling and len(set(choice.bodies)) == len(choice.bodies):
         (without_ceiling,) = evaluator.compute(objective, [choice.without_ceiling()])
-        if without_ceiling.peak.compliance <= max_peak:
+        if without_ceiling.peak.magnitude <= max_peak:
             high, high_at_limit = np.inf, False
     return Tolerance(
         unscaled_clearance * low, unscaled_clearance * high, (low_at_limit, high_at_limit), unscaled_clearance

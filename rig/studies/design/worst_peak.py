@@ -14,7 +14,7 @@ from rig.core.orbits.orbit import solve
 from rig.core.orbits.problem import OperatingPoint, OrbitProblem
 from rig.core.orbits.sweep import OrbitResponse, sweep
 from rig.core.scene.scene import Scene
-from rig.core.system.structural_model import receptance
+from rig.core.system.reference import linear_response, reference_per_level
 
 #: A body's peak is refined if its compliance on the grid is at least this fraction of the largest refined peak.
 MIN_REFINED_RATIO = 0.7
@@ -22,18 +22,18 @@ MIN_REFINED_RATIO = 0.7
 
 @dataclass(frozen=True, order=True)
 class Peak:
-    """A peak of the compliance; peaks are ordered by compliance."""
+    """A peak of displacement over the reference; peaks are ordered by their magnitude."""
 
-    compliance: float  # largest |X| / F, m/N
+    magnitude: float  # largest |X| / F, m/N; if the table carries the structure, largest |X| / |X_table|
     frequency: float  # frequency of the peak, Hz
-    level: float  # force amplitude, N
+    level: float  # force amplitude, N, or drive
     body: int  # number of the body, from 1
     acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
     def reduction_from(self, bare: Peak) -> float:
         """Return the reduction relative to the peak without dampers, dB."""
-        return 20.0 * float(np.log10(bare.compliance / self.compliance))
+        return 20.0 * float(np.log10(bare.magnitude / self.magnitude))
 
 
 def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -> OrbitResponse:
@@ -42,13 +42,13 @@ def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -
 
 
 def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
-    """Compute the largest compliance of a body over frequency [m/N], and its frequency [Hz].
+    """Compute the largest response of a body over frequency (as `Peak.magnitude`), and its frequency [Hz].
 
     If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
     events, so that it does not depend on the grid. If this point and both neighbors are irregular motion, a parabola is
-    fitted to their 1 / |compliance|^2, as at a linear resonance.
+    fitted to their 1 / magnitude^2, as at a linear resonance.
     """
-    magnitude = np.abs(response.compliance[body - 1])
+    magnitude = np.abs(response.frf[body - 1])
     i = int(magnitude.argmax())
     largest, frequency = float(magnitude[i]), float(response.value[i])
     orbit = response.orbits[i]
@@ -71,11 +71,16 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
             solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
         except RunError:
             return 0.0
-        return 0.0 if solution.flaw or not solution.stable else -abs(solution.compliance[body - 1])
+        return 0.0 if solution.flaw or not solution.stable else -abs(solution.frf[body - 1])
 
     bounds = (float(response.value[i - 1]), float(response.value[i + 1]))
     optimum = minimize_scalar(negative_magnitude, bounds=bounds, method="bounded", options={"xatol": 1e-3})
     return (float(-optimum.fun), float(optimum.x)) if -optimum.fun > largest else (largest, frequency)
+
+
+def _reference_acceleration(scene: Scene, level: float, frequency: float) -> float:
+    """Return the acceleration of a body that moves by one unit of the reference, per unit of `Peak.magnitude`."""
+    return level * reference_per_level(scene, frequency) * (2 * np.pi * frequency) ** 2
 
 
 def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence[int]) -> Peak:
@@ -83,27 +88,27 @@ def linear_peak(scene: Scene, level: float, frequencies: Array, bodies: Sequence
     rows = [body - 1 for body in bodies]
 
     def largest_magnitude(trial_frequency: float) -> float:
-        return float(abs(receptance(scene, [trial_frequency])[rows]).max())
+        return float(abs(linear_response(scene, [trial_frequency])[rows]).max())
 
-    magnitude = abs(receptance(scene, frequencies)[rows]).max(axis=0)
+    magnitude = abs(linear_response(scene, frequencies)[rows]).max(axis=0)
     i = int(magnitude.argmax())
     bounds = frequencies[max(i - 1, 0)], frequencies[min(i + 1, magnitude.size - 1)]
     optimum = minimize_scalar(lambda f: -largest_magnitude(f), bounds=bounds, method="bounded", options={"xatol": 1e-6})
     frequency = max(float(optimum.x), float(frequencies[i]), key=largest_magnitude)
-    magnitudes = abs(receptance(scene, [frequency])[rows, 0])
+    magnitudes = abs(linear_response(scene, [frequency])[rows, 0])
     body, largest = bodies[int(magnitudes.argmax())], float(magnitudes.max())
-    return Peak(largest, frequency, level, body, largest * level * (2 * np.pi * frequency) ** 2, 0.0)
+    return Peak(largest, frequency, level, body, largest * _reference_acceleration(scene, level, frequency), 0.0)
 
 
 def peak_at(problem: OrbitProblem, level: float, frequencies: Array, bodies: Iterable[int]) -> Peak:
     """Compute the largest peak of the given bodies at one level."""
     response = response_at_level(problem, level, frequencies)
-    on_grid = {body: float(np.abs(response.compliance[body - 1]).max()) for body in bodies}
+    on_grid = {body: float(np.abs(response.frf[body - 1]).max()) for body in bodies}
     peaks: list[Peak] = []
     for body in sorted(on_grid, key=lambda body: -on_grid[body]):
-        if peaks and on_grid[body] < MIN_REFINED_RATIO * max(peaks).compliance:
+        if peaks and on_grid[body] < MIN_REFINED_RATIO * max(peaks).magnitude:
             continue
-        compliance, frequency = refined_peak(problem, response, body)
-        acceleration = compliance * level * (2 * np.pi * frequency) ** 2
-        peaks.append(Peak(compliance, frequency, level, body, acceleration, float(response.simulated.mean())))
+        magnitude, frequency = refined_peak(problem, response, body)
+        acceleration = magnitude * _reference_acceleration(problem.scene, level, frequency)
+        peaks.append(Peak(magnitude, frequency, level, body, acceleration, float(response.simulated.mean())))
     return max(peaks)

@@ -7,13 +7,11 @@ import numpy as np
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
-from rig.core.settings.quantities import FORCE, LENGTH, VOLTAGE, count
+from rig.core.settings.quantities import FORCE, LENGTH, Kind, count
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import accelerations_per_level, level_of
 from rig.core.system.structural_model import structural_model
 
-#: Kind of quantity of a level or clearance, by its unit.
-KIND_OF_UNIT = {"N": FORCE, "V": VOLTAGE, "m": LENGTH}
 #: Default number of frequencies.
 DEFAULT_POINTS = 48
 #: Default number of rows.
@@ -30,8 +28,8 @@ CLEARANCE_TO_DISPLACEMENT_RATIOS = (0.1, 3.0)
 CLEARANCE_TO_SCENE_CLEARANCE_RATIOS = (0.1, 5.0)
 
 
-def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
-    """Return the quantity of the vertical axis, and its unit (N, V or m).
+def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
+    """Return the name of the vertical axis, and its kind of quantity.
 
     `over`: "force", "drive" or "clearance". None: the level of the scene's test. Raises `SceneError` if it is
     neither that level nor the clearance, or the scene has no level or no moving damper.
@@ -47,8 +45,8 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, str]:
         raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
     if over == "drive":
         assert scene.driven_shaker is not None
-        return over, scene.driven_shaker.drive_unit
-    return over, "N" if over == "force" else "m"
+        return over, scene.driven_shaker.drive_quantity
+    return over, FORCE if over == "force" else LENGTH
 
 
 def select_frequencies(

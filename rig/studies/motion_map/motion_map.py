@@ -27,7 +27,6 @@ from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, with_ideal_force
 from rig.core.system.structural_model import structural_model
 from rig.studies.motion_map.grid import (
-    KIND_OF_UNIT,
     select_frequencies,
     select_row_values,
     take_off_levels,
@@ -221,14 +220,14 @@ def map_motion(
         If the scene has no moving damper, no shaker or no level, a bed of grains, or a value that is not positive.
     """
     scene = scene_of(scene)
-    over, unit = vertical_axis(scene, over)
+    over, kind = vertical_axis(scene, over)
     # Checked here, because worker processes take seconds to start.
     assemble(scene).reject_grains()
     scene = with_ideal_force(scene)
     requested = frequencies if frequencies is not None else select_frequencies(scene)
     frequency = np.unique(positive_values(requested, FREQUENCY, "frequencies"))
     levels = values if values is not None else select_row_values(scene, over, frequency)
-    value = np.unique(positive_values(levels, KIND_OF_UNIT[unit], "values"))
+    value = np.unique(positive_values(levels, kind, "values"))
     max_wait, row_points = _max_wait_periods(scene, frequency), frequency.size
     rows = [_Row(_scene_at(scene, over, float(each)), frequency, max_wait) for each in value]
     report_points = (
@@ -238,7 +237,7 @@ def map_motion(
     return MotionMap(
         scene=scene,
         over=over,
-        unit=unit,
+        unit=kind.si,
         value=value,
         frequency=frequency,
         kind=np.array([[max(map(_kind_index, point.types)) for point in row] for row in points]),

@@ -33,8 +33,8 @@ def test_new_dampers_have_the_contact_of_the_scene() -> None:
     checked = scene_with_check(scene, trial, objective)
     assert [(damper.restitution, damper.contact) for damper in checked.dampers] == [(0.2, scene.dampers[0].contact)]
     instant = replace(objective, impact_law=INSTANTANEOUS)
-    assert instant.digest != objective.digest and instant.worst(choice).compliance != pytest.approx(
-        peak.compliance, rel=1e-3
+    assert instant.digest != objective.digest and instant.worst(choice).magnitude != pytest.approx(
+        peak.magnitude, rel=1e-3
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import daq
@@ -21,9 +22,16 @@ from rig.studies.design.worst_peak import Peak
 FREQUENCY_HZ, FORCE_N = 49.0, 3.3
 # A peak of the steady-state motion that overloads no sensor: compliance 1e-6 m/N at body 2, acceleration 1 m/s^2, no
 # irregular motion.
-SMALL_PEAK = Peak(1e-6, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0)
+
+
+def _peak(compliance: float) -> Peak:
+    acceleration = compliance * FORCE_N * (2.0 * np.pi * FREQUENCY_HZ) ** 2
+    return Peak(compliance, FREQUENCY_HZ, FORCE_N, 2, acceleration, 0.0)
+
+
+SMALL_PEAK = _peak(1e-6)
 # A peak at which the dampers stay at rest on their floors: no approach speed.
-PEAK_WITHOUT_LANDING = Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, (0.0,))
+PEAK_WITHOUT_LANDING = Expected(_peak(1e-4), None, (0.0,))
 
 
 def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
@@ -45,7 +53,7 @@ def _scene(contact: dict[str, Any] | None, sensor: dict[str, Any]) -> rig.Scene:
 def _expected(scene: rig.Scene) -> Expected:
     """Return the expected measurement at the peak, with the closing speed of the damper in steady state."""
     response = rig.frequency_response(scene.replace(channels=None), [FREQUENCY_HZ], tolerance=1e-4)
-    return Expected(Peak(1e-4, FREQUENCY_HZ, FORCE_N, 2, 1.0, 0.0), None, tuple(response.closing_speed[:, 0].tolist()))
+    return Expected(_peak(1e-4), None, tuple(response.closing_speed[:, 0].tolist()))
 
 
 @pytest.mark.thorough

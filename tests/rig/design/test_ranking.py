@@ -21,7 +21,7 @@ def test_one_damper_precedes_two_with_irregular_motion(irregular: float, bodies:
     # `irregular`: share of the frequencies with irregular motion; `bodies`: those of the first choice in the ranking.
     def trial(magnitude: float, *choice: Any) -> Trial:
         peak = Peak(
-            compliance=magnitude, frequency=10.0, level=1.0, body=1, acceleration=1.0, irregular_share=irregular
+            magnitude=magnitude, frequency=10.0, level=1.0, body=1, acceleration=1.0, irregular_share=irregular
         )
         return Trial(Choice(*choice), (peak,))
 
@@ -67,7 +67,7 @@ def test_equal_peaks_rank_no_ceiling_first() -> None:
 def trial_of(mass: float, clearance: float, *magnitudes: float) -> Trial:
     """Return the trial of one damper [kg, m], with peaks of these magnitudes at force amplitudes of 1 N, 2 N, ..."""
     peaks = [
-        Peak(compliance=magnitude, frequency=10.0, level=float(force), body=1, acceleration=1.0, irregular_share=0.0)
+        Peak(magnitude=magnitude, frequency=10.0, level=float(force), body=1, acceleration=1.0, irregular_share=0.0)
         for force, magnitude in enumerate(magnitudes, 1)
     ]
     return Trial(Choice((1,), (mass,), (clearance,)), tuple(peaks))
@@ -77,7 +77,7 @@ def test_no_choice_beats_a_pareto_choice() -> None:
     # A Pareto choice: no other choice is both lighter and better.
     masses_and_peaks = [(0.1, 3.0), (0.1, 2.0), (0.2, 2.5), (0.3, 1.0), (0.05, 4.0)]
     trials = [trial_of(mass, 1e-3, magnitude) for mass, magnitude in masses_and_peaks]
-    assert [(trial.choice.mass, trial.peak.compliance) for trial in pareto_front(trials)] == [
+    assert [(trial.choice.mass, trial.peak.magnitude) for trial in pareto_front(trials)] == [
         (0.05, 4.0),
         (0.1, 2.0),
         (0.3, 1.0),

@@ -112,7 +112,7 @@ def test_modes_inside_and_outside_the_band_are_listed() -> None:
     assert [frequency for frequency, _ in mode_objectives(objective)] == [mode.frequency for mode in modes]
     for mode in modes:
         # The damper is too light and too weakly driven to have an effect.
-        assert mode.damped[0].compliance == pytest.approx(mode.undamped.compliance, rel=1e-3)
+        assert mode.damped[0].magnitude == pytest.approx(mode.undamped.magnitude, rel=1e-3)
 
 
 def test_largest_peak_of_modes_is_the_worst_peak() -> None:
@@ -120,9 +120,9 @@ def test_largest_peak_of_modes_is_the_worst_peak() -> None:
     choice = Choice((2,), (1e-6,), (1e-3,))
     worst = objective.worst(choice)
     # Irregular motion has other averages in other evaluations.
-    trial = Trial(choice, (replace(worst, compliance=1.01 * worst.compliance),))
+    trial = Trial(choice, (replace(worst, magnitude=1.01 * worst.magnitude),))
     modes = mode_peaks(objective, trial, _evaluator())
-    assert max(mode.damped[0].compliance for mode in modes if mode.in_band) == trial.peak.compliance
+    assert max(mode.damped[0].magnitude for mode in modes if mode.in_band) == trial.peak.magnitude
 
 
 def test_flight_height_equals_the_simulated_motion() -> None:
@@ -161,13 +161,13 @@ def test_levels_below_take_off_are_reported() -> None:
     peaks = tuple(Peak(compliance, 61.0, level, 2, 1.0, 0.0) for compliance, level in ((1.01e-4, 0.5), (5e-5, 4.0)))
     trial = Trial(Choice((1,), (0.1,), (1e-3,)), peaks)
     charted = {level: Peak(compliance, 61.0, level, 2, 1.0, 0.0) for level, compliance in ((1.0, 9.5e-5), (1.41, 8e-5))}
-    lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial])
+    lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial], "N")
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
     assert lines[1].endswith("Give --levels 4N.")
     weak_trial = Trial(trial.choice, peaks[:1])
-    lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial])
+    lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial], "N")
     assert "at levels of 1.41 N and more" in lines[1]
-    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [])
+    assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [], "N")
 
 
 def test_level_below_take_off_is_ineffective() -> None:

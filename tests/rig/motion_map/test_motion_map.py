@@ -14,6 +14,7 @@ import pytest
 import rig
 from rig.core.base.errors import SceneError
 from rig.core.base.output_files import create_folder
+from rig.core.settings.quantities import LENGTH
 from rig.core.system.open_loop_drive import with_ideal_force
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
@@ -109,7 +110,7 @@ def test_locked_dampers_keep_their_clearance() -> None:
     result = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
     # Motion types of the two dampers that are not locked.
     assert len(result.motion[0, 0].split("/")) == 2
-    assert vertical_axis(scene, "clearance") == ("clearance", "m")
+    assert vertical_axis(scene, "clearance") == ("clearance", LENGTH)
 
 
 def test_linear_scene_is_rejected() -> None:
@@ -201,3 +202,10 @@ def test_unusable_folder_is_rejected(tmp_path: Path) -> None:
     file_path.write_text("", encoding="utf-8")
     with pytest.raises(SceneError, match="Choose another folder"):
         create_folder(file_path / "maps")
+
+
+def test_map_over_acceleration_of_shaker_table() -> None:
+    result = rig.map("shaker-table", least="0.5 m/s^2", most="5 m/s^2", rows=2, points=3)
+
+    assert (result.over, result.unit) == ("drive", "m/s^2") and np.allclose(result.value, [0.5, 5.0])
+    assert result.motion[0, 0] == "riding"

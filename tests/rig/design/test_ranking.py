@@ -20,9 +20,7 @@ from rig.studies.design.worst_peak import Peak
 def test_one_damper_precedes_two_with_irregular_motion(irregular: float, bodies: tuple[int, ...]) -> None:
     # `irregular`: share of the frequencies with irregular motion; `bodies`: those of the first choice in the ranking.
     def trial(magnitude: float, *choice: Any) -> Trial:
-        peak = Peak(
-            magnitude=magnitude, frequency=10.0, level=1.0, body=1, acceleration=1.0, irregular_share=irregular
-        )
+        peak = Peak(magnitude=magnitude, frequency=10.0, level=1.0, body=1, acceleration=1.0, irregular_share=irregular)
         return Trial(Choice(*choice), (peak,))
 
     # Bodies, masses and clearances.

@@ -8,6 +8,7 @@ from .core.fitting.fit import Fit, fit
 from .core.modal.identification import identify
 from .core.modal.modes import Modes, mac
 from .core.responses.frequency_responses import Response, compliance, frequency_responses, frfs
+from .core.signals.profile_check import ProfileCheck, profile
 from .core.signals.shock_spectrum import ShockSpectrum, srs
 from .extras.formats.export import sep005
 from .extras.formats.frf_files import read_frfs
@@ -19,6 +20,7 @@ __all__ = [
     "Decay",
     "Fit",
     "Modes",
+    "ProfileCheck",
     "Response",
     "Results",
     "ShockSpectrum",
@@ -36,6 +38,7 @@ __all__ = [
     "mac",
     "modes",
     "paper",
+    "profile",
     "read_frfs",
     "read_modes",
     "report",

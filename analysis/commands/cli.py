@@ -161,6 +161,16 @@ def srs(
     _print_output(result)
 
 
+@app.command(example="analysis profile random.mcap")
+def profile(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+    """Compare controlled motion with the profile of its test."""
+    from analysis.commands.presentation.profile_findings import present_profile
+
+    with allow_overwriting(overwrite):
+        result = present_profile(files, output)
+    _print_output(result)
+
+
 @app.command(example="analysis modes sweep.mcap")
 def modes(
     files: Curves,

@@ -1,4 +1,4 @@
-"""Charts of tests that control the motion of a channel: pulses and shock response spectra."""
+"""Charts of tests that control the motion of channels: profiles, pulses and shock response spectra."""
 
 from __future__ import annotations
 
@@ -9,17 +9,40 @@ import numpy as np
 from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.responses.measurands import response_channels
+from analysis.core.signals.profile_check import ProfileCheck, profile
 from analysis.core.signals.shock_spectrum import srs
 from daq.core.recording.recorded_test import shocks_of
-from rig.core.base.palette import place_style
+from rig.core.base.palette import place_style, place_styles
 from rig.core.scene.excitation.profile import from_decibels
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
+def _profile_chart(check: ProfileCheck) -> Chart:
+    """Return a chart of control and limited channels with their bounds."""
+    ratio = 10.0 ** (check.tolerance / (10.0 if "Hz" in check.unit else 20.0))
+    styles = place_styles([f"body {k}" for k in range(1, len(check.limited) + 3)])
+    frequency = check.frequency
+    curves = [
+        Curve("control", frequency, check.control, style=styles[0]),
+        Curve("profile", frequency, check.profile, check.profile / ratio, check.profile * ratio, styles[1]),
+    ]
+    for level, style in zip(check.limited, styles[2:], strict=True):
+        curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style))
+        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style))
+    return Chart(
+        f"{check.summary()}. Band of the profile: tolerance.",
+        "Control and limited channels against the profile.",
+        [Panel("motion", check.unit, curves, height=300, logarithmic=True)],
+        logarithmic=True,
+    )
+
+
 def control_charts(rec: Recording) -> list[Chart]:
-    """Return the charts of the shocks of a recording; empty without shocks."""
+    """Return the charts of the controlled motion in a recording; empty without such a test."""
+    if any(mark.kind == "tolerance" for mark in rec.markers) and any(mark.kind == "measure" for mark in rec.markers):
+        return [_profile_chart(profile(rec))]
     shocks = shocks_of(rec.markers)
     if not shocks or rec.scene.test is None:
         return []

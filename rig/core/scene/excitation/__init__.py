@@ -13,6 +13,7 @@ from rig.core.scene.excitation.kind import Settle as Settle
 from rig.core.scene.excitation.kind import spaced_frequencies as spaced_frequencies
 from rig.core.scene.excitation.multisine import Multisine as Multisine
 from rig.core.scene.excitation.random import Random as Random
+from rig.core.scene.excitation.random_control import RandomControl as RandomControl
 from rig.core.scene.excitation.shock import Shock as Shock
 from rig.core.scene.excitation.sine import Sine as Sine
 from rig.core.scene.excitation.stepped_sine import Measure as Measure
@@ -20,6 +21,8 @@ from rig.core.scene.excitation.stepped_sine import SteppedSine as SteppedSine
 from rig.core.scene.excitation.swept_sine import SweptSine as SweptSine
 from rig.core.settings.alternatives import Alternatives, by_kind
 
-Test = Annotated[Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free | Shock, Alternatives(by_kind)]
+Test = Annotated[
+    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free | Shock | RandomControl, Alternatives(by_kind)
+]
 #: The classes of all kinds.
 KINDS: tuple[type[KindOfTest], ...] = get_args(get_args(Test)[0])

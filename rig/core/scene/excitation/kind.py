@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 from pydantic import Field
 
 from rig.core.base.arrays import Array
+from rig.core.scene.excitation.profile import Prescription
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import ACCELERATION, FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
@@ -205,6 +206,11 @@ class KindOfTest(Settings):
 
     def shock_spectrum(self) -> tuple[Array, Array, float] | None:
         """Return frequencies (Hz), prescribed shock response spectrum (m/s^2) and tolerance (dB); None without one."""
+        return None
+
+    @property
+    def prescription(self) -> Prescription | None:
+        """Profile and limits of the motion of channels; None without profile control."""
         return None
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation.kind import Frequency
 from rig.core.settings.problems import Problem
-from rig.core.settings.quantities import ACCELERATION, ACCELERATION_DENSITY, LENGTH, LEVEL, RATIO, VELOCITY
+from rig.core.settings.quantities import ACCELERATION, ACCELERATION_DENSITY, FREQUENCY, LENGTH, LEVEL, RATIO, VELOCITY
 from rig.core.settings.quantity_field import Quantity
 from rig.core.settings.settings import Settings
 
 ChannelName = Annotated[str, Field(min_length=1, max_length=200)]
-Frequencies = Annotated[tuple[Frequency, ...], Field(min_length=2, max_length=1000)]
+Frequencies = Annotated[
+    tuple[Annotated[float, Quantity(FREQUENCY, above=0.0)], ...], Field(min_length=2, max_length=1000)
+]
 #: Maximum difference from a profile, dB.
 Decibels = Annotated[float, Quantity(LEVEL, above=0.0)]
 #: Levels of the first parts of a test, relative to the full level, dB.
@@ -106,6 +107,17 @@ class Control(Settings):
         if self.combine == "average":
             return np.asarray(values.mean(axis=0))
         return np.asarray(values.max(axis=0) if self.combine == "maximum" else values.min(axis=0))
+
+
+class Prescription(NamedTuple):
+    """What a test with profile control prescribes: densities with a resolution in Hz, otherwise amplitudes."""
+
+    control: Control
+    profile: Breakpoints
+    limits: tuple[DensityLimit | MotionLimit, ...]
+    tolerance: float  # dB
+    abort: float  # dB
+    resolution: float | None
 
 
 def in_decibels(ratio: Array | float) -> Array:

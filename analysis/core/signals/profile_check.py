@@ -1,0 +1,210 @@
+"""Comparison of the motion of control and limited channels with the profile of a test (IEC 60068-2-6, -2-64).
+
+Power spectral densities are averages over half-overlapping segments with a Hann window (P. D. Welch, IEEE Trans. Audio
+Electroacoust. 15 (1967) 70), with chi-square intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from analysis.core.recordings.names import takes_path
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.numerics.runs import runs_of
+from rig.core.results import Result, complete_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+    from daq.core.signal_chain.channel import ChannelInfo
+    from rig.core.scene.excitation.profile import Prescription
+
+# A channel limits the drive where it is nearer to its limit than this, dB, and the control is below the profile.
+_NOTCH_DB = 1.5
+# Independent averages per segment, for half-overlapping segments with a Hann window.
+_INDEPENDENT_RATIO = 0.95
+
+
+@dataclass(frozen=True)
+class Level:
+    """Motion of a channel over frequency, with its 95 % interval, and its bound, all of shape (n,)."""
+
+    channel: str
+    values: Array
+    low: Array
+    high: Array
+    bound: Array  # profile or limit; NaN where there is none
+    rms: float  # of the readings, in the unit of the channel
+    kurtosis: float
+
+
+@dataclass(frozen=True, repr=False)
+class ProfileCheck(Result):
+    """Motion of the control channels and of the limited channels, compared with profile and limits.
+
+    Attributes
+    ----------
+    label : str
+        Name of the scene.
+    unit : str
+        Unit of the values: (m/s²)²/Hz for densities, m/s² for amplitudes.
+    frequency : ndarray, shape (n,)
+        Frequencies, Hz.
+    control : ndarray, shape (n,)
+        Combination of the control channels.
+    profile : ndarray, shape (n,)
+        Profile.
+    channels, limited : tuple of Level
+        Control channels, and channels with limits.
+    tolerance, abort : float
+        Tolerance and abort line relative to the profile, dB.
+    """
+
+    label: str
+    unit: str
+    frequency: Array
+    control: Array
+    profile: Array
+    channels: tuple[Level, ...]
+    limited: tuple[Level, ...]
+    tolerance: float
+    abort: float
+
+    @property
+    def deviation(self) -> Array:
+        """Control relative to the profile, dB."""
+        return (10.0 if "Hz" in self.unit else 20.0) * np.log10(self.control / self.profile)
+
+    def is_limited(self, level: Level) -> NDArray[np.bool_]:
+        """Return at which frequencies a channel limits the drive."""
+        factor = 10.0 if "Hz" in self.unit else 20.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            distance = factor * np.log10(level.values / level.bound)
+        return np.asarray((distance > -_NOTCH_DB) & (self.deviation < 0.0), dtype=bool)
+
+    @property
+    def within(self) -> float:
+        """Fraction of the frequencies within the tolerance, without those that a limit reduces."""
+        reduced = np.any([self.is_limited(level) for level in self.limited], axis=0) if self.limited else False
+        return float(np.mean((abs(self.deviation) <= self.tolerance) | reduced))
+
+    def notches(self) -> list[tuple[str, float, float]]:
+        """Return channel, lowest and highest frequency of each band in which a limit reduces the drive, Hz."""
+        return [
+            (level.channel, float(self.frequency[start]), float(self.frequency[stop - 1]))
+            for level in self.limited
+            for start, stop in runs_of(self.is_limited(level))
+        ]
+
+    def summary(self) -> str:
+        """Return the fraction of frequencies within the tolerance, and the largest deviation."""
+        worst = int(np.argmax(self.deviation))
+        return (
+            f"{self.label}: {100 * self.within:.1f} % of the frequencies within {self.tolerance:g} dB of the profile "
+            f"or reduced by a limit; highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz"
+        )
+
+    def columns(self) -> Mapping[str, Array]:
+        """Return frequency, profile, control, and values, interval and bound of each channel."""
+        columns = {"frequency_Hz": self.frequency, "profile": self.profile, "control": self.control}
+        for level in (*self.channels, *self.limited):
+            columns |= {f"{level.channel}": level.values, f"{level.channel} low": level.low}
+            columns |= {f"{level.channel} high": level.high, f"{level.channel} bound": level.bound}
+        return columns
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw control and limited channels with profile, tolerance and limits."""
+        ratio = 10.0 ** (self.tolerance / (10.0 if "Hz" in self.unit else 20.0))
+        ax.loglog(self.frequency, self.profile, color="black", lw=1.0, label="profile")
+        ax.fill_between(self.frequency, self.profile / ratio, self.profile * ratio, color="#999999", alpha=0.3, lw=0)
+        ax.loglog(self.frequency, self.control, **complete_style(style, label="control"))
+        for level in self.limited:
+            (line,) = ax.loglog(self.frequency, level.values, lw=0.9, label=level.channel)
+            ax.loglog(self.frequency, level.bound, "--", color=line.get_color(), lw=0.9)
+        ax.set(xlabel="frequency / Hz", ylabel=f"{'density' if 'Hz' in self.unit else 'amplitude'} / ({self.unit})")
+
+
+@takes_path
+def profile(rec: Recording) -> ProfileCheck:
+    """Compare the motion of control and limited channels with the profile of the test, at full level.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        Recording of a test with profile control.
+
+    Raises
+    ------
+    RecordingError
+        If the test has no profile, or did not reach its full level.
+    """
+    prescription = None if rec.scene.test is None else rec.scene.test.prescription
+    measured = [mark for mark in rec.markers if mark.kind == "measure"]
+    if prescription is None:
+        raise RecordingError(f"{rec.path}: {rec.test.name} has no profile. Use `analysis frf` or `analysis srs`.")
+    if not measured:
+        raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
+    start, stop = measured[-1].first_sample, measured[-1].end + 1
+    frequency, rows = _densities(rec, prescription, start, stop)
+    bound = prescription.profile.at(frequency)
+    channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
+    limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
+               for each in prescription.limits]  # fmt: skip
+    control = prescription.control.combined(np.array([level.values for level in channels]))
+    return ProfileCheck(
+        rec.scene.name, "(m/s²)²/Hz", frequency, control, bound, tuple(channels), tuple(limited),
+        prescription.tolerance, prescription.abort,
+    )  # fmt: skip
+
+
+def _densities(
+    rec: Recording, prescription: Prescription, start: int, stop: int
+) -> tuple[Array, dict[str, tuple[Array, Array, Array]]]:
+    """Return frequencies and, for each channel, its density with its 95 % interval."""
+    assert prescription.resolution is not None
+    size = min(2 * max(2, round(rec.rate / prescription.resolution / 2.0)), stop - start)
+    low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
+    rows: dict[str, tuple[Array, Array, Array]] = {}
+    lines = np.asarray(np.fft.rfftfreq(size, 1.0 / rec.rate), dtype=np.float64)
+    inside = (lines >= low - 1e-9 * high) & (lines <= high * (1.0 + 1e-9))
+    segments = max(1, (stop - start) // (size // 2) - 1)
+    freedom = 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
+    quantiles = freedom / stats.chi2.ppf([0.975, 0.025], freedom)
+    for name in _names(prescription):
+        density = signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
+        values = density * _power_factor(rec.channels[name], lines[inside])
+        rows[name] = values, values * quantiles[0], values * quantiles[1]
+    return lines[inside], rows
+
+
+def _names(prescription: Prescription) -> Iterable[str]:
+    return dict.fromkeys((*prescription.control.channels, *(limit.channel for limit in prescription.limits)))
+
+
+def _finite(rec: Recording, name: str, start: int, stop: int) -> Array:
+    """Return samples with lost samples interpolated."""
+    samples = rec.read(name, start, min(stop, rec.samples))
+    lost = ~np.isfinite(samples)
+    if lost.all():
+        raise RecordingError(f"{rec.path}: all samples of {name} are lost. Record again.")
+    return np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+
+
+def _power_factor(info: ChannelInfo, frequency: Array) -> Array:
+    """Return the squared factor from the amplitude of a reading to that of the acceleration."""
+    order = 2 - (info.derivative or 0)
+    return np.asarray(abs((2.0 * np.pi * frequency) ** order / info.response(frequency)) ** 2)
+
+
+def _level(rec: Recording, name: str, bound: Array, rows: tuple[Array, Array, Array], start: int, stop: int) -> Level:
+    """Return the motion of a channel."""
+    samples = _finite(rec, name, start, stop)
+    return Level(name, *rows, bound, float(np.std(samples)), float(stats.kurtosis(samples, fisher=False)))

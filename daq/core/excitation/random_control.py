@@ -1,0 +1,218 @@
+"""Random test with profile control: noise at rising levels, whose spectrum is corrected from averaged densities.
+
+The terms are those of IEC 60068-2-64. Limits of other channels reduce the drive in their bands (notching).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import erfc
+
+from daq.core.excitation.identification import EXPECTED_PERIODS, identify
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
+from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.station import Excitation, GivenUp, Station
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.random_control import excess
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import RandomControl
+    from rig.core.scene.excitation.kind import KindOfTest
+    from rig.core.scene.scene import Scene
+
+
+# Number of averaged spectra of the first update of a level, and of the levels of the ramp.
+_FIRST_AVERAGES = 16
+# The ramp continues when this fraction of the lines is within the tolerance.
+_MIN_WITHIN = 0.9
+# Largest number of updates at a level of the ramp.
+_MAX_UPDATES = 12
+# Fraction of the drive samples that the output may clip.
+_MAX_CLIPPED = 0.01
+# A line counts as outside if it exceeds its bound by this number of standard deviations of its average.
+_SIGMAS = 2.0
+
+
+class SpectrumControl:
+    """Drive density of a test, and its corrections; all densities are those at full level."""
+
+    def __init__(self, station: Station, test: RandomControl) -> None:
+        self.station, self.test, rate = station, test, station.rate
+        self.period = 2 * max(2, round(rate / test.resolution / 2.0))
+        self.lines = lines_between(*test.band, self.period, rate)
+        self.frequency = self.lines * rate / self.period
+        self.profile = test.profile.at(self.frequency)
+        self.control = len(test.control.channels)
+        self.rows = [station.row_of(name) for _, name in test.named_channels]
+        self.limits = np.array([limit.at(self.frequency) for limit in test.limits]).reshape(-1, self.lines.size)
+        factors = np.array([abs(station.acceleration_factor(row, self.frequency)) ** 2 for row in self.rows])
+        self.spectra = AveragedSpectra(factors, self.lines, self.period, rate)
+        self.drive = np.zeros(self.lines.size)
+        self.source = NoiseSource(station.generator("random control"), self.lines, self.period, rate)
+        self.clipped = self.total = 0
+
+    def correction(self, density: Array) -> Array:
+        """Return the required ratio of the densities at each line; `density`: of the channels, at full level."""
+        control = self.profile / np.maximum(self.combined(density), 1e-300)
+        notches = self.limits / np.maximum(density[self.control :], 1e-300)
+        return np.fmin(control, np.fmin.reduce(notches, axis=0)) if len(self.limits) else control
+
+    def combined(self, density: Array) -> Array:
+        """Return the density of the control channels."""
+        return self.test.control.combined(density[: self.control])
+
+    def identify(self) -> Generator[Array, Array, None]:
+        """Identify the responses to the drive; the drive then follows from the profile and the limits."""
+        resolution = self.station.rate / self.period
+        required = np.sqrt(2.0 * self.profile * resolution)
+        rms = np.sqrt(np.nansum(self.limits, axis=1) * resolution)
+        largest = np.concatenate([np.full(self.control, np.inf), np.where(rms > 0.0, rms, np.inf)])
+        found = yield from identify(
+            self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
+        )
+        self.drive = self.correction(np.abs(found.gain) ** 2)
+        self._check_output()
+
+    def _check_output(self) -> None:
+        """Give up if the output clips too many samples at full level."""
+        rms = float(np.sqrt(np.sum(self.drive) * self.station.rate / self.period))
+        share = float(erfc(self.station.output_limit / (rms * np.sqrt(2.0)))) if rms > 0.0 else 0.0
+        if share > _MAX_CLIPPED:
+            raise GivenUp(
+                f"at full level, {100 * share:.0f} % of the drive samples are clipped by the output. Lower the profile."
+            )
+
+    def run(self, level: float, averages: int) -> Generator[Array, Array, Array]:
+        """Output noise at a level in dB for a number of spectra; return the densities at full level."""
+        gain = 10.0 ** (level / 10.0)
+        rms = float(np.sqrt(np.sum(self.drive) * gain * self.station.rate / self.period))
+        limit = min(self.test.clip * rms, self.station.output_limit)
+        self.spectra.restart()
+        while self.spectra.count < averages:
+            wave = self.source.next_half(gain * self.drive)
+            self.clipped += int(np.sum(abs(wave) > self.station.output_limit))
+            self.total += wave.size
+            self.spectra.add((yield self.station.drive(np.clip(wave, -limit, limit)))[self.rows])
+        return self.spectra.density / gain
+
+    def assess(self, density: Array, level: float) -> float:
+        """Give up if too many lines are above the abort line; return the fraction of lines within the tolerance."""
+        test, margin = self.test, _SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
+        deviation = excess(self.combined(density), self.profile)
+        # At a notch the drive is reduced on purpose.
+        limited = np.max([excess(y, bound) for y, bound in zip(density[self.control :], self.limits, strict=True)] or
+                        [np.full(deviation.shape, -np.inf)], axis=0)  # fmt: skip
+        above = deviation > test.abort + margin
+        worst = int(np.argmax(deviation))
+        if np.mean(above) > test.abort_lines:
+            raise GivenUp(
+                f"aborted at {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by more than "
+                f"{test.abort:g} dB, most at {self.frequency[worst]:.4g} Hz ({deviation[worst]:.1f} dB). Reduce speed, "
+                "or add a limit."
+            )
+        is_notched = (deviation < 0.0) & (limited > -test.tolerance)
+        within = (abs(deviation) <= test.tolerance + margin) | is_notched
+        self.outside = int(np.sum(~within))
+        self.worst = float(deviation[int(np.argmax(np.where(is_notched, 0.0, abs(deviation))))])
+        return float(np.mean(within))
+
+    def update(self, density: Array) -> None:
+        """Correct the drive."""
+        self.drive = updated(self.drive, self.correction(density), self.test.speed, self.spectra.count)
+
+
+def excite(station: Station, test: RandomControl) -> Excitation:
+    """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
+    control = SpectrumControl(station, test)
+    yield from control.identify()
+    averages = min(_FIRST_AVERAGES, test.averages)
+    for level in test.ramp:
+        first, updates = station.now, 0
+        while True:
+            share = yield from _step(control, level, averages)
+            updates += 1
+            if share >= _MIN_WITHIN and station.now - first >= station.samples(test.hold):
+                break
+            if updates >= _MAX_UPDATES and share < _MIN_WITHIN:
+                raise GivenUp(
+                    f"at {level:g} dB only {100 * share:.0f} % of the lines are within {test.tolerance:g} dB after "
+                    f"{updates} updates. Give more lines, or widen the tolerance."
+                )
+        station.mark("ramp", first, station.now, level=level, within=round(share, 3))
+    first, end, count = station.now, station.now + station.samples(test.duration), averages
+    fields = {"from": test.band[0], "to": test.band[1], "level": test.rms()}
+    try:
+        while station.now < end:
+            start, remaining = station.now, -(-(end - station.now) // (control.period // 2))
+            if remaining < _FIRST_AVERAGES:
+                yield from control.run(0.0, remaining)
+                break
+            yield from _step(control, 0.0, min(count, remaining))
+            station.mark("tolerance", start, station.now, outside=control.outside, worst=round(control.worst, 2))
+            count = min(2 * count, test.averages)
+    finally:
+        # The measurement is marked even if the test ends early.
+        if station.now > first:
+            station.mark("measure", first, station.now, **fields)
+    half = control.source.next_half(0.0 * control.drive)
+    yield station.drive(half)
+    if control.outside:
+        station.warn(
+            f"{control.outside} of {control.lines.size} lines are outside the tolerance of {test.tolerance:g} dB "
+            f"(worst {control.worst:+.1f} dB). Give more lines, or a longer test."
+        )
+    if control.clipped > 1e-4 * control.total:
+        station.warn(f"the output clipped {control.clipped} drive samples. Lower the profile.")
+
+
+def _step(control: SpectrumControl, level: float, averages: int) -> Generator[Array, Array, float]:
+    """Output noise, assess its densities and update the drive; return the fraction of lines within the tolerance."""
+    test, station = control.test, control.station
+    station.report(min(station.now / station.rate / max(test.shortest, 1e-9), 1.0), f"level {level:g} dB")
+    density = yield from control.run(level, averages)
+    share = control.assess(density, level)
+    control.update(density)
+    return share
+
+
+class RandomControlProcedure(Procedure["RandomControl"]):
+    """Noise with profile control."""
+
+    # The extremes in a part of the test vary by 10 % from part to part.
+    budget = 4.0
+    form = Form("random control of the scene", ())
+
+    def excite(self, station: Station, test: RandomControl) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def waits(self, test: RandomControl, scene: Scene) -> float:
+        """Return the expected time of the identification, and of the averages beyond the times of the levels, s."""
+        average = _FIRST_AVERAGES / 2.0 / test.resolution
+        return EXPECTED_PERIODS / test.resolution + (len(test.ramp) + 1) * average
+
+    def stored(self, test: RandomControl) -> float:
+        """Return the length of a frame, s."""
+        return 1.0 / test.resolution
+
+    def extension(self, test: RandomControl, seconds: float) -> float:
+        """Return the growth of the expected maximum of a Gaussian process from a part to the whole test."""
+        crossings_per_s = sum(test.band)
+        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
+        return float(max(np.sqrt(log_whole / log_part), 1.0))
+
+    def part(self, test: RandomControl, seconds: float, scene: Scene) -> RandomControl:
+        """Return a test with the full level only, and a shorter duration."""
+        return test.replace(ramp=(), duration=min(test.duration, max(seconds, 1.0 / test.resolution)))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
+        """Return the test of the scene."""
+        assert test is not None
+        return test
+
+
+PROCEDURE = RandomControlProcedure()

@@ -1,0 +1,116 @@
+"""Gaussian noise whose power spectral density at control channels is held at a profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.kind import MAX_STEPS, Count, Duration, KindOfTest, ShakerNumber, Start
+from rig.core.scene.excitation.profile import (
+    Control,
+    Decibels,
+    DensityLimit,
+    DensityProfile,
+    Prescription,
+    Ramp,
+    Share,
+    from_decibels,
+)
+from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.quantities import RATIO
+from rig.core.settings.quantity_field import Quantity
+
+
+class RandomControl(KindOfTest):
+    """Noise whose power spectral density at control channels is held at a profile, with limits of other channels."""
+
+    kind: Literal["random_control"] = "random_control"
+    recorded_as: ClassVar = "random"
+    level_keys: ClassVar = ()
+    start: Start = "settled"
+    profile: DensityProfile
+    """Power spectral density of the control channels: keys frequencies and density."""
+    control: Control
+    """Control channels: keys channels and combine."""
+    limits: tuple[DensityLimit, ...] = ()
+    """Largest power spectral densities of other channels: keys channel, frequencies and density."""
+    ramp: Ramp = (-12.0, -6.0, -3.0)
+    """Levels before the full level [dB]."""
+    hold: Duration = 10.0
+    """Least time at each level of the ramp [s]."""
+    duration: Duration
+    """Duration at full level [s]."""
+    lines: Annotated[int, Field(ge=4, le=MAX_STEPS)] = 200
+    """Number of spectral lines of the profile."""
+    averages: Count = 60
+    """Number of averaged spectra of an update at full level."""
+    clip: Annotated[float, Quantity(RATIO, above=1.0, infinite=True)] = 4.0
+    """Largest drive relative to its root mean square."""
+    speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.5
+    """Part of the deviation that an update corrects."""
+    tolerance: Decibels = 3.0
+    """Permissible deviation from the profile [dB]."""
+    abort: Decibels = 6.0
+    """Deviation above the profile at which a line counts for the abort [dB]."""
+    abort_lines: Share = 0.1
+    """Fraction of these lines at which the test ends."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the abort line lies above the tolerance."""
+        if self.abort <= self.tolerance:
+            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
+            yield Problem(("abort",), message)
+
+    @property
+    def named_channels(self) -> Iterable[tuple[KeyPath, str]]:
+        """The control and the limited channels."""
+        return named_channels(self.control.channels, [limit.channel for limit in self.limits])
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency of the profile, Hz."""
+        return self.profile.frequencies[0], self.profile.frequencies[-1]
+
+    @property
+    def highest(self) -> tuple[KeyPath, float]:
+        """Key path and value of the highest frequency, Hz."""
+        return ("profile", "frequencies"), self.band[1]
+
+    @property
+    def shortest(self) -> float:
+        """Time at all levels, s."""
+        return len(self.ramp) * self.hold + self.duration
+
+    @property
+    def prescription(self) -> Prescription:
+        """Profile and limits of the densities."""
+        return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, self.resolution)
+
+    @property
+    def resolution(self) -> float:
+        """Distance of the spectral lines, Hz."""
+        return (self.band[1] - self.band[0]) / self.lines
+
+    def rms(self, level: float = 0.0) -> float:
+        """Return the root mean square acceleration of the profile at a level in dB, m/s^2."""
+        frequency = np.linspace(*self.band, 10 * self.lines + 1)
+        return from_decibels(level) * float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))
+
+
+def named_channels(control: tuple[str, ...], limited: list[str]) -> Iterable[tuple[KeyPath, str]]:
+    """Yield the key paths and names of control and limited channels."""
+    for k, name in enumerate(control):
+        yield ("control", "channels", k), name
+    for k, name in enumerate(limited):
+        yield ("limits", k, "channel"), name
+
+
+def excess(values: Array, bound: Array) -> Array:
+    """Return densities relative to a bound in dB; -inf where the bound is not defined."""
+    return np.where(np.isfinite(bound), 10.0 * np.log10(np.maximum(values, 1e-300) / bound), -np.inf)

@@ -27,13 +27,14 @@ TESTED_COMMANDS = {
         "decay r.mcap",
         "modes r.mcap",
         "report r.mcap",
+        "srs r.mcap",
         "export r.mcap -o r.csv",
         "export r.mcap -o r.uff",
     ),
 }
 EXEMPT_COMMANDS = {
     "daq": {"bench", "record", "replay", "run", "serve", "import"},
-    "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit"},
+    "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit", "profile"},
 }
 
 

@@ -128,5 +128,3 @@ def test_free_structure_on_base_is_rejected() -> None:
 def test_base_has_no_driven_body() -> None:
     with pytest.raises(rig.SceneError, match="excited at its base"):
         driven_bodies(scene())
-    with pytest.raises(rig.SceneError, match="excited at its base"):
-        rig.design(scene())

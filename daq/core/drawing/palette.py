@@ -20,6 +20,7 @@ INACTIVE: Color = (120, 112, 104)
 DRIVE = _rgb(palette.TABLE)
 HAMMER = _rgb(palette.HAMMER)
 MARK: Color = (150, 156, 166)
+LABEL: Color = (207, 214, 222)
 BACKGROUND: Color = (22, 24, 29)
 
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 # Maximum time for the start of the web server, s.
 _MAX_START_S = 30.0
-# A browser may reconnect within this time, s.
-_RECONNECT_S = 60.0
 
 
 def bench(
@@ -56,14 +54,16 @@ def bench(
     Raises
     ------
     RunError
-        If NiceGUI is missing; at the end, if a recording or the simulation has ended by an error.
+        If Starlette or Uvicorn is missing; at the end, if a recording or the simulation has ended by an error.
     SceneError
         If the scene cannot be used or an address is not available.
     """
     try:
-        import nicegui  # noqa: F401
-    except ImportError:
-        raise RunError("the page needs NiceGUI, which is missing. Run: pip install 'shotrig[bench]'") from None
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+        import websockets  # noqa: F401
+    except ImportError as error:
+        raise RunError(f"the page needs {error.name}, which is missing. Run: pip install 'shotrig[bench]'") from None
     host, port = parse_address(host, port)
     chassis = connect_scene(scene, "real")
     with contextlib.ExitStack() as stack:
@@ -106,15 +106,9 @@ def _open_browser(address: str, folder: Path) -> None:
 def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
     """Serve the page from a thread; yield its address, which contains the token."""
     import uvicorn
-    from fastapi import FastAPI
-    from nicegui import ui
 
     from daq.extras.bench_page.access import MAX_CONNECTIONS, LimitedConnection, TokenGate
-    from daq.extras.bench_page.page import Page
-
-    @ui.page("/")
-    def page() -> None:
-        Page(live_bench)
+    from daq.extras.bench_page.application import Application
 
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -124,9 +118,7 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
             f"cannot listen at {host}:{port}. Choose another port with --port, or another --address."
         ) from None
     bound_port = listener.getsockname()[1]
-    application = FastAPI(openapi_url=None)
-    ui.run_with(application, reconnect_timeout=_RECONNECT_S)
-    token_gate = TokenGate(application, host, f"shotrig_bench_{bound_port}")
+    token_gate = TokenGate(Application(live_bench).asgi, host, f"shotrig_bench_{bound_port}")
     config = uvicorn.Config(
         token_gate,
         http=LimitedConnection,

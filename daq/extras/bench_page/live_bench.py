@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from daq.core.excitation import Excitation, Station, excitation, procedure_of
 from daq.core.excitation.manual_tone import ManualTone, ToneControls
@@ -16,10 +20,12 @@ from daq.extras.bench_page.monitor import Monitor
 from daq.extras.bench_page.recordings import BenchRecordings
 from rig.core.base.errors import SceneError, ShotrigError
 from rig.core.scene.excitation import KINDS
+from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from daq.extras.ni_device.background_test import BackgroundTest
     from daq.extras.ni_device.chassis import Chassis
+    from rig.core.base.arrays import Array, ComplexArray
     from rig.core.scene.scene import Scene
 
 _NO_INPUT = "the scene has neither a shaker nor a hammer"
@@ -33,9 +39,13 @@ _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of the block length of the live frequency response, s. Within these limits, it is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
+# The band of NI clients ends at the sample rate divided by this number, as is usual for anti-aliasing filters.
+_NYQUIST_MARGIN = 2.56
 # The window of a hit lasts at most this time, and the next hit begins at least this time after a window, s.
 _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
+# Lowest frequency of the response to hits, periods per window: below, the sensors' low cutoff dominates.
+_MIN_PERIODS_PER_WINDOW = 4.0
 # A hit is accepted if its peak is at least this fraction of the requested peak.
 _MIN_PEAK_RATIO = 0.5
 
@@ -65,6 +75,8 @@ class TestController:
 
     The initial `settings` are those of the scene's test. `forms` are the procedures of the tests for which the scene
     has a shaker or a hammer, by title. `message` is the state of the test, or the reason why it did not start.
+    `progress` is the completed fraction of the measurement, 0 while the test settles. `is_aborted` states whether the
+    last test ended early. `tests` is the number of started tests. `target` is the level of the test, N.
     `frf_unavailable_reason` is the reason why there is no live frequency response.
     """
 
@@ -94,6 +106,10 @@ class TestController:
         )
         self.message = "ready" if self.forms else _NO_FORCE if self._scene.shakers else _NO_INPUT
         self.frf_unavailable_reason = ""
+        self.progress, self.is_aborted, self.tests, self.target = 0.0, False, 0, 0.0
+        # Time at which the measurement began, s since power-on; None while the test settles.
+        self._measures_from: float | None = None
+        self._test: tuple[Procedure[Any], Any] | None = None
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
         # First sample, stop and marker fields of each hit of the test.
@@ -121,31 +137,107 @@ class TestController:
             self._mark_hits()
         self._chassis.unregister(cast(Any, self))
 
-    def start(self) -> None:
-        """Start the test that the settings describe; on failure `message` states the reason."""
+    @property
+    def state(self) -> str:
+        """State of the test: idle, settling, measuring or aborted."""
+        if not self.running:
+            return "aborted" if self.is_aborted else "idle"
+        return "settling" if self.excited_band() is None else "measuring"
+
+    @property
+    def level_kind(self) -> str:
+        """Meaning of the level of the last test: peak of a hit, amplitude of a tone, or rms of noise."""
+        if self.has_hammer:
+            return "peak"
+        procedure, test = self._test or (None, None)
+        is_tone = self._controls is not None or (procedure and procedure.frequency_at(test, 0.5) is not None)
+        return "amplitude" if is_tone else "rms"
+
+    @property
+    def band(self) -> tuple[float, float] | None:
+        """Band of the last test, or of the settings before the first, Hz; None for hits, whose pulse determines it."""
+        if self.has_hammer:
+            return None
+        if self._controls is not None:
+            return 0.0, 2.0 * self.settings.frequency
+        low, high = sorted((self.settings.low or 0.0, self.settings.high or 0.0))
+        return (low, high) if high > low else None
+
+    def theory(self, frequency: Array) -> ComplexArray:
+        """Return the receptance of the linear structure without dampers, m/N, as the live response is estimated.
+
+        Shape (channels on bodies, frequencies). Raises `SceneError` if shakers remain attached in a hammer test.
+        """
+        scene, shaker = self._scene, self._scene.driven_shaker
+        if scene.shakers and (scene.hammer is not None or shaker is None or shaker.carries_structure):
+            raise SceneError("the page has no theory of a structure with an idle shaker, or on a table.")
+        force = np.zeros(scene.structure.bodies)
+        force[[body - 1 for body in scene.force_on]] = 1.0
+        rows = [info.body - 1 for info in self._monitor.channels if info.body and info.quantity != "force"]
+        return structural_model(scene).response(frequency, force)[rows]
+
+    @property
+    def force(self) -> float | None:
+        """Measured force of the last test, in the sense of its level, N; None before the first estimate."""
+        frf, detector = self._monitor.frf, self._monitor.detector
+        if detector is not None:
+            return detector.hits[-1].peak if detector.hits else None
+        if frf is None or frf.force_rms is None:
+            return None
+        return frf.force_rms * (np.sqrt(2.0) if self.level_kind == "amplitude" else 1.0)
+
+    @property
+    def remaining(self) -> float | None:
+        """Expected time until the end of the measurement, s; None if it is unknown."""
+        if self._measures_from is None or not 0.0 < self.progress < 1.0 or not self.running:
+            return None
+        return (self._chassis.elapsed - self._measures_from) * (1.0 / self.progress - 1.0)
+
+    def excited_band(self) -> tuple[float, float] | None:
+        """Return the lowest and highest frequency, Hz, that the test excites at present; None while it settles."""
+        if self._controls is not None:
+            frequency = self._controls.settings[0]
+            return frequency, frequency
+        if not self.progress or self._test is None:
+            return None
+        procedure, test = self._test
+        tone = procedure.frequency_at(test, self.progress)
+        return (self.settings.low, self.settings.high) if tone is None else (tone, tone)
+
+    def start(self, hits: int | None = None) -> None:
+        """Start the test that the settings describe; on failure `message` states the reason.
+
+        `hits`: number of hits, instead of that of the settings.
+        """
         if self.running:
             return
         chassis = self._chassis
         try:
             self._require_numbers()
-            scene, excite, self._controls = self._build_test()
+            values = self.settings if hits is None else replace(self.settings, hits=hits)
+            scene, excite, self._controls = self._build_test(values)
             frf, detector = self._build_estimate(scene)
             with chassis.changed:
                 chassis.return_outputs()
                 self._hits = []
+                self.progress, self._measures_from, self.is_aborted = 0.0, None, False
+                self._test, self.target = (self.forms[values.kind], scene.test), values.level
+                self.tests += 1
                 self._recordings.begin_test(scene, kind_of_settings(scene.test))
                 self.message = f"{self.settings.kind} runs"
                 self._background_test = self._terminals.run_test(
                     scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
                 )
                 if self.running:
-                    self._monitor.start_estimate(frf, detector)
+                    self._monitor.start_estimate(frf, detector, self.excited_band)
         except (ShotrigError, ValueError) as error:
             self.message = str(error)
 
     def stop(self) -> None:
         """End the test after the present window of its drive."""
-        if self._background_test is not None:
+        if self._background_test is not None and self.running:
+            # A manually set tone has no end of its own.
+            self.is_aborted = self._controls is None
             self._background_test.stop()
 
     def apply_settings(self) -> None:
@@ -163,9 +255,9 @@ class TestController:
         if empty:
             raise SceneError(f"{', '.join(empty)}: the field is empty. Enter a number.")
 
-    def _build_test(self) -> tuple[Scene, Any, ToneControls | None]:
+    def _build_test(self, values: FormValues) -> tuple[Scene, Any, ToneControls | None]:
         """Return the scene of the test, its excitation, and the controls of a sine (None for other tests)."""
-        values, procedure = self.settings, self.forms.get(self.settings.kind)
+        procedure = self.forms.get(values.kind)
         if procedure is None or procedure.form is None:
             raise SceneError(_NO_INPUT if not self.forms else f"test: choose {', '.join(self.forms)}.")
         controls, excite = None, excitation
@@ -184,7 +276,7 @@ class TestController:
         block = min(max(settings.duration / 10, _MIN_BLOCK_S), _MAX_BLOCK_S)
         if scene.hammer is not None:
             block = min(settings.interval - _MIN_PAUSE_S, _MAX_HIT_S)
-            band = [0.0, 0.5 * monitor.rate]
+            band = [_MIN_PERIODS_PER_WINDOW / block, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
                 detector = HitDetector(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
@@ -196,6 +288,17 @@ class TestController:
         except SceneError as error:
             frf, self.frf_unavailable_reason = None, str(error)
         return frf, detector
+
+    def start_client_estimate(self) -> None:
+        """Estimate responses to the drive of NI clients, at the lines that it excites."""
+        band = (0.0, self._monitor.rate / _NYQUIST_MARGIN)
+        try:
+            frf = LiveFrf(self._scene, self._monitor.channels, self._monitor.rate, _MIN_BLOCK_S, band)
+        except SceneError as error:
+            self.frf_unavailable_reason = str(error)
+            return
+        self.tests += 1
+        self._monitor.start_estimate(frf, None, lambda: band)
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
@@ -216,13 +319,16 @@ class TestController:
         self._hits = []
 
     def _on_progress(self, fraction: float, message: str) -> None:
-        self.message = f"{100 * fraction:.0f} %: {message}" if fraction else message
+        self.message, self.progress = message, fraction
+        if fraction and self._measures_from is None:
+            self._measures_from = self._chassis.elapsed
 
     def _on_end(self, reason: str) -> None:
+        self.is_aborted |= bool(reason)
         self._mark_hits()
         self._monitor.end_estimate()
         self._recordings.end_test()
-        self.message = f"test ended: {reason}" if reason else "ready"
+        self.message = f"test ended: {reason}" if reason else "stopped" if self.is_aborted else "ready"
 
 
 def _zero_drive(station: Station) -> Excitation:
@@ -242,9 +348,33 @@ class LiveBench:
         self.monitor = Monitor(chassis)
         self.recordings = BenchRecordings(chassis, recording, overwrite)
         self.controller = TestController(chassis, self.monitor, self.recordings)
+        self._clients_drive = False
         # The recordings receive each block first, because the block in which a test ends still belongs to its file.
-        chassis.listeners += [self.recordings.on_block, self.monitor.on_block]
+        self._listeners = [self.recordings.on_block, self.monitor.on_block, self._follow_clients]
+        chassis.listeners += self._listeners
         self.controller.switch_on()
+
+    def _follow_clients(self, bench: Any, block: Any) -> None:
+        """Estimate responses while tasks of clients drive outputs; a listener of the chassis."""
+        drives = bool(self.chassis.outputs) and not self.controller.running
+        if drives and not self._clients_drive:
+            self.controller.start_client_estimate()
+        elif self._clients_drive and not drives and not self.controller.running:
+            self.monitor.end_estimate()
+        self._clients_drive = drives
+
+    @property
+    def state(self) -> str:
+        """State of the bench: idle, settling, measuring, recording or aborted."""
+        state = self.controller.state
+        if self.recordings.running and state != "settling":
+            return "recording"
+        return "measuring" if state in ("idle", "aborted") and self.chassis.inputs else state
+
+    @property
+    def lag(self) -> float:
+        """Time by which the bench is behind real time, s."""
+        return max(0.0, (time.time_ns() - self.chassis.time_ns(self.chassis.position)) * 1e-9)
 
     def outputs(self) -> list[str]:
         """Return a line for each output: peak in V and frequency."""
@@ -256,21 +386,21 @@ class LiveBench:
             lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
         return lines
 
-    def clients(self) -> str:
-        """Return lines about the tasks of NI clients."""
+    def clients(self, most: int) -> list[str]:
+        """Return a line for each task of NI clients, at most `most`."""
         chassis = self.chassis
         with chassis.changed:
             lines = [
                 f"{name}: {'running' if task in chassis.inputs or task in chassis.outputs else 'open'} on {task.device}"
                 for name, task in chassis.tasks.items()
             ]
-        return "\n".join(["Tasks of NI clients:", *lines]) if lines else "no task of an NI client"
+        return lines[:most]
 
     def close(self) -> None:
         """Complete the recording, and stop all threads."""
         with self.chassis.changed:
-            self.chassis.listeners.remove(self.recordings.on_block)
-            self.chassis.listeners.remove(self.monitor.on_block)
+            for listener in self._listeners:
+                self.chassis.listeners.remove(listener)
         self.controller.switch_off()
         self.recordings.close()
         self.monitor.close()

@@ -1,7 +1,8 @@
 """Estimate frequency responses during a test: H1 and coherence, averaged over hits or over Hann-windowed blocks.
 
-Successive blocks overlap by half. The estimate is a quick view for the operator. `analysis frf` estimates the response
-from the recording, with its uncertainty.
+Successive blocks overlap by half. A line is estimated from the blocks in which the test excited it; other lines remain
+empty. The estimate is a quick view for the operator. `analysis frf` estimates the response from the recording, with its
+uncertainty.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.core.excitation import Station
 from daq.core.excitation.controlled import spring_force
@@ -25,17 +27,21 @@ if TYPE_CHECKING:
 
 # A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum.
 _EXCITED_RATIO = 1e-3
+# Half width of the main lobe of the Hann window, lines: a tone excites this number of lines on either side.
+_LOBE_LINES = 2.0
+# The coherence of a single average is 1 for any data.
+_MIN_COHERENCE_AVERAGES = 2
 
 
 @dataclass(frozen=True)
 class LiveCurves:
-    """Estimated frequency responses of the channels on bodies, at the excited frequencies."""
+    """Estimated frequency responses of the channels on bodies; NaN at lines that were not excited."""
 
     names: list[str]  # names of the channels
     frequency: Array  # Hz; (frequencies,)
     value: ComplexArray  # receptance (displacement over force), m/N; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
-    averages: int  # number of averaged blocks or hits
+    averages: int  # largest number of averaged blocks or hits of a line
 
 
 class _SpectrumSums:
@@ -45,13 +51,13 @@ class _SpectrumSums:
         self.force = np.zeros(lines)
         self.motion = np.zeros((channels, lines))
         self.cross = np.zeros((channels, lines), complex)
-        self.count = 0
+        self.count = np.zeros(lines, int)
 
-    def add(self, force: ComplexArray, motion: ComplexArray) -> None:
-        self.force += np.abs(force) ** 2
-        self.motion += np.abs(motion) ** 2
-        self.cross += motion * force.conj()
-        self.count += 1
+    def add(self, force: ComplexArray, motion: ComplexArray, excited: NDArray[np.bool_] | bool = True) -> None:
+        self.force += excited * np.abs(force) ** 2
+        self.motion += excited * np.abs(motion) ** 2
+        self.cross += excited * motion * force.conj()
+        self.count += excited
 
 
 class LiveFrf:
@@ -64,7 +70,7 @@ class LiveFrf:
     def __init__(
         self, scene: Scene, channels: Sequence[ChannelInfo], rate: float, block: float, band: tuple[float, float]
     ) -> None:
-        self._block_samples = round(block * rate)
+        self._block_samples, self._rate = round(block * rate), rate
         frequency = np.fft.rfftfreq(self._block_samples, 1.0 / rate)
         self._line_indices = np.flatnonzero((frequency >= max(band[0], 1.0 / block)) & (frequency <= band[1]))
         self.frequency = np.asarray(frequency[self._line_indices], dtype=float)
@@ -75,23 +81,45 @@ class LiveFrf:
         self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
         self._hann_window = np.hanning(self._block_samples)
         self._pending = np.zeros((len(channels), 0))
+        # Lowest and highest excited frequency at each pending sample, Hz.
+        self._pending_band = np.zeros((2, 0))
+        # RMS of the force in the last block, N; None before the first.
+        self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
 
-    def add(self, readings: Array) -> None:
-        """Add the next readings of a continuous test, shape (channels, samples)."""
+    def add(self, readings: Array, band: tuple[float, float] | None) -> None:
+        """Add the next readings of a continuous test, shape (channels, samples).
+
+        `band`: lowest and highest frequency, Hz, that the test excites in these samples, equal for a tone; None before
+        the measurement.
+        """
+        limits = np.full((2, readings.shape[1]), np.nan) if band is None else np.tile(band, (readings.shape[1], 1)).T
         self._pending = np.concatenate([self._pending, readings], axis=1)
+        self._pending_band = np.concatenate([self._pending_band, limits], axis=1)
         while self._pending.shape[1] >= self._block_samples:
-            block = self._pending[:, : self._block_samples]
+            block, limits = self._pending[:, : self._block_samples], self._pending_band[:, : self._block_samples]
             spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._hann_window)
-            self._block_sums.add(*self._force_and_motion(spectra))
+            force, motion = self._force_and_motion(spectra)
+            power = 2.0 * np.sum(np.abs(force) ** 2) / (self._block_samples * np.sum(self._hann_window**2))
+            self.force_rms = float(np.sqrt(power))
+            # A comparison with NaN, before the measurement, is false.
+            lobe = _LOBE_LINES / (self._block_samples / self._rate)
+            low, high = limits[0].min() - lobe, limits[1].max() + lobe
+            self._block_sums.add(force, motion, (self.frequency >= low) & (self.frequency <= high))
             self._pending = self._pending[:, self._block_samples // 2 :]
+            self._pending_band = self._pending_band[:, self._block_samples // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
         """Add the window of a hit; it is used as long as the hit is accepted."""
         window = hit.readings[:, : self._block_samples]
         padding = self._block_samples - window.shape[1]
         self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
+
+    @property
+    def version(self) -> tuple[int, list[bool]]:
+        """What changes with the estimate: number of blocks or hits, and which hits are accepted."""
+        return int(self._block_sums.count.sum()), [hit.accepted for hit, _ in self._hits]
 
     def curves(self) -> LiveCurves | None:
         """Return the present estimate; None before the first block."""
@@ -101,18 +129,21 @@ class LiveFrf:
             for hit, spectra in self._hits:
                 if hit.accepted:
                     sums.add(*self._force_and_motion(spectra))
-        if not sums.count:
+        if not sums.count.any():
             return None
-        excited = sums.force > _EXCITED_RATIO * sums.force.max()
+        mean_force = sums.force / np.maximum(sums.count, 1)
+        excited = mean_force > _EXCITED_RATIO * mean_force.max()
         if self._hits:
             # A pulse excites the band below the first zero of its spectrum.
-            strongest = int(sums.force.argmax())
+            strongest = int(mean_force.argmax())
             beyond = np.flatnonzero(~excited[strongest:])
             excited[strongest + beyond[0] if beyond.size else excited.size :] = False
-        force, motion, cross = sums.force[excited], sums.motion[:, excited], sums.cross[:, excited]
+        force = np.where(excited, sums.force, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            coherence = np.abs(cross) ** 2 / (force * motion)
-        return LiveCurves(self.names, self.frequency[excited], cross / force, coherence, sums.count)
+            coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
+        coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
+        value = np.asarray(sums.cross / force, dtype=complex)
+        return LiveCurves(self.names, self.frequency, value, coherence, int(sums.count.max()))
 
     def _spectra(self, block: Array) -> ComplexArray:
         return np.asarray(np.fft.rfft(block, axis=1)[:, self._line_indices])

@@ -10,6 +10,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0
-# An overload is indicated for this time, s.
-OVERLOAD_HOLD_S = 2.0
+# The displayed level of a channel is its peak in this time, s.
+_LEVEL_S = 0.25
 # Rate (1/s) and duration (s) of the stored motion of the rig.
 _MOTION_RATE = 400.0
 MOTION_S = 0.2
@@ -52,9 +53,10 @@ class History:
         missing = min(first - self.stop, length)
         if missing > 0:
             self._values[:, np.arange(first - missing, first) % length] = 0.0
-        self.stop = first + values.shape[1]
-        values = values[:, -length:]
-        self._values[:, np.arange(self.stop - values.shape[1], self.stop) % length] = values
+        stop, values = first + values.shape[1], values[:, -length:]
+        self._values[:, np.arange(stop - values.shape[1], stop) % length] = values
+        # Last, because another thread reads the samples before `stop`.
+        self.stop = stop
 
     def last(self, samples: int) -> Array:
         """Return the last samples, shape (rows, samples)."""
@@ -66,8 +68,9 @@ class Monitor:
     """Processes the blocks of a bench for the page.
 
     `frf` estimates the frequency response, and `detector` detects the hits, of the current or the last test.
-    `is_estimating` is true while a test without hits runs. `lost_samples` is the number of samples missing between
-    blocks. `skipped_blocks` is the number of blocks that are not shown.
+    `is_estimating` is true while a test without hits runs. `overloads` contains time (s since power-on) and reading of
+    the first overload of a row of the readings since the operator cleared it. `lost_samples` is the number of samples
+    missing between blocks. `skipped_blocks` is the number of blocks that are not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -83,7 +86,8 @@ class Monitor:
         self.is_estimating = False
         self.skipped_blocks = self.lost_samples = 0
         self._next_sample: int | None = None
-        self._last_overload = np.full(len(self.channels), -1)
+        self.overloads: dict[int, tuple[float, float]] = {}
+        self._excited_band: Callable[[], tuple[float, float] | None] = lambda: None
         # Displacements of bodies and tables, and gaps of the dampers, at each stored instant.
         self._motions: deque[tuple[Array, Array | None]] = deque(maxlen=round(MOTION_S * _MOTION_RATE))
         self._motion_step = max(1, round(self.rate / _MOTION_RATE))
@@ -110,20 +114,29 @@ class Monitor:
         """Process the waiting blocks, and end the thread; see `end_display`."""
         end_display(self._blocks, self._thread)
 
-    def start_estimate(self, frf: LiveFrf | None, detector: HitDetector | None) -> None:
-        """Start the estimate of a test; `detector` is None for a continuous test."""
+    def start_estimate(
+        self,
+        frf: LiveFrf | None,
+        detector: HitDetector | None,
+        excited_band: Callable[[], tuple[float, float] | None],
+    ) -> None:
+        """Start the estimate of a test; `detector` is None for a continuous test.
+
+        `excited_band` returns the band that the test excites at present; see `LiveFrf.add`.
+        """
         with self._lock:
             self.frf, self.detector, self.is_estimating = frf, detector, detector is None
+            self._excited_band = excited_band
 
     def end_estimate(self) -> None:
         """End the estimate of a continuous test."""
         with self._lock:
             self.is_estimating = False
 
-    def overloads(self) -> list[bool]:
-        """Return which channels were overloaded in the last `OVERLOAD_HOLD_S` seconds."""
-        first = self.history.stop - OVERLOAD_HOLD_S * self.rate
-        return [bool(last >= 0 and last > first) for last in self._last_overload]
+    def levels(self) -> list[float]:
+        """Return the peak magnitude of each channel in the last `_LEVEL_S` seconds."""
+        levels: list[float] = np.abs(self.history.last(round(_LEVEL_S * self.rate))).max(axis=1).tolist()
+        return levels
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
         """Return frequencies (Hz) and amplitude spectra (Hann window, shape (channels, lines)) of all channels."""
@@ -177,8 +190,9 @@ class Monitor:
             readings = to_physical(block.samples)
             self.history.add(block.first, readings)
             self.drive_history.add(self.drive_history.stop, drive)
-            is_overloaded = block.overload.any(axis=1)
-            self._last_overload[is_overloaded] = block.first + block.samples.shape[1]
+            for row in np.flatnonzero(block.overload.any(axis=1)).tolist():
+                peak = float(np.abs(readings[row, block.overload[row]]).max())
+                self.overloads.setdefault(row, (block.first / self.rate, peak))
             motion = block.motion
             indices = range(-motion.first % self._motion_step, motion.displacement.shape[1], self._motion_step)
             with self._lock:
@@ -186,7 +200,7 @@ class Monitor:
                     gap = motion.gap[:, index] if self._scene.dampers else None
                     self._motions.append((motion.displacement[:, index], gap))
                 if self.frf is not None and self.is_estimating:
-                    self.frf.add(readings)
+                    self.frf.add(readings, self._excited_band())
                 if self.detector is not None:
                     for hit in self.detector.add(block.first, readings, block.overload):
                         if self.frf is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, MARK, STEEL, Color, body_color, hex_color
+from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, LABEL, STEEL, Color, body_color, hex_color
 from daq.core.drawing.rig_view import Extremes, RigMotion, RigView
 from daq.core.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
 
@@ -57,7 +57,7 @@ class RigDrawing:
         scene, parts = self._scene, [_box(0.0, -0.01, 0.44, 0.02, GROUND)]
         for table in view.shaker_tables:
             parts.append(_box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116)))
-            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(table.x + 0.05, -0.03, table.point, DRIVE)
+            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(table.x + 0.05, -0.02, table.point)
             parts.append(_group(table.entity("table"), plate))
             if table.has_coil_spring:
                 parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
@@ -77,12 +77,13 @@ class RigDrawing:
                 frame += _group(
                     view.damper_entity(cavity.damper_index), _box(cavity.x, z, width, damper_height, DAMPER)
                 )
-            text = scene.structure.label(body) + ("" if masses is None else f" {masses[body - 1]:g} kg")
-            frame += _text(WIDTH / 2 + 0.012, height / 2, text, color)
+            texts = [scene.structure.label(body), *([] if masses is None else [f"{masses[body - 1]:g} kg"])]
+            for row, text in enumerate(texts):
+                frame += _text(WIDTH / 2 + 0.015, height / 2 + 0.008 - 0.028 * row, text)
             parts.append(_group(f"rig/body_{body}", frame))
-        parts.append(_text(-0.215, -0.035, f"motion × {view.exaggeration:g}", MARK))
+        parts.append(_text(-0.14, -0.045, f"motion × {view.exaggeration:g}"))
         top = _UNITS_PER_M * (view.stack.top + 0.1)
-        return f'<svg id="rig" viewBox="-230 {-top:.0f} 460 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
+        return f'<svg id="rig" viewBox="-150 {-top:.0f} 350 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
 
 
 def svg_identifier(entity: str) -> str:
@@ -108,8 +109,9 @@ def _box(x: float, z: float, width: float, height: float, color: Color, filled: 
     )
 
 
-def _text(x: float, z: float, text: str, color: Color) -> str:
-    style = f'font-size="15" fill="{hex_color(color)}"'
+def _text(x: float, z: float, text: str) -> str:
+    # The colors of bodies are too dark for text on the dark page.
+    style = f'font-size="24" fill="{hex_color(LABEL)}"'
     return f'<text x="{_UNITS_PER_M * x:.0f}" y="{-_UNITS_PER_M * z:.0f}" {style}>{escape(text)}</text>'
 
 

@@ -1,0 +1,116 @@
+// Connects the page with the bench, and passes each message to the parts of the page.
+"use strict";
+
+const $ = (name) => document.getElementById(name);
+let socket = null, frozen = false, messages = 0, channels = [], histories = null, spectra = null;
+const shownScales = new Map();
+
+function make(parent, tag, content = "") {
+  const element = document.createElement(tag);
+  element.textContent = content;
+  return parent.appendChild(element);
+}
+
+function setText(name, content) {
+  if ($(name).textContent !== content) $(name).textContent = content;
+}
+
+function fillTable(table, rows) {
+  table.replaceChildren();
+  rows.forEach((cells, k) => { const row = make(table, "tr"); cells.forEach((cell) => make(row, k ? "td" : "th", cell)); });
+}
+
+function send(name, value = null) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify([name, value]));
+}
+
+function freeze() {
+  frozen = !frozen;
+  $("frozen").hidden = !frozen;
+  $("freeze").classList.toggle("on", frozen);
+}
+
+// A message is the length of a JSON text, the text, and the values of the arrays that it lists with their shapes.
+function unpack(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const content = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  let offset = 4 + length;
+  for (const [name, shape] of Object.entries(content.arrays)) {
+    const columns = shape[shape.length - 1];
+    content.arrays[name] = Array.from({ length: shape.length > 1 ? shape[0] : 1 }, (_, k) => new Float32Array(buffer, offset + 4 * k * columns, columns));
+    offset += 4 * shape.reduce((product, size) => product * size, 1);
+  }
+  return content;
+}
+
+// The channels of each unit; a hammer has a panel of its own, because its pulse would hide other forces.
+function groups() {
+  const grouped = new Map();
+  channels.forEach((channel, row) => {
+    const key = channel.at === "hammer" ? "hammer" : channel.unit;
+    if (!grouped.has(key)) grouped.set(key, { key, ...quantity(channel.unit), rows: [] });
+    grouped.get(key).rows.push(row);
+  });
+  return [...grouped.values()];
+}
+
+// A scale grows at once and shrinks after 2 s, so that the chart does not jump.
+function steady(key, [low, high]) {
+  const now = performance.now(), shown = shownScales.get(key);
+  if (!shown || high > shown.high || low < shown.low || now - shown.time > 2000) shownScales.set(key, { low, high, time: now });
+  else if (high === shown.high) shown.time = now;
+  return [shownScales.get(key).low, shownScales.get(key).high];
+}
+
+function panels(kind, x, values, log) {
+  return groups().map(({ key, name, factor, smallest, rows }) => {
+    const curves = rows.map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.2 }));
+    const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest, share: rows.length > 1 ? 2 : 1, curves };
+    const [low, high] = limits(panel);
+    // A spectrum shows three decades below its highest line, or below the smallest full scale.
+    panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, smallest) * 1e-3, Math.max(high, smallest)] : [low, high]);
+    return panel;
+  });
+}
+
+function showCurves({ arrays, span }) {
+  const columns = arrays.history[0].length / 2;
+  const time = Float32Array.from({ length: 2 * columns }, (_, k) => -span * (1 - (Math.floor(k / 2) + 0.5) / columns));
+  histories.show([-span, 0], panels("history", time, arrays.history, false));
+  if (!arrays.spectra) return;
+  const frequency = arrays.spectrum_frequency[0];
+  spectra.show([frequency[0], frequency[frequency.length - 1]], panels("spectrum", frequency, arrays.spectra, true));
+}
+
+function receive(content) {
+  if (content.description) {
+    if (channels.length) return;
+    channels = content.description.channels;
+    histories = new Chart($("history"), { name: "time / s", log: false });
+    spectra = new Chart($("spectrum"), { name: "frequency / Hz", log: true });
+    response.start(channels);
+    levels.start(channels);
+    for (const part of [controls, bar, rig]) part.start(content.description);
+  } else if (content.theory !== undefined) {
+    response.setTheory(content);
+  } else {
+    // Texts and bars need no more than 10 updates a second.
+    if (messages++ % 2 === 0) for (const part of [controls, bar, levels]) part.update(content);
+    if (frozen) return;
+    rig.update(content);
+    response.update(content);
+    showCurves(content);
+  }
+}
+
+function connect() {
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
+  socket.binaryType = "arraybuffer";
+  socket.addEventListener("message", (event) => receive(unpack(event.data)));
+  socket.addEventListener("close", () => {
+    setText("message", "the bench has ended, or the connection is lost; connecting again");
+    setTimeout(connect, 2000);
+  });
+}
+
+connect();

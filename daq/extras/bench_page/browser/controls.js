@@ -1,0 +1,68 @@
+// The form of the test, buttons, switches and keys.
+"use strict";
+
+const LABELS = {
+  kind: ["Test", "Kind of test"],
+  level: ["Level / N", "Force in N: amplitude of a sine or sweep, rms of a random test, peak of a hit"],
+  frequency: ["Frequency / Hz", "Frequency of the sine, Hz"],
+  low: ["From / Hz", "Lower end of the band, Hz"],
+  high: ["To / Hz", "Upper end of the band, Hz"],
+  duration: ["Duration / s", "Duration of the measurement, s"],
+  interval: ["Interval / s", "Time between hits, s"],
+  hits: ["Hits", "Number of hits"],
+};
+const SPANS = [0.1, 1, 5]; // s
+
+const controls = {
+  fields: {},
+  running: false,
+
+  start({ forms, has_hammer: hasHammer }) {
+    this.forms = forms;
+    for (const [name, [label, help]] of Object.entries(LABELS)) {
+      const title = make($("form"), "label", label), field = make($("form"), name === "kind" ? "select" : "input");
+      if (name === "kind") for (const form of Object.keys(forms)) make(field, "option", form);
+      else Object.assign(field, { type: "number", step: "any" });
+      field.dataset.testid = name;
+      field.id = title.htmlFor = `field-${name}`;
+      field.title = title.title = help;
+      field.addEventListener("change", () => send(name, field.value));
+      this.fields[name] = [title, field];
+    }
+    $("form").addEventListener("submit", (event) => event.preventDefault());
+    for (const name of ["start", "stop", "hit", "clear"]) $(name).addEventListener("click", () => send(name));
+    $("record").addEventListener("change", () => send("record", $("record").checked));
+    $("freeze").addEventListener("click", () => freeze());
+    $("hit").hidden = $("hit-panel").hidden = !hasHammer;
+    for (const span of SPANS) {
+      const button = make($("spans"), "button", `${span} s`);
+      button.title = `Show the last ${span} s`;
+      button.addEventListener("click", () => send("span", span));
+    }
+    document.addEventListener("keydown", (event) => this.press(event));
+  },
+
+  // Keys act unless a field is being edited; a space does not press the focused button, too.
+  press(event) {
+    if (event.target.matches("input:not([type=checkbox]), select") || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+    const actions = { " ": () => send(this.running ? "stop" : "start"), f: freeze, h: () => send("hit") };
+    const action = actions[event.key.toLowerCase()];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  },
+
+  update({ state, span }) {
+    this.running = state.running;
+    const shown = ["kind", ...(this.forms[state.settings.kind] ?? [])];
+    for (const [name, [title, field]] of Object.entries(this.fields)) {
+      title.hidden = field.hidden = !shown.includes(name);
+      if (document.activeElement !== field) field.value = state.settings[name] ?? "";
+    }
+    $("start").disabled = $("hit").disabled = state.running;
+    $("stop").disabled = !state.running;
+    $("stop").classList.toggle("live", state.running);
+    $("record").checked = state.enabled;
+    for (const [k, button] of [...$("spans").children].entries()) button.classList.toggle("on", SPANS[k] === span);
+  },
+};

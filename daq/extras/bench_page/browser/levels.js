@@ -1,0 +1,41 @@
+// A bar for each channel: its peak relative to full scale, the held peak, and a latched overload with its cause.
+"use strict";
+
+const HOLD_MS = 3000;
+const FLOOR_DB = -80;
+
+const levels = {
+  start(channels) {
+    this.rows = channels.map((channel) => {
+      const name = make($("levels"), "span", channel.name), level = make($("levels"), "div"), value = make($("levels"), "span", "–");
+      level.className = "level";
+      level.style.setProperty("--channel", channel.color);
+      value.className = "value";
+      const limit = channel.limit == null ? "no limit" : `full scale ${withUnit(channel.limit, channel.unit)}`;
+      name.title = level.title = value.title = `${channel.name}: peak of the last 0.25 s; white: held peak; ${limit}; from ${FLOOR_DB} to 0 dB`;
+      return { channel, name, bar: make(level, "i"), hold: make(level, "b"), value, held: 0, since: 0 };
+    });
+    $("clear").addEventListener("click", () => this.rows.forEach((row) => { row.held = 0; }));
+  },
+
+  update({ state }) {
+    const now = performance.now(), causes = [];
+    this.rows.forEach((row, k) => {
+      const { channel } = row, level = state.levels[k], overload = state.overloads[k];
+      if (level >= row.held || now - row.since > HOLD_MS) [row.held, row.since] = [level, now];
+      row.bar.style.width = `${part(level, channel.limit)}%`;
+      row.hold.style.left = `calc(${part(row.held, channel.limit)}% - 2px)`;
+      row.value.firstChild.data = withUnit(level, channel.unit);
+      row.name.classList.toggle("over", Boolean(overload));
+      if (!overload) return;
+      const limit = channel.limit == null ? "limit of its sensor" : `limit ${withUnit(channel.limit, channel.unit)}`;
+      causes.push(`${channel.name}: overloaded at ${digits(overload[0], 4)} s, reading ${withUnit(overload[1], channel.unit)}, ${limit}`);
+    });
+    setText("causes", causes.join("\n"));
+  },
+};
+
+function part(level, limit) {
+  if (limit == null || !(level > 0)) return 0;
+  return Math.min(100, Math.max(0, 100 * (1 - (20 * Math.log10(level / limit)) / FLOOR_DB)));
+}

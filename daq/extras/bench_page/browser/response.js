@@ -1,0 +1,107 @@
+// The frequency response: magnitude, phase, coherence; cursors, peaks, and the curves of the last test and of theory.
+"use strict";
+
+const response = {
+  curves: null, // {test, frequency, rows: [{name, color, magnitude, phase, coherence}]}
+  previous: null,
+  theory: null, // {frequency, rows: [[...]]}
+
+  start(channels) {
+    this.channels = channels.filter((channel) => channel.responds);
+    this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
+    for (const { name, color } of this.channels) {
+      const entry = make($("legend"), "span");
+      make(entry, "i").style.background = color;
+      entry.append(name);
+    }
+    $("frf").addEventListener("click", (event) => {
+      this.chart.cursors[event.shiftKey ? 1 : 0] = this.nearest(this.chart.value(event.offsetX));
+      this.draw();
+    });
+    $("frf").addEventListener("dblclick", () => { this.chart.cursors = []; this.draw(); });
+    $("last").addEventListener("change", () => this.draw());
+    $("theory").addEventListener("change", () => ($("theory").checked ? send("theory") : this.draw()));
+  },
+
+  // Take a message; the curves of a finished test become those of the last test when the next one begins.
+  update({ response: head, arrays, state }) {
+    if (!head) return;
+    if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.chart.cursors] = [this.curves, null, []];
+    this.head = head;
+    if (arrays.frequency) {
+      const { frequency, magnitude, phase, coherence } = arrays;
+      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: phase[k], coherence: coherence[k] }));
+      this.curves = { test: head.test, frequency: frequency[0], rows };
+    }
+    $("response-note").textContent = head.averages ? `H1, ${head.averages} average${head.averages > 1 ? "s" : ""}` : state.frf_reason || "starts with a test";
+    if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
+    this.band = head.band;
+    this.draw();
+  },
+
+  setTheory({ theory, arrays }) {
+    this.theory = theory ? null : { frequency: arrays.theory_frequency[0], rows: arrays.theory_magnitude };
+    if (theory) $("response-note").textContent = theory;
+    this.draw();
+  },
+
+  // The band of the test, or of a pulse: from zero to the highest excited frequency.
+  range() {
+    if (this.band) return this.band;
+    const shown = this.curves ?? this.previous;
+    if (!shown) return [0, 100];
+    const last = shown.rows[0].magnitude.findLastIndex((value) => isFinite(value));
+    return [0, roundUp(shown.frequency[Math.max(last, 1)])];
+  },
+
+  draw() {
+    const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
+    const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
+    if (previous && $("last").checked) {
+      for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, dash: [2, 3], width: 1 });
+    }
+    if (theory && $("theory").checked) {
+      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
+    }
+    for (const row of curves?.rows ?? []) {
+      const style = { x: curves.frequency, color: row.color, dots: true };
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 1.8 });
+      phase.push({ ...style, y: cut(row.phase, row.coherence) });
+      coherence.push({ ...style, y: row.coherence });
+    }
+    const fixed = (values) => values.map((value) => [value, true]);
+    this.chart.show(this.range(), [
+      { name: "µm/N", log: true, share: 3.2, curves: magnitude },
+      { name: "phase / °", range: [-180, 180], ticks: fixed([-180, -90, 0, 90, 180]), curves: phase },
+      { name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence },
+    ]);
+    this.describe();
+  },
+
+  nearest(frequency) {
+    if (!this.curves) return frequency;
+    return this.curves.frequency.reduce((best, f, k) => (isFinite(this.curves.rows[0].magnitude[k]) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
+  },
+
+  // The values at the cursors, and the peak list.
+  describe() {
+    const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
+    const rows = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], `${digits(f, 5)} Hz`,
+      ...curves.rows.map((row) => `${withUnit(row.magnitude[k], "m/N")}, ${digits(row.phase[k], 3)}°`)]]));
+    if (rows.length > 1) {
+      const [[f, i], [g, k]] = cursors;
+      rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
+    }
+    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [["Click: cursor A. Shift and click: cursor B. Double-click: none."]]);
+    const peaks = this.head?.peaks ?? [];
+    if (!peaks.length) return $("peaks").replaceChildren();
+    fillTable($("peaks"), [["peak", "frequency", "value", "half-power damping"], ...peaks.map(([name, f, value, damping]) => [
+      name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "not resolved" : `${digits(100 * damping, 2)} %`])]);
+  },
+};
+
+// The phase where it is coherent, without the lines across the chart at ±180°.
+const COHERENT = 0.7;
+function cut(phase, coherence) {
+  return phase.map((value, k) => (!(coherence[k] >= COHERENT) || (k && Math.abs(value - phase[k - 1]) > 180) ? NaN : value));
+}

@@ -1,0 +1,59 @@
+// The bar at the top: state, progress, force, delay, recording; outputs, NI clients and hits below the controls.
+"use strict";
+
+const bar = {
+  start({ scene, address }) {
+    document.title = `daq bench: ${scene}`;
+    $("scene").textContent = scene;
+    $("address").textContent = address;
+    this.pulse = new Chart($("pulse"), { name: "time / ms", log: false });
+  },
+
+  update({ state, arrays, pulse_step: step }) {
+    setText("pill", state.state);
+    $("bar").dataset.state = state.state;
+    setText("message", state.message);
+    const { progress, remaining } = state;
+    $("progress").hidden = progress == null;
+    $("progress").firstChild.style.width = `${100 * (progress ?? 0)}%`;
+    $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
+    setText("force", !state.running ? "" : `${digits(state.target, 3)} N ${state.level_kind}, measured ${digits(state.force, 3)} N`);
+    setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
+    $("lag").classList.toggle("bad", state.lag >= 0.25);
+    this.showRecording(state);
+    setText("outputs", state.outputs.join("\n") || "none");
+    setText("clients", state.clients.join("\n") || "no task of an NI client");
+    setText("problem", state.problem);
+    $("pulse").hidden = !arrays.pulse;
+    setText("no-hit", arrays.pulse ? "" : "no hit yet");
+    if (arrays.pulse) {
+      const force = arrays.pulse[0];
+      this.pulse.show([0, 1000 * step * force.length], [
+        { name: "N", range: [-0.1 * roundUp(Math.max(...force)), roundUp(Math.max(...force))], curves: [{ x: force.map((_, k) => 1000 * step * k), y: force, color: "#ffffff" }] }]);
+    }
+    this.showHits(state.hits);
+  },
+
+  showRecording({ recording, recorded, enabled, running }) {
+    const last = recorded.length && !recording ? recorded[recorded.length - 1] : "";
+    setText("after", recording ? `recording to ${recording}` : last && !running ? `recorded ${last}; next: analysis frf ${last}`
+      : enabled ? "records as soon as a test or a client's task runs" : "not recording");
+    $("report").hidden = !last || running;
+    $("report").href = `report/${recorded.length}`;
+  },
+
+  showHits(hits) {
+    const shown = JSON.stringify(hits);
+    if (shown === this.shownHits) return;
+    this.shownHits = shown;
+    $("hit-list").replaceChildren();
+    for (const [number, peak, verdict, accepted] of hits) {
+      const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
+      Object.assign(box, { type: "checkbox", checked: accepted, title: "Use this hit for the response" });
+      box.addEventListener("change", () => send("accept", [number, box.checked]));
+      make(row, "td", `${number}`);
+      make(row, "td", `${digits(peak, 3)} N`);
+      make(row, "td", verdict).className = verdict === "good" ? "" : "bad";
+    }
+  },
+};

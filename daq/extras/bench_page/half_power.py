@@ -1,0 +1,60 @@
+"""Peaks of a live response with their half-power damping: a quick view without uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+
+# A peak exceeds the minima on both sides by at least this factor.
+_MIN_PROMINENCE = 1.5
+# The half-power width is read from at least this number of lines; otherwise the resolution determines it.
+_MIN_WIDTH_LINES = 3.0
+
+
+def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, float | None]]:
+    """Return frequency (Hz), magnitude and damping ratio of the peaks of a curve, which may have gaps (NaN).
+
+    The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
+    not resolved or not measured on both sides.
+
+    >>> f = np.linspace(1.0, 20.0, 1901)
+    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f))
+    >>> round(f0, 2), round(value, 3), round(damping, 4)
+    (10.0, 0.05, 0.01)
+    """
+    peaks = []
+    bounded = np.where(np.isfinite(magnitude), magnitude, -np.inf)
+    is_maximum = (bounded[1:-1] > bounded[:-2]) & (bounded[1:-1] >= bounded[2:])
+    for k in (np.flatnonzero(is_maximum & np.isfinite(bounded[:-2]) & np.isfinite(bounded[2:])) + 1).tolist():
+        left, right = _crossing(magnitude, k, -1), _crossing(magnitude, k, 1)
+        if not _is_prominent(bounded, k):
+            continue
+        damping = None
+        if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:
+            low, high = np.interp([left, right], np.arange(frequency.size), frequency)
+            damping = float((high - low) / (2.0 * frequency[k]))
+        peaks.append((float(frequency[k]), float(magnitude[k]), damping))
+    return peaks
+
+
+def _crossing(magnitude: Array, k: int, step: int) -> float | None:
+    """Return the index, with its fraction, at which a curve falls below the half-power level; None at a gap or end."""
+    level = magnitude[k] / np.sqrt(2.0)
+    j = k + step
+    while 0 <= j < magnitude.size and np.isfinite(magnitude[j]):
+        if magnitude[j] < level:
+            return j - step * float((level - magnitude[j]) / (magnitude[j - step] - magnitude[j]))
+        j += step
+    return None
+
+
+def _is_prominent(bounded: Array, k: int) -> bool:
+    """Return whether a curve falls enough on both sides of a maximum before it rises above it."""
+    for side in (bounded[:k][::-1], bounded[k + 1 :]):
+        higher = np.flatnonzero(side > bounded[k])
+        part = side[: higher[0] if higher.size else side.size]
+        part = part[np.isfinite(part)]
+        if not part.size or _MIN_PROMINENCE * part.min() > bounded[k]:
+            return False
+    return True

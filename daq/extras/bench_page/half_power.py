@@ -7,7 +7,7 @@ import numpy as np
 from rig.core.base.arrays import Array
 
 # A peak exceeds the minima on both sides by at least this factor.
-_MIN_PROMINENCE = 1.5
+_MIN_PROMINENCE = 1.2
 # The half-power width is read from at least this number of lines; otherwise the resolution determines it.
 _MIN_WIDTH_LINES = 3.0
 
@@ -21,7 +21,7 @@ def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, f
     >>> f = np.linspace(1.0, 20.0, 1901)
     >>> [(f0, value, damping)] = live_peaks(f, 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f))
     >>> round(f0, 2), round(value, 3), round(damping, 4)
-    (10.0, 0.05, 0.01)
+    (10.0, 0.5, 0.01)
     """
     peaks = []
     bounded = np.where(np.isfinite(magnitude), magnitude, -np.inf)

@@ -95,6 +95,9 @@ class LiveFrf:
         the measurement.
         """
         limits = np.full((2, readings.shape[1]), np.nan) if band is None else np.tile(band, (readings.shape[1], 1)).T
+        if band is not None and np.isnan(self._pending_band).any():
+            # The measurement begins with a new block.
+            self._pending, self._pending_band = self._pending[:, :0], self._pending_band[:, :0]
         self._pending = np.concatenate([self._pending, readings], axis=1)
         self._pending_band = np.concatenate([self._pending_band, limits], axis=1)
         while self._pending.shape[1] >= self._block_samples:
@@ -141,8 +144,8 @@ class LiveFrf:
         force = np.where(excited, sums.force, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
+            value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
-        value = np.asarray(sums.cross / force, dtype=complex)
         return LiveCurves(self.names, self.frequency, value, coherence, int(sums.count.max()))
 
     def _spectra(self, block: Array) -> ComplexArray:

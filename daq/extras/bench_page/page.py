@@ -74,8 +74,8 @@ def band_peaks(frequency: Array, spectra: Array, bands: int = _SPECTRUM_BANDS) -
 def message(content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Return a message: length of the JSON text (4 bytes), the text with the shapes of the arrays, and their values.
 
-    >>> message({"a": 1}, {"b": np.zeros((1, 2))})[4:45]
-    b'{"a": 1, "arrays": {"b": [1, 2]}}       '
+    >>> message({"a": 1}, {"b": np.zeros((1, 2))})[4:40]
+    b'{"a": 1, "arrays": {"b": [1, 2]}}   '
     """
     text = json.dumps({**content, "arrays": {name: values.shape for name, values in arrays.items()}}).encode()
     text += b" " * (-len(text) % 4)

@@ -22,10 +22,11 @@ import pytest
 import analysis
 import daq
 from daq.extras.ni_server.client_defaults import open_channel
+from rig.core.base.palette import BODIES, HAMMER
 from tests.daq.bench_page.test_bench import BRACKET, SHAKER_TEST
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-pytest.importorskip("nicegui", reason="the extra 'bench' is not installed")
+pytest.importorskip("starlette", reason="the extra 'bench' is not installed")
 
 from selenium.common.exceptions import StaleElementReferenceException  # noqa: E402
 from selenium.webdriver.common.by import By  # noqa: E402
@@ -33,11 +34,18 @@ from selenium.webdriver.support.ui import WebDriverWait  # noqa: E402
 
 CHROMIUM, DRIVER = Path("/usr/bin/chromium"), Path("/usr/bin/chromedriver")
 TIMEOUT_S = 120.0
-# JavaScript for the names and data of the curves of a chart; the argument is the beginning of its title.
-CURVES = """
-const charts = [...document.querySelectorAll('.nicegui-echart')].map(each => getElement(each).chart);
-const chart = charts.find(each => each && each.getOption().title[0].text.startsWith(arguments[0]));
-return chart ? chart.getOption().series.map(each => [each.name, each.data]) : [];
+# JavaScript for frequencies and magnitudes of a channel in the frequency response.
+CURVE = """
+const row = response.curves?.rows.find(each => each.name === arguments[0]);
+return row ? [Array.from(response.curves.frequency), Array.from(row.magnitude)] : null;
+"""
+# JavaScript for the elements that end outside the window.
+OUTSIDE = """
+return [...document.querySelectorAll('body *')].filter(each => {
+    const box = each.getBoundingClientRect();
+    return box.width && (box.right > innerWidth + 1 || (innerWidth > 900 && box.bottom > innerHeight + 1))
+        && !each.closest('svg') && each.tagName !== 'OPTION';
+}).map(each => each.outerHTML.slice(0, 80));
 """
 # JavaScript that stores all texts of the state, because a busy machine may miss a short one.
 STORE_STATES = """
@@ -127,19 +135,57 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
         assert np.ptp(task.read(1024)) > 0.0
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     assert any(" Hz" in state for state in browser.execute_script("return window.states"))
-    wait_for(browser, lambda: dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
-    curve = np.array(dict(browser.execute_script(CURVES, "Frequency response"))["arm"])
-    assert curve[np.argmax(curve[:, 1]), 0] == pytest.approx(62.0, abs=1.0)
+    wait_for(browser, lambda: browser.execute_script(CURVE, "arm"))
+    frequency, magnitude = np.array(browser.execute_script(CURVE, "arm"), float)
+    assert frequency[np.nanargmax(magnitude)] == pytest.approx(62.0, abs=1.0)
+    assert element(browser, "file").text.startswith("recorded test.mcap; next: analysis frf test.mcap")
     assert browser.find_elements(By.CSS_SELECTOR, "#rig-body_2")
-    width = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
-    assert width[0] <= width[1]
-    assert [each for each in browser.get_log("browser") if each["level"] == "SEVERE"] == []
+    assert browser.get_log("browser") == []
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
     with daq.open(tmp_path / "rec" / "test.mcap") as recording:
         recording.check()
         frf = analysis.frfs(recording)["arm"]
     assert frf.frequency[np.argmax(abs(frf.value))] == pytest.approx(62.0, abs=0.3)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (1600, 900), (390, 844)])
+def test_page_fits_the_screen(bench, browser, width, height):
+    resize(browser, width, height)
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    wait_for(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#rig-body_2"))
+    assert browser.execute_script(OUTSIDE) == []
+    size = browser.execute_script("const e = document.documentElement; return [e.scrollWidth, e.scrollHeight]")
+    assert size[0] <= width and (size[1] <= height or width <= 900)
+    assert browser.get_log("browser") == []
+
+
+def resize(browser, width, height):
+    """Set the size of the page's window, px, without the frame of the browser."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+@pytest.mark.thorough
+def test_keys_start_freeze_and_stop(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    browser.find_element(By.TAG_NAME, "body").send_keys(" ")
+    wait_for(browser, lambda: element(browser, "pill").text in ("settling", "measuring"))
+    browser.find_element(By.TAG_NAME, "body").send_keys("f")
+    assert browser.execute_script("return frozen")
+    browser.find_element(By.TAG_NAME, "body").send_keys(" ")
+    wait_for(browser, lambda: element(browser, "pill").text == "aborted")
+
+
+@pytest.mark.thorough
+def test_page_has_the_colors_of_the_figures(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    colors = dict(browser.execute_script("return channels.map(each => [each.name, each.color])"))
+    assert colors == {"base": BODIES[0].lower(), "arm": BODIES[1].lower(), "force": HAMMER.lower()}
 
 
 def _options(channel):
@@ -163,7 +209,7 @@ frame.src = page;
 document.body.append(frame);
 const answers = ['include', 'omit'].map(credentials =>
     fetch(page, {credentials}).then(() => 'read', () => 'rejected'));
-const sockets = ['_nicegui_ws/socket.io/?EIO=4&transport=websocket', ''].map(path => new Promise(resolve => {
+const sockets = ['live', ''].map(path => new Promise(resolve => {
     const socket = new WebSocket(page.replace('http', 'ws') + path);
     socket.onopen = () => resolve('open');
     socket.onerror = () => resolve('rejected');

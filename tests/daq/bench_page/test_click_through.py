@@ -141,6 +141,8 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     assert element(browser, "file").text.startswith("recorded test.mcap; next: analysis frf test.mcap")
     assert browser.find_elements(By.CSS_SELECTOR, "#rig-body_2")
     assert browser.get_log("browser") == []
+    with urllib.request.urlopen(page.replace("/?", "/report/1?")) as report:
+        assert "test.mcap" in report.read().decode()
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
     with daq.open(tmp_path / "rec" / "test.mcap") as recording:

@@ -11,6 +11,10 @@ from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 
+# The names of both quantities in messages, and what to give if no channel measures them.
+_FORCE = "the spring force k0 (x0 - x1)", "test.drive instead of test.force (open loop)"
+_MOTION = "the motion", "a test of kind stepped_sine"
+
 
 @dataclass(frozen=True)
 class Controlled:
@@ -38,29 +42,31 @@ def controlled(station: Station) -> Controlled | None:
     Raises `SceneError` if no channel measures motion at one of its locations.
     """
     terms = station.scene.controlled_terms
-    return _sum_of_displacements(station, terms) if terms else None
+    is_motion = station.scene.test is not None and station.scene.test.held_motion is not None
+    return _sum_of_displacements(station, terms, _MOTION if is_motion else _FORCE) if terms else None
 
 
 def spring_force(station: Station) -> Controlled:
     """Return the force of the driven shaker's coil spring, F1 = k0 (x0 - x1); raise `SceneError` as `controlled`."""
     shaker = station.scene.driven_shaker
     assert shaker is not None
-    return _sum_of_displacements(station, shaker.force_terms("", station.scene.at_driven("table")))
+    terms = shaker.force_terms("", station.scene.at_driven("table"))
+    return _sum_of_displacements(station, terms, _FORCE)
 
 
-def _sum_of_displacements(station: Station, terms: Mapping[str, float]) -> Controlled:
-    """Return the sum of the displacements at some locations, with the factor of each."""
-    return Controlled(station, tuple(_motion_row(station, place) for place in terms), tuple(terms.values()))
+def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: tuple[str, str]) -> Controlled:
+    """Return the sum of the displacements at some locations, with the factor of each; `names`: as `_FORCE`."""
+    rows = tuple(_motion_row(station, place, *names) for place in terms)
+    return Controlled(station, rows, tuple(terms.values()))
 
 
-def _motion_row(station: Station, place: str) -> int:
+def _motion_row(station: Station, place: str, name: str, alternative: str) -> int:
     """Return the row of the first channel that measures motion at a location, such as ``body 1``."""
     for row, info in enumerate(station.channels):
         if info.at == place and info.derivative is not None:
             return row
     listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
     raise SceneError(
-        f"channels: control of the spring force k0 (x0 - x1) needs a motion channel at the {place} (the channels "
-        f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set test.drive instead of "
-        "test.force (open loop)."
+        f"channels: control of {name} needs a motion channel at the {place} (the channels "
+        f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {alternative}."
     )

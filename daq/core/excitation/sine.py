@@ -32,7 +32,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     it begins with the first sample, at full amplitude.
     """
     tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
-    if station.is_force_controlled:
+    if station.is_controlled:
         fields = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")
         settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, fields)

@@ -67,8 +67,8 @@ class Station:
         return self.scene.driven_shaker is not None and self.scene.driven_shaker.drive_is_force
 
     @property
-    def is_force_controlled(self) -> bool:
-        """Whether the test prescribes a spring force, which is controlled from the channels."""
+    def is_controlled(self) -> bool:
+        """Whether the test prescribes a spring force or a motion, which is controlled from the channels."""
         return bool(self.scene.controlled_terms)
 
     def drive(self, wave: Array, name: str | None = None) -> Array:

@@ -58,7 +58,7 @@ class Tone:
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Generate a transition along half a cosine to a frequency and an amplitude; shape (samples,)."""
-        u, rise, integrated_rise = _half_cosine(samples)
+        u, rise, integrated_rise = half_cosine(samples)
         # Phase in periods: the integral of f0 + (f1 - f0) rise.
         periods = (self.frequency * samples * u + (frequency - self.frequency) * integrated_rise) / self.rate
         envelope = self.amplitude + (amplitude - self.amplitude) * rise
@@ -83,7 +83,7 @@ def _phases(periods: Array) -> Array:
 
 # Most transitions have one of a few lengths.
 @lru_cache(maxsize=4)
-def _half_cosine(samples: int) -> tuple[Array, Array, Array]:
+def half_cosine(samples: int) -> tuple[Array, Array, Array]:
     """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and the integral of the rise, samples.
 
     The relative times and the integral have a value more, at the end.

@@ -5,8 +5,8 @@ A measurement contains whole periods.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Generator, Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import SteppedSine
+    from rig.core.scene.excitation.stepped_sine import SteppedTest
     from rig.core.scene.scene import Scene
+
+StepsT = TypeVar("StepsT", bound="SteppedTest")
 
 # The drive is extrapolated by at most this, as the natural logarithm of its ratio.
 _MAX_LOG_CHANGE = 0.2
@@ -31,9 +34,12 @@ _STEP_TIME_CONSTANTS = 2.0
 _MAX_LISTED = 8
 
 
-def excite(station: Station, test: SteppedSine) -> Excitation:
-    """Run a stepped sine at each level; mark the wait (`settle`) and the measurement (`measure`) of each step."""
-    tone, steps = SteadyTone(station, test.order[0], controlled(station)), list(test.order)
+def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[Array, Array, int]:
+    """Run a tone through all steps at each level; return the number of steps in steady state.
+
+    The wait (`settle`) and the measurement (`measure`) of each step are marked.
+    """
+    steps = list(test.order)
     up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
     total, completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []
@@ -42,11 +48,12 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = steps[0]
         # In open loop the level is the amplitude of the drive; its unit depends on the shaker.
-        at_level = f"{level:g} N" if station.is_force_controlled else f"level {level:g}"
+        unit = test.level_unit(station.scene.driven_shaker)
+        at_level = f"{level:g} {unit}" if station.is_controlled else f"level {level:g}"
         for index, frequency in enumerate(steps):
             direction = "down" if test.direction == "down" or index >= up_steps else "up"
             station.report(completed / total, f"{format_decimals(frequency, 2)} Hz {direction}, {at_level}")
-            if station.is_force_controlled and last_drives:
+            if station.is_controlled and last_drives:
                 drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
             fields = {"frequency": frequency, "level": level, "direction": direction}
             settled = yield from tone.settle_and_mark(
@@ -66,6 +73,7 @@ def excite(station: Station, test: SteppedSine) -> Excitation:
             f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
         )
     station.report(1.0, "done")
+    return total - len(unsettled)
 
 
 def expected_wait(scene: Scene, longest: float) -> float:
@@ -99,27 +107,33 @@ def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: flo
     return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))
 
 
-class SteppedSineProcedure(Procedure["SteppedSine"]):
+class StepsProcedure(Procedure[StepsT]):
     """A series of tones in steady state."""
 
     detection = "steps"
+
+    def noise_gain(self, test: StepsT, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the measured periods."""
+        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+
+    def waits(self, test: StepsT, scene: Scene) -> float:
+        """Return the expected time of the waits before all measurements, s."""
+        return len(test.levels) * len(test.order) * expected_wait(scene, test.settle.longest)
+
+    def periods_of_step(self, test: StepsT) -> int:
+        """Return the number of measured periods of each step."""
+        periods: int = test.measure.periods
+        return periods
+
+
+class SteppedSineProcedure(StepsProcedure["SteppedSine"]):
+    """Tones of constant force or drive."""
+
     rehearsal = "peaks"
 
     def excite(self, station: Station, test: SteppedSine) -> Excitation:
         """Run the test."""
-        return excite(station, test)
-
-    def noise_gain(self, test: SteppedSine, frequency: Array) -> Array:
-        """Return the gain of a lock-in measurement over the measured periods."""
-        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
-
-    def waits(self, test: SteppedSine, scene: Scene) -> float:
-        """Return the expected time of the waits before all measurements, s."""
-        return len(test.levels) * len(test.order) * expected_wait(scene, test.settle.longest)
-
-    def periods_of_step(self, test: SteppedSine) -> int:
-        """Return the number of measured periods of each step."""
-        return test.measure.periods
+        yield from excite(station, test, SteadyTone(station, test.order[0], controlled(station)))
 
 
 PROCEDURE = SteppedSineProcedure()

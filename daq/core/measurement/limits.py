@@ -144,7 +144,7 @@ class Limits:
 
 
 class ControlLoss:
-    """Monitors the channels that measure a controlled spring force: a clipped channel does not measure the force."""
+    """Monitors the channels of a controlled spring force or motion: a clipped channel does not measure it."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_terms]
@@ -162,9 +162,11 @@ class ControlLoss:
         if stop - self._overload_start <= _MAX_OVERLOAD_S * info.rate:
             return None
         cause = bias_overload(self._scene, overloaded_rows[0], stop / info.rate)
+        test = self._scene.test
+        name, level = ("motion", test.level_key) if test is not None and test.held_motion else ("spring force", "force")
         return (
-            f"input {info.name}: overloaded since {self._overload_start / info.rate:.2f} s, so the spring force cannot "
-            f"be controlled. {cause or 'Choose a lower force, a larger converter range or a lower sensitivity.'}"
+            f"input {info.name}: overloaded since {self._overload_start / info.rate:.2f} s, so the {name} cannot "
+            f"be controlled. {cause or f'Choose a lower {level}, a larger converter range or a lower sensitivity.'}"
         )
 
 

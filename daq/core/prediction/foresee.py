@@ -238,7 +238,7 @@ class _Assessment:
             if info.volts_per_count is not None and maxima[info.name] < 2.0 * count:
                 consequence = ""
                 if info.at in controlled_positions:
-                    consequence = ", so that the force cannot be controlled and all maxima are uncertain"
+                    consequence = ", so that the level cannot be controlled and all maxima are uncertain"
                 yield (
                     f"{info.name}: the largest reading is below two counts of the converter "
                     f"({format_quantity(count, info.unit)} each){consequence}. Choose a smaller range or a higher "

@@ -179,11 +179,7 @@ def level_key(scene: Scene) -> tuple[str, float, str]:
     test = scene.test
     if test is None or not test.levels:
         return "", np.nan, ""
-    unit = "N"
-    if test.level_key == "drive":
-        assert scene.driven_shaker is not None
-        unit = scene.driven_shaker.drive_unit
-    return f"test.{test.level_key}", float(max(test.levels)), unit
+    return f"test.{test.level_key}", float(max(test.levels)), test.level_unit(scene.driven_shaker)
 
 
 def with_level(scene: Scene, level: float) -> Scene:

@@ -107,16 +107,17 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
             return section
         return {**section, key: replace(section[key], (*key_path, key))}
 
-    replacements = {
-        "dampers": ("body", replace_body),
-        "shaker": ("body", replace_body),
-        "test": ("body", replace_body),
-        "channels": ("at", replace_location),
-    }
-    replaced = {
-        name: replace_value(section, *replacements[name], (name,)) if name in replacements else section
-        for name, section in scene.items()
-    }
+    replacements = (
+        ("dampers", "body", replace_body),
+        ("shaker", "body", replace_body),
+        ("test", "body", replace_body),
+        ("test", "at", replace_location),
+        ("channels", "at", replace_location),
+    )
+    replaced = dict(scene)
+    for name, key, replace in replacements:
+        if name in replaced:
+            replaced[name] = replace_value(replaced[name], key, replace, (name,))
     return replaced, problems
 
 

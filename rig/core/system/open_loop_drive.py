@@ -82,6 +82,11 @@ def level_of(scene: Scene) -> float:
     test = scene.test
     if test is None or not test.uses_shaker or not test.levels:
         raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
+    if test.held_motion is not None:
+        raise SceneError(
+            f"test: the drive of a {test.kind} test follows from readings. Use daq.record, or give test: {{kind: sine}} "
+            "with force or drive."
+        )
     return float(test.levels[0])
 
 
@@ -89,6 +94,11 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) ->
     """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega, or 1."""
     shaker = scene.driven_shaker
     assert shaker is not None
+    held_motion = None if scene.test is None else scene.test.held_motion
+    if held_motion is not None:
+        location, order = held_motion
+        response = riding_response(system, scene.at_driven("shaker"), omega)[system.points.index(location)]
+        return 1.0 / ((1j * omega) ** order * response)
     if shaker.drive_is_force or scene.level_key == "drive":
         return 1.0
     return 1.0 / force_per_drive(scene, system, omega)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, get_args
 
+from rig.core.scene.excitation.constant_response import ConstantResponse as ConstantResponse
 from rig.core.scene.excitation.free import Free as Free
 from rig.core.scene.excitation.impulse import DoubleHit as DoubleHit
 from rig.core.scene.excitation.impulse import Impulse as Impulse
@@ -22,7 +23,8 @@ from rig.core.scene.excitation.swept_sine import SweptSine as SweptSine
 from rig.core.settings.alternatives import Alternatives, by_kind
 
 Test = Annotated[
-    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | Free | Shock | RandomControl, Alternatives(by_kind)
+    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | ConstantResponse | Free | Shock | RandomControl,
+    Alternatives(by_kind),
 ]
 #: The classes of all kinds.
 KINDS: tuple[type[KindOfTest], ...] = get_args(get_args(Test)[0])

@@ -102,6 +102,15 @@ class KindOfTest(Settings):
         """Return the test at another level."""
         return self.replace(**{self.level_key: level})
 
+    def level_unit(self, shaker: Shaker | None) -> str:
+        """Return the unit of the level; `shaker`: the driven one."""
+        return shaker.drive_unit if self.level_key == "drive" and shaker is not None else "N"
+
+    @property
+    def held_motion(self) -> tuple[str, int] | None:
+        """Location of the motion whose amplitude is the level, and the order of its time derivative; None without."""
+        return None
+
     @property
     def driven(self) -> int | None:
         """Number of the driven shaker, from 1, if the test gives it."""
@@ -186,8 +195,10 @@ class KindOfTest(Settings):
     def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
         """Return the controlled quantity: its amount per meter of displacement at each location; {} in open loop.
 
-        By default it is the force of the driven shaker, whose table has the name `table`.
+        By default it is the motion at the level, or the force of the driven shaker, whose table has the name `table`.
         """
+        if self.held_motion is not None:
+            return {self.held_motion[0]: 1.0}
         if self.level_key != "force" or shaker.drive_is_force:
             return {}
         return shaker.force_terms("", table)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -31,13 +31,12 @@ class Measure(Settings):
     """Number of periods."""
 
 
-class SteppedSine(KindOfTest):
-    """A series of tones; each is brought to the level, settles to steady state and is measured."""
+class SteppedTest(KindOfTest):
+    """A test with a series of tones; subclasses add the levels, `shaker`, `settle` and `measure`."""
 
-    one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
-    kind: Literal["stepped_sine"] = "stepped_sine"
     recorded_as: ClassVar = "tones"
     single_tone: ClassVar = True
+    kind: str
     start: Start = "settled"
     from_: Frequency | None = Field(None, alias="from")
     """First frequency [Hz]."""
@@ -51,18 +50,10 @@ class SteppedSine(KindOfTest):
     """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
     direction: Literal["up", "down", "both"] = "up"
     """Order of the frequencies; both: up, then down."""
-    force: Forces | None = None
-    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
-    levels are run one after another."""
-    drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base].
-    Several levels are run one after another."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
-    settle: Settle = Settle()
-    """Criterion for the steady state of a step."""
-    measure: Measure = Measure()
-    """Measurement time of a step in steady state."""
+
+    if TYPE_CHECKING:
+        settle: Any
+        measure: Any
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check the range or the list of frequencies."""
@@ -119,9 +110,29 @@ class SteppedSine(KindOfTest):
     @property
     def steady_state(self) -> Settle:
         """Criterion for the steady state of a step."""
-        return self.settle
+        steady_state: Settle = self.settle
+        return steady_state
 
     @property
     def shortest(self) -> float:
         """Time of all measurements, s."""
         return len(self.levels) * self.measure.periods * sum(1.0 / frequency for frequency in self.order)
+
+
+class SteppedSine(SteppedTest):
+    """A series of tones; each is brought to the level, settles to steady state and is measured."""
+
+    one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
+    kind: Literal["stepped_sine"] = "stepped_sine"
+    force: Forces | None = None
+    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
+    levels are run one after another."""
+    drive: Drives | None = None
+    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base].
+    Several levels are run one after another."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    settle: Settle = Settle()
+    """Criterion for the steady state of a step."""
+    measure: Measure = Measure()
+    """Measurement time of a step in steady state."""

@@ -1,0 +1,156 @@
+"""Response-controlled stepped sine: at each frequency, hold the amplitude of a motion and measure.
+
+Far from modes the amplitude of the drive is controlled, as in a stepped sine with constant force; near a mode its
+envelope (`envelope_control`). (T. Karaagacli, H. N. Ozguven, Mech. Syst. Signal Process. 146 (2021) 107023.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.core.excitation import stepped_sine
+from daq.core.excitation.controlled import controlled
+from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
+from daq.core.excitation.procedure import Form, FormValues
+from daq.core.excitation.station import Excitation, Station
+from daq.core.excitation.stepped_sine import StepsProcedure
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RunError
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import ConstantResponse
+    from rig.core.scene.excitation.kind import KindOfTest
+    from rig.core.scene.scene import Scene
+
+# The first drive is this fraction of the force that moves the mass of the structure by the level.
+_FIRST_FORCE_RATIO = 0.05
+# A drive above this fraction of the amplifier's limit is at the limit.
+_AT_LIMIT_RATIO = 0.99
+# Number of points of a test on the bench page.
+_FORM_POINTS = 40
+
+
+class HeldMotion(EnvelopeTone):
+    """A tone whose drive brings a motion to the level."""
+
+    def __init__(self, station: Station, test: ConstantResponse) -> None:
+        quantity = controlled(station)
+        assert quantity is not None
+        super().__init__(station, test.order[0], quantity)
+        self._settle, self._order, self._level, self.target = test.settle, test.held_motion[1], 0.0, 0.0
+        # Points at the limit of the amplifier, and the largest amplitude there relative to the level; Hz.
+        self.limited: dict[float, float] = {}
+        # Open-loop growth (1/s) and dead time (s) of orbits that the control lost.
+        self.lost: list[tuple[float, float]] = []
+
+    def start(self, level: float) -> float:
+        """Start the control of a level; return the first drive amplitude."""
+        from rig.core.system.structural_model import structural_model
+
+        self._level = level
+        mass = float(np.trace(structural_model(self.station.scene).mass))
+        force = _FIRST_FORCE_RATIO * mass * (2.0 * np.pi * self.frequency) ** 2 * self._displacement(self.frequency)
+        return min(super().start(1.0) * force, self.station.drive_limit)
+
+    def _displacement(self, frequency: float) -> float:
+        """Return the displacement at the level, m."""
+        return float(self._level / (2.0 * np.pi * frequency) ** self._order)
+
+    def settle(
+        self, frequency: float, drive: float, tolerance: float, max_wait_s: float
+    ) -> Generator[Array, Array, bool]:
+        """Change to a frequency in Hz and bring the motion to the level; return whether it did."""
+        self.target = self._displacement(frequency)
+        if self.is_controllable(frequency):
+            settled = yield from self.settle_envelope(frequency, drive, self.target, tolerance, max_wait_s)
+        else:
+            super().start(self.target)
+            settled = yield from super().settle(frequency, drive, tolerance, max_wait_s)
+            self.motion = (yield from self.observe(self.window))[0] * self.direction
+        if not settled and self.amplitude >= _AT_LIMIT_RATIO * self.station.drive_limit:
+            self.limited[frequency] = abs(self.motion) / self.target
+        return settled
+
+    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+        """Measure for at least a number of samples, and mark the interval.
+
+        If the motion leaves the level although the drive is constant, its orbit is unstable: feedback holds it.
+        """
+        first = self.station.now
+        held = yield from self.hold_envelope(samples, self.target, feedback=False)
+        growth = held.growth
+        if settled and growth:
+            settled = yield from self.settle_envelope(
+                self.frequency, self.amplitude, self.target, self._settle.tolerance, self._settle.longest
+            )
+            first = self.station.now
+            held = yield from self.hold_envelope(samples, self.target, feedback=True)
+            settled = settled and not held.growth
+            if not settled:
+                self.lost.append((growth, self.dead_time))
+        force = abs(held.drive) if self.station.force_is_drive else None
+        self.station.mark(
+            "measure",
+            first,
+            self.station.now,
+            drive=abs(held.drive),
+            force=force,
+            settled=settled,
+            invasive=held.invasive,
+            **fields,
+        )
+
+
+def excite(station: Station, test: ConstantResponse) -> Excitation:
+    """Run the test; raise `RunError` if no step reached its level."""
+    tone = HeldMotion(station, test)
+    settled = yield from stepped_sine.excite(station, test, tone)
+    messages = []
+    if tone.limited:
+        low, high, ratio = min(tone.limited), max(tone.limited), max(tone.limited.values())
+        messages.append(
+            f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to {high:.4g} Hz."
+        )
+    if tone.lost:
+        growth, dead_time = max(tone.lost)
+        limit = MAX_POLE_TIMES_DEAD_TIME / growth
+        messages.append(
+            f"open-loop growth of {growth:.2g} 1/s requires a dead time below {limit:.2g} s; it is {dead_time:.2g} s. "
+            "Use a converter filter with a shorter delay."
+        )
+    if not settled:
+        raise RunError(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
+    for message in messages:
+        station.warn(message)
+
+
+class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
+    """Tones at which a motion has a constant amplitude."""
+
+    form = Form("constant response", ("low", "high"))
+
+    def excite(self, station: Station, test: ConstantResponse) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
+        """Return the highest level at evenly spaced frequencies of the test."""
+        step_s = self.waits(test, scene) / (len(test.levels) * len(test.order)) + test.measure.periods / test.order[0]
+        ascending = sorted(set(test.order))
+        count = int(np.clip(seconds / step_s, 2, len(ascending)))
+        chosen = [ascending[k] for k in np.unique(np.linspace(0, len(ascending) - 1, count).round().astype(int))]
+        steps = {"from": None, "to": None, "points": None, "frequencies": chosen, "direction": "up"}
+        return test.at_level(max(test.levels)).replace(**steps)
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return steps over the band at the level of the scene's test, or 1 mm of body 1."""
+        level = {"at": "body 1", "displacement": 1e-3}
+        if test is not None and test.held_motion is not None:
+            level = {"at": test.held_motion[0], test.level_key: test.levels}
+        return {"kind": "constant_response", "from": values.low, "to": values.high, "points": _FORM_POINTS, **level}
+
+
+PROCEDURE = ConstantResponseProcedure()

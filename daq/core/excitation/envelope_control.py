@@ -1,0 +1,219 @@
+"""Control of the complex envelope of a motion at constant frequency, by the complex amplitude of the drive.
+
+The envelopes X of the motion and U of the drive are relative to the phase of the tone: x = Re(X e^{i phase}), drive =
+Im(U e^{i phase}). Near a mode with the decay rate d = zeta w0 they obey
+
+    X' = l X + b U,    l = -d + i (w0(|X|) - w)
+
+In steady state U is constant, so that the drive is a pure tone whatever the harmonics of the motion: the control does
+not change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.core.excitation.controlled import Controlled
+from daq.core.excitation.lock_in import min_samples
+from daq.core.excitation.nearest_mode import NearestMode
+from daq.core.excitation.settling import Settling
+from daq.core.excitation.station import Station
+from daq.core.excitation.steady_tone import TRANSITION_S, SteadyTone, half_cosine
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.scene.excitation import FORCE_TOLERANCE
+
+# Largest product of |l| and dead time at which the control is used: errors of the stability limit begin at 0.54.
+MAX_POLE_TIMES_DEAD_TIME = 0.5
+# An observation updates the model of the mode if motion or drive changed by more than this fraction.
+_MIN_CHANGE = 0.01
+# The drive changes between windows by at most this fraction of its amplitude.
+_MAX_CHANGE_RATIO = 0.5
+# Time after which the weight of an observation of the mode has decreased to 1 / e, windows. The observations of
+# several steps at one level have the same mode.
+_MEMORY_WINDOWS = 40.0
+# Number of last windows over which the drive is averaged in steady state.
+_AVERAGED_WINDOWS = 6
+# The motion has left its target if it deviates by more than this multiple of the tolerance of the level.
+_LEFT_RATIO = 2.0
+
+
+class EnvelopeControl:
+    """PI control of an envelope: the SIMC rules for a pole with dead time.
+
+    For an integrating plant the gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13
+    (2003) 291). The zero of the controller cancels a pole l far from the origin, which may be complex. `target`:
+    required envelope; `drive`: its present drive; `window`: time from one update to the next, s; `dead_time`: s;
+    `limit`: largest drive.
+
+    >>> control, motion, drive = EnvelopeControl(1.0, 0j, 0.1, 0.15), 0j, 0.1j
+    >>> for _ in range(60):
+    ...     drive, applied = control.next_drive(motion, 2.0, -0.3), drive
+    ...     motion += 0.1 * (0.5 * motion + 2.0 * applied)  # open loop: unstable
+    >>> bool(abs(motion - 1.0) < 1e-3)
+    True
+    """
+
+    def __init__(self, target: complex, drive: complex, window: float, dead_time: float, limit: float = np.inf) -> None:
+        self.target = target
+        self._integral, self._drive, self._limit = drive, drive, limit
+        self._gain, self._window, self._reset_rate = 1.0 / (2.0 * dead_time), window, 1.0 / (8.0 * dead_time)
+
+    def next_drive(self, motion: complex, input_gain: complex, pole: complex) -> complex:
+        """Compute the next drive from the envelope of the motion; `input_gain`, `pole`: b and l of the plant."""
+        correction = self._gain * (self.target - motion) / input_gain
+        step = self._window * (self._reset_rate - pole) * correction
+        previous, requested = self._drive, self._integral + step + correction
+        change = requested - previous
+        if previous and abs(change) > _MAX_CHANGE_RATIO * abs(previous):
+            change *= _MAX_CHANGE_RATIO * abs(previous) / abs(change)
+        self._drive = previous + change
+        if abs(self._drive) > self._limit:
+            self._drive *= self._limit / abs(self._drive)
+        # Without the part beyond a limit, the integral does not wind up.
+        self._integral += step + self._drive - requested
+        return self._drive
+
+
+class Held(NamedTuple):
+    """A measurement at constant envelope."""
+
+    motion: complex  # mean envelope, m
+    drive: complex  # mean envelope
+    invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
+    growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it did not
+
+
+class EnvelopeTone(SteadyTone):
+    """A tone with a complex amplitude, and a model of the mode nearest to it (`NearestMode`)."""
+
+    def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
+        super().__init__(station, frequency, controlled)
+        self.mode = NearestMode()
+        self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
+        self.motion = 0j  # last envelope of the controlled motion, m
+        self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
+
+    @property
+    def window(self) -> int:
+        """Length of a control window: two periods, as far as these determine an amplitude."""
+        return min_samples(self.frequency, self.rate)
+
+    @property
+    def dead_time(self) -> float:
+        """Half a window of measurement, a window of transition, and the latency; s."""
+        return (1.5 * self.window + self.station.latency) / self.rate
+
+    @property
+    def envelope(self) -> complex:
+        """Envelope of the drive."""
+        return self.amplitude * self.direction
+
+    def is_controllable(self, frequency: float) -> bool:
+        """Return whether the dead time is short enough for control of the envelope at a frequency in Hz."""
+        dead_time = (1.5 * min_samples(frequency, self.rate) + self.station.latency) / self.rate
+        relative_pole = self.mode.pole - 2j * np.pi * frequency
+        return self.mode.gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
+
+    def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+        """Hold the tone for a window; return the amplitudes (quantities,), and update the model of the mode."""
+        amplitudes = yield from super().observe(samples)
+        self._add(amplitudes[0] * self.direction, self.envelope, samples)
+        return amplitudes
+
+    def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
+        """Change the drive to an envelope within a window; return the envelopes of all quantities."""
+        samples, start, direction = self.window, self.envelope, self.direction
+        readings = yield self.station.drive(self._steered(samples, drive))
+        envelopes = self.amplitudes(readings, self._start_phase) * direction
+        self._add(envelopes[0], (start + drive) / 2.0, samples)
+        return envelopes
+
+    def _steered(self, samples: int, drive: complex) -> Array:
+        """Return the drive of a change to an envelope along half a cosine, shape (samples,)."""
+        target = drive / self.direction
+        phase = self.phase + 2.0 * np.pi * np.fmod(self.frequency / self.rate * np.arange(samples + 1), 1.0)
+        amplitude = self.amplitude + (target - self.amplitude) * half_cosine(samples)[1]
+        self._start_phase, turn = self.phase, float(np.angle(target))
+        self.amplitude, self.direction = abs(target), self.direction * complex(np.exp(1j * turn))
+        self.phase = float(np.fmod(phase[-1] + turn, 2.0 * np.pi))
+        return np.asarray((amplitude * np.exp(1j * phase[:-1])).imag)
+
+    def _add(self, motion: complex, drive: complex, samples: int) -> None:
+        """Add the mean envelopes of the last window to the model of the mode."""
+        previous, self._observed = self._observed, (self.frequency, motion, drive)
+        is_same = previous[0] == self.frequency and all(
+            abs(value - before) <= _MIN_CHANGE * abs(value)
+            for value, before in zip((motion, drive), previous[1:], strict=True)
+        )
+        if not motion or not drive or is_same:
+            # In steady state the observations determine only the ratio of l and b.
+            self._observed = previous
+            return
+        time, omega = self.station.now - samples / 2.0, 2.0 * np.pi * self.frequency
+        self.mode.add(time / self.rate, omega, motion, drive, _MEMORY_WINDOWS * samples / self.rate)
+
+    def settle_envelope(
+        self, frequency: float, drive: float, target: float, tolerance: float, max_wait_s: float
+    ) -> Generator[Array, Array, bool]:
+        """Change to a frequency in Hz and bring the motion to an amplitude in m by feedback; return whether it did.
+
+        `drive`: amplitude of the drive after the transition. At the end the drive is constant.
+        """
+        station = self.station
+        end = station.now + station.samples(max_wait_s)
+        yield station.drive(self.transition(max(station.samples(TRANSITION_S), self.window), frequency, drive))
+        self.motion = (yield from self.observe(self.window))[0] * self.direction
+        if not self.motion:
+            return False
+        self.control = None
+        control = self._control_to(target * self.motion / abs(self.motion))
+        detector, drives = Settling(tolerance), [self.envelope]
+        while station.now + self.window <= end:
+            envelopes = yield from self.steer(self._next_drive(control))
+            self.motion = complex(envelopes[0])
+            drives.append(self.envelope)
+            detector.add(np.array([*envelopes, self.envelope]))
+            error = abs(detector.predicted_final() / control.target - 1.0)
+            if detector.settled and error < max(FORCE_TOLERANCE, 2.0 * detector.standard_error()):
+                yield from self.steer(complex(np.mean(drives[-_AVERAGED_WINDOWS:])))
+                return True
+        return False
+
+    def _control_to(self, target: complex) -> EnvelopeControl:
+        """Return the control to an envelope of the motion."""
+        return EnvelopeControl(
+            target, self.envelope, self.window / self.rate, self.dead_time, self.station.drive_limit
+        )
+
+    def _next_drive(self, control: EnvelopeControl) -> complex:
+        """Return the next drive for the last envelope of the motion."""
+        return control.next_drive(self.motion, self.mode.gain, self.mode.pole - 2j * np.pi * self.frequency)
+
+    def hold_envelope(self, samples: int, target: float, feedback: bool) -> Generator[Array, Array, Held]:
+        """Measure for at least a number of samples, with constant drive or with feedback that holds an amplitude in m."""
+        window, motions, drives = self.window, [], []
+        control = self._control_to(target * self.motion / abs(self.motion)) if feedback else None
+        samples = max(samples, min_samples(self.frequency, self.rate))
+        for _ in range(-(-samples // window)):
+            if control is None:
+                self.motion = (yield from self.observe(window))[0] * self.direction
+            else:
+                self.motion = complex((yield from self.steer(self._next_drive(control)))[0])
+            motions.append(self.motion)
+            drives.append(self.envelope)
+        motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
+        invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
+        return Held(motion, drive, invasive, _growth(np.array(motions), target, window / self.rate))
+
+
+def _growth(motions: ComplexArray, target: float, window: float) -> float:
+    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if it remains there. `window`: s."""
+    deviation = abs(abs(motions) / target - 1.0)
+    if deviation[-1] < _LEFT_RATIO * FORCE_TOLERANCE or deviation.size < 3:
+        return 0.0
+    latest = np.maximum(deviation, 1e-9)
+    middle = latest.size // 2
+    return float(max(np.log(latest[-1] / latest[middle]) / ((latest.size - 1 - middle) * window), 1e-9))

@@ -1,0 +1,67 @@
+"""A series of tones at which the amplitude of a response is constant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, WithJsonSchema
+
+from rig.core.scene.body_names import body_problems
+from rig.core.scene.excitation.kind import Settle, ShakerNumber
+from rig.core.scene.excitation.stepped_sine import Measure, SteppedTest
+from rig.core.scene.shaker import Shaker
+from rig.core.settings.problems import Problem
+from rig.core.settings.quantities import ACCELERATION, LENGTH, VELOCITY
+from rig.core.settings.quantity_field import Quantity
+
+# A body. The schema also allows its name, which `Scene` replaces by its number.
+BodyLocation = Annotated[str, Field(pattern=r"^body [1-9][0-9]{0,5}$"), WithJsonSchema({"type": "string"})]
+# Unit of each derivative of a displacement.
+_UNITS = ("m", "m/s", "m/s^2")
+
+
+def location_problems(valid: Mapping[str, Any], at: str) -> Iterable[Problem]:
+    """Check that the body at a location exists; `valid`: as in `KindOfTest.references`."""
+    return body_problems(valid, int(at.removeprefix("body ")), ("at",))
+
+
+class ConstantResponse(SteppedTest):
+    """A series of tones; at each, a controller brings the motion of a body to the level, also between the folds of a
+    resonance curve, where a stepped sine jumps."""
+
+    level_keys: ClassVar = ("displacement", "velocity", "acceleration")
+    one_of: ClassVar = (level_keys, ("frequencies", "points"))
+    kind: Literal["constant_response"] = "constant_response"
+    at: BodyLocation
+    """The body whose motion has the constant amplitude: body 3, or its name."""
+    displacement: Annotated[float | tuple[float, ...] | None, Quantity(LENGTH, above=0.0, listed=True)] = None
+    """Amplitude of its displacement [m]. Several levels are run one after another."""
+    velocity: Annotated[float | tuple[float, ...] | None, Quantity(VELOCITY, above=0.0, listed=True)] = None
+    """Instead of `displacement`: amplitude of its velocity [m/s]."""
+    acceleration: Annotated[float | tuple[float, ...] | None, Quantity(ACCELERATION, above=0.0, listed=True)] = None
+    """Instead of `displacement`: amplitude of its acceleration [m/s^2]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    settle: Settle = Settle()
+    """Criterion for the steady state of a step."""
+    measure: Measure = Measure()
+    """Measurement time of a step in steady state."""
+
+    @property
+    def held_motion(self) -> tuple[str, int]:
+        """Body and order of the derivative whose amplitude is the level."""
+        return self.at, self.level_keys.index(self.level_key)
+
+    def level_unit(self, shaker: Shaker | None) -> str:
+        """Return the unit of the motion."""
+        return _UNITS[self.held_motion[1]]
+
+    @property
+    def tone(self) -> None:
+        """None: the drive depends on readings."""
+
+    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
+        """Check the shaker and the body."""
+        yield from super().references(valid)
+        yield from location_problems(valid, self.at)

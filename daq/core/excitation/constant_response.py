@@ -15,10 +15,9 @@ from daq.core.excitation import stepped_sine
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.station import Excitation, Station
+from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import StepsProcedure
 from rig.core.base.arrays import Array
-from rig.core.base.errors import RunError
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import ConstantResponse
@@ -27,6 +26,10 @@ if TYPE_CHECKING:
 
 # The first drive is this fraction of the force that moves the mass of the structure by the level.
 _FIRST_FORCE_RATIO = 0.05
+# The amplitude is controlled for at most this time, s; then the envelope is, if the mode is known by then.
+_AMPLITUDE_WAIT_S = 15.0
+# A remaining time shorter than this does not suffice, s.
+_MIN_WAIT_S = 1.0
 # A drive above this fraction of the amplifier's limit is at the limit.
 _AT_LIMIT_RATIO = 0.99
 # Number of points of a test on the bench page.
@@ -51,6 +54,7 @@ class HeldMotion(EnvelopeTone):
         from rig.core.system.structural_model import structural_model
 
         self._level = level
+        self.forget_mode()
         mass = float(np.trace(structural_model(self.station.scene).mass))
         force = _FIRST_FORCE_RATIO * mass * (2.0 * np.pi * self.frequency) ** 2 * self._displacement(self.frequency)
         return min(super().start(1.0) * force, self.station.drive_limit)
@@ -64,12 +68,15 @@ class HeldMotion(EnvelopeTone):
     ) -> Generator[Array, Array, bool]:
         """Change to a frequency in Hz and bring the motion to the level; return whether it did."""
         self.target = self._displacement(frequency)
-        if self.is_controllable(frequency):
-            settled = yield from self.settle_envelope(frequency, drive, self.target, tolerance, max_wait_s)
-        else:
-            super().start(self.target)
-            settled = yield from super().settle(frequency, drive, tolerance, max_wait_s)
-            self.motion = (yield from self.observe(self.window))[0] * self.direction
+        settled, end = False, self.station.now + max_wait_s * self.rate
+        while not settled and (remaining_s := (end - self.station.now) / self.rate) > _MIN_WAIT_S:
+            if self.is_controllable(frequency):
+                settled = yield from self.settle_envelope(frequency, drive, self.target, tolerance, remaining_s)
+            else:
+                super().start(self.target)
+                settled = yield from super().settle(frequency, drive, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
+                self.motion = (yield from self.observe(self.window))[0] * self.direction
+            drive = self.amplitude
         if not settled and self.amplitude >= _AT_LIMIT_RATIO * self.station.drive_limit:
             self.limited[frequency] = abs(self.motion) / self.target
         return settled
@@ -89,7 +96,7 @@ class HeldMotion(EnvelopeTone):
             first = self.station.now
             held = yield from self.hold_envelope(samples, self.target, feedback=True)
             settled = settled and not held.growth
-            if not settled:
+            if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
         force = abs(held.drive) if self.station.force_is_drive else None
         self.station.mark(
@@ -105,14 +112,15 @@ class HeldMotion(EnvelopeTone):
 
 
 def excite(station: Station, test: ConstantResponse) -> Excitation:
-    """Run the test; raise `RunError` if no step reached its level."""
+    """Run the test; raise `GivenUp` if no step reached its level."""
     tone = HeldMotion(station, test)
     settled = yield from stepped_sine.excite(station, test, tone)
     messages = []
     if tone.limited:
         low, high, ratio = min(tone.limited), max(tone.limited), max(tone.limited.values())
         messages.append(
-            f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to {high:.4g} Hz."
+            f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to "
+            f"{high:.4g} Hz."
         )
     if tone.lost:
         growth, dead_time = max(tone.lost)
@@ -122,7 +130,7 @@ def excite(station: Station, test: ConstantResponse) -> Excitation:
             "Use a converter filter with a shorter delay."
         )
     if not settled:
-        raise RunError(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
+        raise GivenUp(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
     for message in messages:
         station.warn(message)
 
@@ -142,7 +150,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
         ascending = sorted(set(test.order))
         count = int(np.clip(seconds / step_s, 2, len(ascending)))
         chosen = [ascending[k] for k in np.unique(np.linspace(0, len(ascending) - 1, count).round().astype(int))]
-        steps = {"from": None, "to": None, "points": None, "frequencies": chosen, "direction": "up"}
+        steps: dict[str, Any] = {"from_": None, "to": None, "points": None, "frequencies": chosen, "direction": "up"}
         return test.at_level(max(test.levels)).replace(**steps)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:

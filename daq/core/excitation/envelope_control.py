@@ -11,6 +11,7 @@ not change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamic
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Generator
 from typing import NamedTuple
 
@@ -29,11 +30,21 @@ from rig.core.scene.excitation import FORCE_TOLERANCE
 MAX_POLE_TIMES_DEAD_TIME = 0.5
 # An observation updates the model of the mode if motion or drive changed by more than this fraction.
 _MIN_CHANGE = 0.01
-# The drive changes between windows by at most this fraction of its amplitude.
+# Number of latest drives, from which their limits follow.
+_LATEST_DRIVES = 12
+# The drive changes between windows by at most this fraction of the largest of the latest drives.
 _MAX_CHANGE_RATIO = 0.5
-# Time after which the weight of an observation of the mode has decreased to 1 / e, windows. The observations of
-# several steps at one level have the same mode.
-_MEMORY_WINDOWS = 40.0
+# Time after which the weight of an observation of the mode has decreased to 1 / e, windows. The observations of several
+# steps at one level have the same mode.
+_MEMORY_WINDOWS = 100.0
+# Above this multiple of the target, the drive is limited to the largest of the latest drives.
+_MAX_EXCESS = 1.5
+# The control is lost above this multiple of the target: the model of the mode is wrong.
+_LOST_RATIO = 3.0
+# If an alternating error grows from one to the next group of so many updates, the gain is too high.
+_COMPARED_ERRORS = 5
+# The gain is then reduced to this fraction of the initial gain, which still holds most unstable orbits.
+_REDUCED_GAIN = 0.5
 # Number of last windows over which the drive is averaged in steady state.
 _AVERAGED_WINDOWS = 6
 # The motion has left its target if it deviates by more than this multiple of the tolerance of the level.
@@ -41,17 +52,16 @@ _LEFT_RATIO = 2.0
 
 
 class EnvelopeControl:
-    """PI control of an envelope: the SIMC rules for a pole with dead time.
+    """PI control of an envelope: the SIMC rules for an integrating plant with dead time.
 
-    For an integrating plant the gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13
-    (2003) 291). The zero of the controller cancels a pole l far from the origin, which may be complex. `target`:
+    The gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13 (2003) 291). `target`:
     required envelope; `drive`: its present drive; `window`: time from one update to the next, s; `dead_time`: s;
     `limit`: largest drive.
 
     >>> control, motion, drive = EnvelopeControl(1.0, 0j, 0.1, 0.15), 0j, 0.1j
-    >>> for _ in range(60):
-    ...     drive, applied = control.next_drive(motion, 2.0, -0.3), drive
-    ...     motion += 0.1 * (0.5 * motion + 2.0 * applied)  # open loop: unstable
+    >>> for _ in range(200):
+    ...     drive, applied = control.next_drive(motion, 2.0), drive
+    ...     motion += 0.1 * (0.3 * motion + 2.0 * applied)  # open loop: unstable
     >>> bool(abs(motion - 1.0) < 1e-3)
     True
     """
@@ -59,19 +69,32 @@ class EnvelopeControl:
     def __init__(self, target: complex, drive: complex, window: float, dead_time: float, limit: float = np.inf) -> None:
         self.target = target
         self._integral, self._drive, self._limit = drive, drive, limit
-        self._gain, self._window, self._reset_rate = 1.0 / (2.0 * dead_time), window, 1.0 / (8.0 * dead_time)
+        self._errors: list[complex] = []
+        self._latest = deque([drive], maxlen=_LATEST_DRIVES)
+        self._lowest_gain = _REDUCED_GAIN / (2.0 * dead_time)
+        self._gain, self._integral_ratio = 1.0 / (2.0 * dead_time), window / (8.0 * dead_time)
 
-    def next_drive(self, motion: complex, input_gain: complex, pole: complex) -> complex:
-        """Compute the next drive from the envelope of the motion; `input_gain`, `pole`: b and l of the plant."""
+    def next_drive(self, motion: complex, input_gain: complex) -> complex:
+        """Compute the next drive from the envelope of the motion and the input gain b of the plant."""
+        self._errors.append(self.target - motion)
+        if len(self._errors) == 2 * _COMPARED_ERRORS:
+            before, latest = np.split(np.array(self._errors), 2)
+            rms = float(np.sqrt(np.mean(abs(latest) ** 2)))
+            if abs(np.mean(latest)) < 0.5 * rms and rms > np.sqrt(np.mean(abs(before) ** 2)):
+                self._gain = self._lowest_gain
+            self._errors.clear()
         correction = self._gain * (self.target - motion) / input_gain
-        step = self._window * (self._reset_rate - pole) * correction
+        step = self._integral_ratio * correction
         previous, requested = self._drive, self._integral + step + correction
         change = requested - previous
-        if previous and abs(change) > _MAX_CHANGE_RATIO * abs(previous):
-            change *= _MAX_CHANGE_RATIO * abs(previous) / abs(change)
+        largest = max(map(abs, self._latest))
+        if largest and abs(change) > _MAX_CHANGE_RATIO * largest:
+            change *= _MAX_CHANGE_RATIO * largest / abs(change)
         self._drive = previous + change
-        if abs(self._drive) > self._limit:
-            self._drive *= self._limit / abs(self._drive)
+        limit = min(self._limit, largest) if abs(motion) > _MAX_EXCESS * abs(self.target) else self._limit
+        if abs(self._drive) > limit:
+            self._drive *= limit / abs(self._drive)
+        self._latest.append(self._drive)
         # Without the part beyond a limit, the integral does not wind up.
         self._integral += step + self._drive - requested
         return self._drive
@@ -91,15 +114,19 @@ class EnvelopeTone(SteadyTone):
 
     def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
         super().__init__(station, frequency, controlled)
-        self.mode = NearestMode()
+        self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
+    def forget_mode(self) -> None:
+        """Discard the model of the mode: the level has changed, or the model is wrong."""
+        self._mode, self._pole, self._gain = NearestMode(), 0j, 0j
+
     @property
     def window(self) -> int:
-        """Length of a control window: two periods, as far as these determine an amplitude."""
-        return min_samples(self.frequency, self.rate)
+        """Length of a control window."""
+        return _window(self.frequency, self.rate)
 
     @property
     def dead_time(self) -> float:
@@ -113,9 +140,9 @@ class EnvelopeTone(SteadyTone):
 
     def is_controllable(self, frequency: float) -> bool:
         """Return whether the dead time is short enough for control of the envelope at a frequency in Hz."""
-        dead_time = (1.5 * min_samples(frequency, self.rate) + self.station.latency) / self.rate
-        relative_pole = self.mode.pole - 2j * np.pi * frequency
-        return self.mode.gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
+        dead_time = (1.5 * _window(frequency, self.rate) + self.station.latency) / self.rate
+        relative_pole = self._pole - 2j * np.pi * frequency
+        return self._gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a window; return the amplitudes (quantities,), and update the model of the mode."""
@@ -153,7 +180,9 @@ class EnvelopeTone(SteadyTone):
             self._observed = previous
             return
         time, omega = self.station.now - samples / 2.0, 2.0 * np.pi * self.frequency
-        self.mode.add(time / self.rate, omega, motion, drive, _MEMORY_WINDOWS * samples / self.rate)
+        self._mode.add(time / self.rate, omega, motion, drive, _MEMORY_WINDOWS * samples / self.rate)
+        if self._mode.gain:
+            self._pole, self._gain = self._mode.pole, self._mode.gain
 
     def settle_envelope(
         self, frequency: float, drive: float, target: float, tolerance: float, max_wait_s: float
@@ -174,6 +203,10 @@ class EnvelopeTone(SteadyTone):
         while station.now + self.window <= end:
             envelopes = yield from self.steer(self._next_drive(control))
             self.motion = complex(envelopes[0])
+            if abs(self.motion) > _LOST_RATIO * target:
+                self.forget_mode()
+                yield from self.steer(self.envelope * target / abs(self.motion))
+                return False
             drives.append(self.envelope)
             detector.add(np.array([*envelopes, self.envelope]))
             error = abs(detector.predicted_final() / control.target - 1.0)
@@ -184,16 +217,14 @@ class EnvelopeTone(SteadyTone):
 
     def _control_to(self, target: complex) -> EnvelopeControl:
         """Return the control to an envelope of the motion."""
-        return EnvelopeControl(
-            target, self.envelope, self.window / self.rate, self.dead_time, self.station.drive_limit
-        )
+        return EnvelopeControl(target, self.envelope, self.window / self.rate, self.dead_time, self.station.drive_limit)
 
     def _next_drive(self, control: EnvelopeControl) -> complex:
         """Return the next drive for the last envelope of the motion."""
-        return control.next_drive(self.motion, self.mode.gain, self.mode.pole - 2j * np.pi * self.frequency)
+        return control.next_drive(self.motion, self._gain)
 
     def hold_envelope(self, samples: int, target: float, feedback: bool) -> Generator[Array, Array, Held]:
-        """Measure for at least a number of samples, with constant drive or with feedback that holds an amplitude in m."""
+        """Measure for at least a number of samples, with constant drive, or with feedback to an amplitude in m."""
         window, motions, drives = self.window, [], []
         control = self._control_to(target * self.motion / abs(self.motion)) if feedback else None
         samples = max(samples, min_samples(self.frequency, self.rate))
@@ -207,6 +238,11 @@ class EnvelopeTone(SteadyTone):
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
         return Held(motion, drive, invasive, _growth(np.array(motions), target, window / self.rate))
+
+
+def _window(frequency: float, rate: float) -> int:
+    """Return the length of a control window in samples: three periods, which contain impacts of several cycles."""
+    return max(min_samples(frequency, rate), round(3.0 * rate / frequency))
 
 
 def _growth(motions: ComplexArray, target: float, window: float) -> float:

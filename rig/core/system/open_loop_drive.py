@@ -84,8 +84,8 @@ def level_of(scene: Scene) -> float:
         raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
     if test.held_motion is not None:
         raise SceneError(
-            f"test: the drive of a {test.kind} test follows from readings. Use daq.record, or give test: {{kind: sine}} "
-            "with force or drive."
+            f"test: the drive of a {test.kind} test follows from readings. Use daq.record, or give test: {{kind: "
+            "sine} with force or drive."
         )
     return float(test.levels[0])
 

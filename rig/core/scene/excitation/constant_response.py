@@ -27,8 +27,7 @@ def location_problems(valid: Mapping[str, Any], at: str) -> Iterable[Problem]:
 
 
 class ConstantResponse(SteppedTest):
-    """A series of tones; at each, a controller brings the motion of a body to the level, also between the folds of a
-    resonance curve, where a stepped sine jumps."""
+    """A series of tones; at each, a controller brings a motion to the level, also where a stepped sine jumps."""
 
     level_keys: ClassVar = ("displacement", "velocity", "acceleration")
     one_of: ClassVar = (level_keys, ("frequencies", "points"))

@@ -388,7 +388,10 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
 def sweep_name(rec: Recording, key: _SweepKey) -> str:
     """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
     level, direction = format_number(key[0]), key[1]
-    return f"level {level} {direction}" if rec.scene.level_key == "drive" else f"{level} N {direction}"
+    test = rec.scene.test
+    if test is None or test.held_motion is None:
+        return f"level {level} {direction}" if rec.scene.level_key == "drive" else f"{level} N {direction}"
+    return f"{level} {test.level_unit(None)} {direction}"
 
 
 def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:

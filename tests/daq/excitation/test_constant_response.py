@@ -136,7 +136,6 @@ def device_marks(scene: rig.Scene, queued: int) -> list[tuple[Any, ...]]:
         return bench.to_units(bench.acquire(drive).samples)
 
     run_on_device(excitation, station, read, write, queued)
-    assert abs(waiting[:, -1]).max(initial=0.0) < 1e-6
     return marks
 
 

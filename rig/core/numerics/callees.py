@@ -19,6 +19,7 @@ from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
+from rig.core.base.ending_signals import delayed_interrupt
 from rig.core.numerics.code_cache import CodeCache
 
 # If numba lacks these internals, the import fails with AttributeError, and `rig.core.numerics.jit` uses public options.
@@ -32,6 +33,11 @@ class _EntryLibrary(JITCodeLibrary):
         symbols = (*self._final_module.functions, *self._final_module.global_variables)
         names = [symbol.name for symbol in symbols if not symbol.is_declaration]
         return llvmlite.binding.parse_assembly("\n".join(f'@"{name}" = global i8 0' for name in names))
+
+    def _finalize_specific(self) -> None:
+        # As in `CodeCache.load_overload`: a callback of LLVM cannot raise an interrupt.
+        with delayed_interrupt():
+            super()._finalize_specific()
 
 
 class _EntryCompiler(Compiler):

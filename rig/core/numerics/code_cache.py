@@ -19,6 +19,7 @@ from numba.core.caching import CompileResultCacheImpl
 from numba.core.serialize import dumps
 
 from rig.core.base.console import warn_of_compilation
+from rig.core.base.ending_signals import delayed_interrupt
 
 _CHECKSUM_BYTES = 4
 
@@ -53,7 +54,9 @@ class CodeCache:
         if stored[:_CHECKSUM_BYTES] != _checksum(path, code):
             warn_of_compilation(f"machine code in {path.parent} is damaged, and is compiled again")
             return None
-        return self._format.rebuild(target, pickle.loads(code))
+        # LLVM loads code in a callback, which cannot raise an interrupt: the code would be missing, and its call crash.
+        with delayed_interrupt():
+            return self._format.rebuild(target, pickle.loads(code))
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Store a compiled function; if the disk is full, only log this."""

@@ -214,6 +214,40 @@ def test_public_options_count_no_references(kernels: Path) -> None:
     assert run(kernels, hidden + 'print(multiply.targetoptions["_nrt"])').stdout == "False\n"
 
 
+# Script that calls a kernel twice, with one interrupt while LLVM stores or loads its machine code.
+CALL_INTERRUPTED = """
+import signal
+from numba.core.codegen import CPUCodeLibrary
+
+def with_interrupt(hook):
+    def interrupted(*arguments):
+        if not interrupts and "outer" in arguments[0].name:
+            interrupts.append(signal.raise_signal(signal.SIGINT))
+        return hook(*arguments)
+    return interrupted
+
+interrupts = []
+for name in ("_object_compiled_hook", "_object_getbuffer_hook"):
+    setattr(CPUCodeLibrary, name, with_interrupt(getattr(CPUCodeLibrary, name)))
+from kernels.outer import Pair, outer
+
+for _ in range(2):
+    try:
+        print(outer(Pair(1.0, 100.0)))
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("is_stored", [False, True])
+def test_interrupt_waits_until_machine_code_is_loaded(kernels: Path, is_stored: bool) -> None:
+    if is_stored:
+        run(kernels)
+    result = run(kernels, CALL_INTERRUPTED)
+    assert result.stdout.split() == ["interrupted", "112.0"]
+    assert "Exception ignored" not in result.stderr
+
+
 # Script that calls a kernel, then prints the names of the kernels that were compiled.
 CALL_COMPILED = """
 from kernels.outer import Pair, outer

@@ -27,6 +27,7 @@ from analysis.core.responses.systematic import (
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
+from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.response import Response
 
 if TYPE_CHECKING:
@@ -34,6 +35,10 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 ESTIMATORS = ("H1", "H2", "Hv")
+# Copies of the factor of the spectral matrix that are in memory at a time.
+_COPIES = 1.2
+# Number of lines whose spectral matrices are factorized at a time.
+_FACTORED_LINES = 256
 
 
 def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> ComplexArray:
@@ -57,12 +62,16 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
 
 @dataclass(frozen=True)
 class AveragedSpectra:
-    """Spectral matrix of the recorded channels, averaged over blocks."""
+    """Spectral matrix of the recorded channels, averaged over blocks, as a factor.
 
-    channels: tuple[str, ...]  # names, in the order of rows and columns
+    The powers in `frf` are sums of squares of the factor, and its size is linear in the number of channels.
+    """
+
+    channels: tuple[str, ...]  # names
     frequency: Array  # Hz; shape (n,)
-    # mean of Y_i conj(Y_j) as recorded, without correction for the sensors; shape (n, channels, channels)
-    cross: ComplexArray
+    # factor S: the mean of Y_i conj(Y_j) as recorded, without correction for the sensors, is the sum over rows of
+    # ``S_i conj(S_j)``; shape (rows, channels, n)
+    factor: ComplexArray
     n_averages: float  # equivalent number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # for legends
@@ -75,13 +84,14 @@ class AveragedSpectra:
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Estimate a frequency response with coherence; random error by Bendat and Piersol, Random Data, eq. 9.90."""
-        numerator = motion_of(rec, response, motion)
-        response_weights = numerator.row(rec, self.channels, self.frequency)
-        denominator = reference_of(rec, reference)
-        reference_weights = denominator.row(rec, self.channels, self.frequency)
-        # Factors of the spectral matrices, so that all powers below are sums of squares.
-        factor = square_root(self.cross)
-        x, f = (np.einsum("in,nir->nr", row, factor) for row in (response_weights, reference_weights))
+        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
+        names = tuple(dict.fromkeys((*numerator.channels, *denominator.channels)))
+        positions = [self.channels.index(name) for name in names]
+        factor = self.factor[:, positions]
+        rounding = np.broadcast_to(self.rounding_gain_error, (len(self.channels), self.frequency.size))[positions]
+        response_weights = numerator.row(rec, names, self.frequency)
+        reference_weights = denominator.row(rec, names, self.frequency)
+        x, f = (np.einsum("in,rin->nr", row, factor) for row in (response_weights, reference_weights))
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
         reject_zero_reference(rec, reference, sff)
@@ -91,7 +101,7 @@ class AveragedSpectra:
             incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
-        readings = np.einsum("nij,jn->in", self.cross, reference_weights.conj()) / sff
+        readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
         # The estimated response uses one average, so that few blocks have too much coherence and too little scatter.
         n_free_averages = self.n_averages - 1.0
         error = np.full(value.shape, np.nan)
@@ -102,25 +112,23 @@ class AveragedSpectra:
             leakage_free = self.leakage_free.frf(rec, response, reference, motion)
             bounds[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         contributions = ChannelContributions(
-            self.channels, self.frequency, motion, value, response_weights * readings, reference_weights * readings
+            names, self.frequency, motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
         noise_bias = reference_noise_bound(value, coherence)
         if len(denominator.channels) > 1:
-            noise = self._incoherent_power(denominator.channels)
+            noise = self._incoherent_power(factor, [names.index(name) for name in denominator.channels])
             noise_bias = np.maximum(noise_bias, shared_noise_bound(noise, change_per_reading, reference_weights, sff))
         bounds[REFERENCE_NOISE] = noise_bias
-        bounds |= rounding_bound(self.rounding_gain_error, contributions)
+        bounds |= rounding_bound(rounding, contributions)
         # Weights of the channels in the incoherent part of the response, relative to the reference (Bendat and Piersol,
         # chapter 7).
-        residual_weights = change_per_reading.T / np.sqrt(sff * max(n_free_averages, 1e-300))[:, None]
+        residual_weights = change_per_reading / np.sqrt(sff * max(n_free_averages, 1e-300))
         degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
-        reference_bounds = [
-            np.sum(zero_safe_product(np.abs(contributions.reference), self.rounding_gain_error), axis=0)
-        ]
+        reference_bounds = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(residual_weights[:, None], self.cross),
+            MeanErrors(self.factor, (tuple(positions),), (residual_weights,)),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
@@ -128,16 +136,14 @@ class AveragedSpectra:
             coherence=coherence, label=self.label, resolution=self.resolution, warnings=self.warnings,
         )  # fmt: skip
 
-    def _incoherent_power(self, names: Sequence[str]) -> Array:
+    def _incoherent_power(self, factor: ComplexArray, rows: Sequence[int]) -> Array:
         """Return an upper bound of the noise power in the two channels of a spring force: their incoherent power."""
-        rows = [self.channels.index(name) for name in names]
-        readings = square_root(self.cross)[:, rows]
-        noise = np.zeros((len(self.channels), self.frequency.size))
-        for index, row in enumerate(rows):
-            reading, other = readings[:, index], readings[:, 1 - index]
-            power = np.sum(np.square(np.abs(other)), axis=1)
-            common = np.sum(reading * other.conj(), axis=1) / np.maximum(power, 1e-300)
-            noise[row] = np.sum(np.square(np.abs(reading - common[:, None] * other)), axis=1)
+        noise = np.zeros(factor.shape[1:])
+        for row, other_row in zip(rows, rows[::-1], strict=True):
+            reading, other = factor[:, row], factor[:, other_row]
+            power = np.sum(np.square(np.abs(other)), axis=0)
+            common = np.sum(reading * other.conj(), axis=0) / np.maximum(power, 1e-300)
+            noise[row] = np.sum(np.square(np.abs(reading - common * other)), axis=0)
         # With few blocks, too much power is coherent by chance.
         return np.asarray(noise * self.n_averages / max(self.n_averages - 1.0, 1e-300))
 
@@ -169,6 +175,36 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
     unit = scale + (scale == 0.0)
     power, axes = np.linalg.eigh(matrices / (unit[:, :, None] * unit[:, None, :]))
     return np.asarray(unit[:, :, None] * axes * np.sqrt(np.maximum(power, 0.0))[:, None, :])
+
+
+class _Averages:
+    """Mean of the spectral matrices of blocks, as a factor of few rows: the blocks or the channels."""
+
+    def __init__(self, n_rows: int, n_channels: int, n_lines: int, purpose: str) -> None:
+        # The factor and its copies, or the matrices that become the factor.
+        require_memory_with_program(_COPIES * 16 * n_rows * n_channels * n_lines, purpose)
+        self._rows = np.zeros((n_rows, n_channels, n_lines), dtype=complex)
+        self._count = 0
+
+    def add(self, spectra: ComplexArray) -> None:
+        """Add the spectra of a block, shape (channels, lines)."""
+        n_rows, n_channels, _ = self._rows.shape
+        if n_rows < n_channels:
+            self._rows[self._count] = spectra
+        else:
+            for row, conjugate in enumerate(spectra.conj()):
+                self._rows[row] += spectra * conjugate
+        self._count += 1
+
+    def factor(self) -> ComplexArray:
+        """Return the factor of the mean, shape (rows, channels, lines)."""
+        n_rows, n_channels, n_lines = self._rows.shape
+        if n_rows == n_channels:
+            for first in range(0, n_lines, _FACTORED_LINES):
+                lines = slice(first, first + _FACTORED_LINES)
+                self._rows[:, :, lines] = square_root(self._rows[:, :, lines].transpose(2, 1, 0)).transpose(2, 1, 0)
+        self._rows /= np.sqrt(max(self._count, 1))
+        return self._rows
 
 
 def independent_blocks(window: Array, step: int, blocks: int) -> float:
@@ -218,7 +254,7 @@ def block_spectra(
     flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
     frequency = scipy.fft.rfftfreq(block_samples, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
-    cross: ComplexArray = np.zeros((int(in_band.sum()), len(names), len(names)), dtype=complex)
+    averages = _Averages(min(len(starts), len(names)), len(names), int(in_band.sum()), f"{rec.path}: averaging blocks")
     end_ratio, used, power = 0.0, 0, np.zeros(len(names))
     blocks = read_slices(rec, names, ((begin, begin + block_samples) for begin in starts))
     for n_completed, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
@@ -227,14 +263,13 @@ def block_spectra(
         if np.any((flaw_bounds[:, 0] < begin + block_samples) & (flaw_bounds[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
-        spectra = scipy.fft.rfft(samples * window, axis=1)[:, in_band]
-        cross = cross + np.einsum("in,jn->nij", spectra, spectra.conj())
+        averages.add(scipy.fft.rfft(samples * window, axis=1)[:, in_band])
         used += 1
         power += np.mean(np.square(samples), axis=1)
         largest = np.maximum(abs(samples).max(axis=1), 1e-300)
         end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, block_samples // 50) :]).max(axis=1) / largest)))
     averaged = AveragedSpectra(
-        tuple(names), frequency[in_band], np.asarray(cross / max(used, 1e-300), dtype=complex),
+        tuple(names), frequency[in_band], averages.factor(),
         independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
     )  # fmt: skip
     return BlockSpectra(averaged, used, all_flaws, end_ratio, power / max(used, 1))

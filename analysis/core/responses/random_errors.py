@@ -47,37 +47,54 @@ _MAX_ELEMENTS = 1 << 22
 class MeanErrors:
     """Errors of ratios of means, independent from line to line: weighted sums of the errors of the channels."""
 
-    weights: ComplexArray  # of the channels in each element; shape (lines, elements, channels)
-    channel_covariance: ComplexArray  # covariance of the channels' means; shape (lines, channels, channels)
+    # factor S: the covariance of the means of channels i and j is the sum over rows of ``S_i conj(S_j)``; shape
+    # (rows, channels, lines)
+    factor: ComplexArray
+    channels: tuple[tuple[int, ...], ...]  # positions of the channels in each element
+    weights: tuple[ComplexArray, ...]  # their weights in each element, shape (channels of the element, lines)
 
     def at(self, lines: Lines) -> MeanErrors:
         """Select some lines."""
-        return MeanErrors(self.weights[lines], self.channel_covariance[lines])
+        weights = tuple(weights[:, lines] for weights in self.weights)
+        return replace(self, factor=self.factor[:, :, lines], weights=weights)
 
     def select(self, elements: Sequence[int]) -> MeanErrors:
         """Select some elements."""
-        return replace(self, weights=self.weights[:, elements])
+        return replace(
+            self,
+            channels=tuple(self.channels[k] for k in elements),
+            weights=tuple(self.weights[k] for k in elements),
+        )
 
     def scaled(self, factor: ComplexArray) -> MeanErrors:
         """Multiply by a factor at each line."""
-        return replace(self, weights=self.weights * factor[:, None, None])
+        return replace(self, weights=tuple(weights * factor for weights in self.weights))
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
-        channels = self.channel_covariance
-        same = [
-            other
-            for other in others
-            if isinstance(other, MeanErrors) and np.array_equal(other.channel_covariance, channels, equal_nan=True)
-        ]
-        if len(same) < len(others):
-            return None
-        return replace(self, weights=np.concatenate([self.weights, *(other.weights for other in same)], axis=1))
+        same = [self]
+        for other in others:
+            if not isinstance(other, MeanErrors):
+                return None
+            if other.factor is not self.factor and not np.array_equal(other.factor, self.factor, equal_nan=True):
+                return None
+            same.append(other)
+        return replace(
+            self,
+            channels=tuple(channels for errors in same for channels in errors.channels),
+            weights=tuple(weights for errors in same for weights in errors.weights),
+        )
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
-        weights, channels = self.weights, self.channel_covariance
-        elements = np.einsum("kai,kij,kcj->kac", weights, channels, weights.conj(), optimize=True)
+        deviations = np.stack(
+            [
+                np.einsum("cn,rcn->nr", weights, self.factor[:, channels])
+                for channels, weights in zip(self.channels, self.weights, strict=True)
+            ],
+            axis=1,
+        )
+        elements = deviations @ deviations.conj().swapaxes(1, 2)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
 
 

@@ -206,7 +206,8 @@ def input_output_spectra(
     channels = [*dict.fromkeys([*names, *(point.name for point in inputs)])]
     spectra = random.averaged_spectra(rec, marker, channels, block, overlap, window=window)
     rows = _rows(rec, channels, spectra.frequency, names, inputs, motion)
-    spectral_matrix = np.einsum("acn,ncd,bdn->nab", rows, spectra.cross, rows.conj(), optimize=True)
+    amplitudes = np.einsum("acn,rcn->nar", rows, spectra.factor)
+    spectral_matrix = amplitudes @ amplitudes.conj().swapaxes(1, 2)
     leakage_free = _from_local_fits(rec, marker, names, inputs, motion)
     return SpectralMatrix(_outputs(rec, names, motion), tuple(inputs), spectral_matrix, spectra, leakage_free)
 

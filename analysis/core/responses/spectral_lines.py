@@ -79,18 +79,18 @@ class Lines:
 
     def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
         """Divide the mean of the response by that of the reference; propagate their covariance to first order."""
-        names: Sequence[str] = self.channels
-        numerator = motion_of(rec, response, motion)
+        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
+        names = tuple(dict.fromkeys((*numerator.channels, *denominator.channels)))
+        positions = [self.channels.index(name) for name in names]
+        mean, scatter, noise, residual_transient, resolution = self._rows_of(positions)
         response_weights = numerator.row(rec, names, self.frequency)
-        denominator = reference_of(rec, reference)
         reference_weights = denominator.row(rec, names, self.frequency)
-        x, f = np.sum(response_weights * self.mean, axis=0), np.sum(reference_weights * self.mean, axis=0)
+        x, f = np.sum(response_weights * mean, axis=0), np.sum(reference_weights * mean, axis=0)
         reject_zero_reference(rec, reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         weights = (response_weights - value * reference_weights) / f
-        noise = self.scatter if self.noise is None else self.noise
-        variance, degrees_of_freedom = self.scatter.variance(weights), self.scatter.degrees_of_freedom
+        variance, degrees_of_freedom = scatter.variance(weights), scatter.degrees_of_freedom
         if self.n_neighbors:
             expected = noise.local_variance(weights, self.n_neighbors)
             variance, degrees_of_freedom = moderate(variance, degrees_of_freedom, expected, self.n_neighbors)
@@ -98,8 +98,8 @@ class Lines:
         bounds: dict[str, Array] = {}
         reference_bounds = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
-        unsettled = None if self.residual_transient is None else _TRANSIENT_FACTOR * self.residual_transient
-        for name, bound in ((RESOLUTION, self.resolution), (UNSETTLED, unsettled)):
+        unsettled = None if residual_transient is None else _TRANSIENT_FACTOR * residual_transient
+        for name, bound in ((RESOLUTION, resolution), (UNSETTLED, unsettled)):
             if bound is not None:
                 bounds[name] = np.sum(abs(weights) * bound, axis=0)
                 reference_bounds.append(np.sum(abs(reference_weights / f) * bound, axis=0))
@@ -107,22 +107,33 @@ class Lines:
             free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
             bounds[UNSETTLED] = np.maximum(bounds.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
-            averages = 1.0 + self.scatter.degrees_of_freedom / 2.0
+            averages = 1.0 + scatter.degrees_of_freedom / 2.0
             coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
-        means = np.einsum("rin,rjn->nij", self.scatter.rows, self.scatter.rows.conj())
         contributions = ChannelContributions(
-            names, self.frequency, motion, value, response_weights * self.mean / f, reference_weights * self.mean / f
+            names, self.frequency, motion, value, response_weights * mean / f, reference_weights * mean / f
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(weights.T[:, None], means), scale=common_scale(rec, numerator.channels, denominator.channels),
+            MeanErrors(self.scatter.rows, (tuple(positions),), (weights,)),
+            scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
             self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
             coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
             amplitude=amplitude, omitted=self.left_out,
         )  # fmt: skip
+
+    def _rows_of(self, positions: Sequence[int]) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
+        """Return mean, scatter, noise, residual transient and resolution of some channels."""
+        scatter, noise = (
+            Scatter(each.rows[:, positions], each.degrees_of_freedom)
+            for each in (self.scatter, self.scatter if self.noise is None else self.noise)
+        )
+        transient, resolution = (
+            None if bound is None else bound[positions] for bound in (self.residual_transient, self.resolution)
+        )
+        return self.mean[positions], scatter, noise, transient, resolution
 
     def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from analysis.core.responses import estimators
 from analysis.core.responses.estimators import AveragedSpectra, square_root
 from analysis.core.responses.local_models.jitter import jitter_bound
 from analysis.core.responses.scatter import Scatter, moderate
 from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.core.recording.recording import Recording
+from rig.core.base.errors import RunError
 from tests.analysis.responses.synthetic import stepped_sine
 
 
@@ -64,7 +66,8 @@ def test_coherence_of_dependent_channels_is_at_most_one(seed, tmp_path):
     readings = np.array([1.0, 0.3, 0.2, 1.0 + 1e-7])
     cross = abs(motion)[:, None, None] ** 2 * np.outer(readings, readings) + 0j
     with Recording(path) as recording:
-        averages = AveragedSpectra(tuple(recording.channels), np.linspace(10.0, 50.0, 40), cross, 30.0, 0.0)
+        factor = square_root(cross).transpose(2, 1, 0)
+        averages = AveragedSpectra(tuple(recording.channels), np.linspace(10.0, 50.0, 40), factor, 30.0, 0.0)
 
         frf = averages.frf(recording, "body3")
 
@@ -82,6 +85,23 @@ def test_square_root_keeps_small_elements(seed):
 
     product = root @ root.conj().swapaxes(1, 2)
     assert (abs(product - matrices) <= 1e-12 * np.outer(scale, scale) * 100.0).all()
+
+
+@pytest.mark.parametrize("n_blocks, n_channels", [(3, 8), (8, 3)])
+def test_factor_of_averages_has_few_rows(n_blocks, n_channels):
+    blocks = complex_noise(4, n_blocks, n_channels, 5)
+    averages = estimators._Averages(min(n_blocks, n_channels), n_channels, 5, "averaging")
+    for spectra in blocks:
+        averages.add(spectra)
+    factor = averages.factor()
+    assert factor.shape == (3, n_channels, 5)
+    expected = np.einsum("bin,bjn->nij", blocks, blocks.conj()) / n_blocks
+    np.testing.assert_allclose(np.einsum("rin,rjn->nij", factor, factor.conj()), expected, atol=1e-12)
+
+
+def test_averages_of_many_channels_are_refused():
+    with pytest.raises(RunError, match="averaging would need"):
+        estimators._Averages(1000, 1000, 10_000, "averaging")
 
 
 def test_large_offset_does_not_change_residual():

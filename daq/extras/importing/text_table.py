@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import islice
@@ -222,7 +222,9 @@ class _Table:
         """Yield the first column in blocks, s."""
         lines = islice(self._lines(), self.rows)
         while block := list(islice(lines, BLOCK_LINES)):
-            yield np.array([self._time(*each) for each in block]) * scale
+            numbers = self._parse_numbers(block, (0,))
+            times = np.array([self._time(*each) for each in block]) if numbers is None else numbers[:, 0]
+            yield times * scale
 
     def _time(self, line_number: int, line: str) -> float:
         delimiter = self._layout.delimiter
@@ -278,6 +280,8 @@ class _Table:
 
     def _parse_lines(self, lines: list[tuple[int, str]]) -> Array:
         layout = self._layout
+        if (numbers := self._parse_numbers(lines, layout.cells)) is not None:
+            return numbers
         texts = [line.replace(",", ".") if layout.decimal_comma else line for _, line in lines]
         shape = len(lines), len(layout.names)
         try:
@@ -288,6 +292,33 @@ class _Table:
             # Lines with empty cells, times of day or errors are read cell by cell.
             pass
         return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
+
+    def _parse_numbers(self, lines: list[tuple[int, str]], cells: Sequence[int] | None) -> Array | None:
+        """Return cells of lines of plain numbers, shape (lines, cells); None for other lines and for blanks between."""
+        import pyarrow
+        import pyarrow.csv
+
+        delimiter = self._layout.delimiter
+        if delimiter is None:
+            return None
+        # LabVIEW files may have a column of comments.
+        text, count = "".join(line for _, line in lines), lines[0][1].count(delimiter) + 1
+        columns = [str(column) for column in range(count)]
+        included = columns if cells is None else [str(cell) for cell in cells]
+        try:
+            table = pyarrow.csv.read_csv(
+                pyarrow.BufferReader((text.replace(",", ".") if self._layout.decimal_comma else text).encode()),
+                pyarrow.csv.ReadOptions(use_threads=False, column_names=columns),
+                pyarrow.csv.ParseOptions(delimiter=delimiter, quote_char=False),
+                pyarrow.csv.ConvertOptions(
+                    column_types=dict.fromkeys(columns, pyarrow.float64()), include_columns=included, null_values=[""]
+                ),
+            )
+        except (pyarrow.ArrowInvalid, pyarrow.ArrowKeyError):
+            return None
+        expected = (len(lines), len(included))
+        is_complete = table.shape == expected and (cells is not None or count == len(self._layout.names))
+        return np.stack([column.to_numpy() for column in table.columns], axis=1) if is_complete else None
 
     def _parse_line(self, line_number: int, line: str) -> list[float]:
         """Return the numbers of a line, NaN for empty cells; raise `RecordingError` with line and column otherwise."""

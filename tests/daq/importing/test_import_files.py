@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from typer.testing import CliRunner
 import daq
 import rig
 from daq.commands.cli import app
+from daq.extras.importing import text_table
 from daq.extras.importing.channel_table import Column
+from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
 from rig.core.base.errors import RecordingError, SceneError, ShotrigError
 from tests.daq.importing.files import (
@@ -579,3 +582,41 @@ def test_first_column_in_seconds_is_time(tmp_path):
     (tmp_path / "a.txt").write_bytes((heading + rows).encode("latin-1"))
     listed = CliRunner().invoke(app, ["import", str(tmp_path / "a.txt")]).output
     assert 'signal1: {column: "G1,1", unit: "m/s²"}  # 300 samples at 1000 Hz' in listed
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "1,2\n3,-4.5e-3\n",
+        "1,2\r\n3,4\r\n",
+        "1,2\r3,4",
+        "1, 2 \n 3,4\n",
+        "1,\n,4\n",
+        "nan,inf\n-inf,1e400\n",
+        '"1",2\n3,4\n',
+        "+1,2\n3,4\n",
+        "1,2\n3,1e-400\n",
+        "0.1,123456789.123456789\n1e23,5e-324\n",
+    ],
+)
+def test_numbers_are_read_as_by_python(lines, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("a,b\n" + lines, newline="")
+    expected = [[float(cell.strip(' "') or "nan") for cell in line.split(",")] for line in lines.splitlines()]
+    with ExitStack() as stack:
+        columns = [signal.read(0, 2) for signal in text_signals(path, stack)]
+    np.testing.assert_array_equal(np.transpose(columns), expected)
+
+
+def test_plain_numbers_are_parsed_in_blocks(tmp_path, monkeypatch):
+    # Parsing line by line takes minutes for an hour of four channels.
+    rows = "".join(f"{k / 1000},{k % 7}\n" for k in range(100_000))
+    (tmp_path / "a.csv").write_text("time [s],body1 [g]\n" + rows)
+    calls = []
+    parse_line = text_table._Table._parse_line
+    monkeypatch.setattr(text_table._Table, "_parse_line", lambda *each: calls.append(1) or parse_line(*each))
+    monkeypatch.setattr(np, "loadtxt", lambda *_, **__: 1 // 0)
+    with ExitStack() as stack:
+        (signal,) = text_signals(tmp_path / "a.csv", stack)
+        assert signal.read(65_536, 65_539).tolist() == [k % 7 for k in range(65_536, 65_539)]
+    assert len(calls) < 100

@@ -7,7 +7,7 @@ import numpy as np
 from rig.core.base.arrays import Array
 
 # A peak exceeds the minima on both sides by at least this factor.
-_MIN_PROMINENCE = 1.2
+_MIN_PROMINENCE = 1.5
 # The half-power width is read from at least this number of lines; otherwise the resolution determines it.
 _MIN_WIDTH_LINES = 3.0
 

@@ -2,7 +2,7 @@
 "use strict";
 
 const COLORS = { text: "#cfd6de", grid: "#323b46", minor: "#232a32", frame: "#4a5562" };
-const LEFT = 54, RIGHT = 8, TOP = 4, BOTTOM = 32, GAP = 7; // px
+const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
   // `x`: {name, log}; panels are {name, log, share, range, smallest, curves: [{x, y, color, dash, dots, width}]}.
@@ -60,7 +60,7 @@ class Chart {
     context.textBaseline = "middle";
     for (const [value, labeled] of panel.ticks ?? ticks(low, high, height, panel.log, 26)) {
       line(context, LEFT, y(value), right, y(value), labeled ? COLORS.grid : COLORS.minor);
-      if (labeled && y(value) > top + 3 && y(value) < top + height + 5) text(context, digits(value), LEFT - 5, y(value));
+      if (labeled && y(value) > top - 1 && y(value) < top + height + 1) text(context, digits(value), LEFT - 5, y(value));
     }
     for (const [value, labeled] of ticks(...this.range, right - LEFT, this.x.log)) if (labeled || !this.x.log) line(context, this.position(value), top, this.position(value), top + height, COLORS.grid);
     context.strokeStyle = COLORS.frame;
@@ -117,7 +117,7 @@ class Chart {
   }
 }
 
-// Limits of a panel: symmetric on a linear axis, whole decades at most on a logarithmic one.
+// Limits of a panel: symmetric on a linear axis, at most five decades on a logarithmic one.
 function limits(panel) {
   let low = Infinity, high = -Infinity;
   for (const { y } of panel.curves) {

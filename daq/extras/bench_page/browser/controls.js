@@ -33,7 +33,7 @@ const controls = {
     for (const name of ["start", "stop", "hit", "clear"]) $(name).addEventListener("click", () => send(name));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
-    $("hit").hidden = $("hit-panel").hidden = !hasHammer;
+    $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !hasHammer;
     for (const span of SPANS) {
       const button = make($("spans"), "button", `${span} s`);
       button.title = `Show the last ${span} s`;

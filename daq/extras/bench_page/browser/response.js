@@ -24,7 +24,7 @@ const response = {
   },
 
   // Take a message; the curves of a finished test become those of the last test when the next one begins.
-  update({ response: head, arrays, state }) {
+  update({ response: head, arrays }) {
     if (!head) return;
     if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.chart.cursors] = [this.curves, null, []];
     this.head = head;
@@ -33,7 +33,6 @@ const response = {
       const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: phase[k], coherence: coherence[k] }));
       this.curves = { test: head.test, frequency: frequency[0], rows };
     }
-    $("response-note").textContent = head.averages ? `H1, ${head.averages} average${head.averages > 1 ? "s" : ""}` : state.frf_reason || "starts with a test";
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
     this.band = head.band;
     this.draw();
@@ -41,8 +40,15 @@ const response = {
 
   setTheory({ theory, arrays }) {
     this.theory = theory ? null : { frequency: arrays.theory_frequency[0], rows: arrays.theory_magnitude };
-    if (theory) $("response-note").textContent = theory;
+    this.problem = theory;
     this.draw();
+  },
+
+  // What the chart contains, or why it is empty.
+  note(state) {
+    const averages = this.head?.averages;
+    const empty = state.hits.length ? "no accepted hit yet" : state.running ? "begins with the measurement" : "begins with a test";
+    return (averages ? `H1, ${averages} average${averages > 1 ? "s" : ""}` : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
   // The band of the test, or of a pulse: from zero to the highest excited frequency.
@@ -65,7 +71,8 @@ const response = {
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      magnitude.push({ ...style, y: micro(row.magnitude), width: 1.8 });
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.7 });
+      magnitude.push({ ...style, y: micro(row.magnitude).map((value, k) => (row.coherence[k] >= COHERENT ? value : NaN)), width: 2 });
       phase.push({ ...style, y: cut(row.phase, row.coherence) });
       coherence.push({ ...style, y: row.coherence });
     }
@@ -100,8 +107,10 @@ const response = {
   },
 };
 
-// The phase where it is coherent, without the lines across the chart at ±180°.
+// Below this coherence, or if it is not known, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
+
+// The phase where it is coherent, without the lines across the chart at ±180°.
 function cut(phase, coherence) {
   return phase.map((value, k) => (!(coherence[k] >= COHERENT) || (k && Math.abs(value - phase[k - 1]) > 180) ? NaN : value));
 }

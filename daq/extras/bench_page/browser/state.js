@@ -32,6 +32,7 @@ const bar = {
         { name: "N", range: [-0.1 * roundUp(Math.max(...force)), roundUp(Math.max(...force))], curves: [{ x: force.map((_, k) => 1000 * step * k), y: force, color: "#ffffff" }] }]);
     }
     this.showHits(state.hits);
+    setText("response-note", response.note(state));
   },
 
   showRecording({ recording, recorded, enabled, running }) {

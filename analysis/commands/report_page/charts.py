@@ -68,6 +68,8 @@ class Panel:
     limits: tuple[float, float] | None = None  # of the vertical axis
     ticks: Sequence[float] | None = None  # of the vertical axis
     image: dict[str, Any] | None = None  # from `level_image`
+    marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks
+    strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "ticks": panel.ticks,
         "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
         "image": panel.image,
+        "marks": panel.marks,
+        "strips": panel.strips,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +11,17 @@ from numpy.typing import NDArray
 from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement
+from analysis.commands.report_page.tables import with_bound
 from analysis.core.damper_motion.dampers import Dampers
-from analysis.core.recordings.names import belongs_to
+from analysis.core.recordings.names import belongs_to, excitation_text
 from rig.core.base.palette import DAMPER, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.results.uncertainty import expand
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 _REQUIRED = CurveStyle("#6E7681", (2, 2))
+_UNDETERMINED = CurveStyle("#9aa2ab")
 # The axis of bounds relative to the value ends here.
 _MAX_PERCENT = 100.0
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
@@ -41,25 +45,62 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
         if not several and len({frf.label for frf in group}) == 1:
             names = [frf.response for frf in group]
         styles = recording_styles([belongs_to(frf.label, reference) for frf in group]) if several else None
-        charts.append(response_chart(group, names, styles))
+        chart = response_chart(group, names, styles, _peak_marks(with_responses, group, several, reference))
+        tests = {each.label: excitation_text(each.rec) for each in with_responses}
+        levels = [text if len(tests) == 1 else f"{label}: {text}" for label, text in tests.items() if text]
+        charts.append(
+            replace(chart, caption=f"{chart.caption} Test: {'; '.join(levels)}." if levels else chart.caption)
+        )
     return charts
 
 
-def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Sequence[CurveStyle] | None = None) -> Chart:
+def _peak_marks(
+    measurements: Sequence[Measurement], frfs: Sequence[Response], several: bool, reference: str
+) -> list[tuple[float, float, str]]:
+    """Return frequency, height and label of the highest peak near each mode of a recording, if it is in a chart.
+
+    The label is the natural frequency of the table, with four digits at most. `several`: label only the `reference`.
+    """
+    marks = []
+    for measurement in measurements:
+        for sweep in measurement.sweeps[:1] if not several or measurement.label == reference else ():
+            for k, found in enumerate(sweep.peaks):
+                if sweep.modes is None or found is None or not any(found[0] is frf for frf in frfs):
+                    continue
+                _, factor = found[0].shown_in
+                frequency, bound = float(sweep.modes.frequency[k]), float(expand(sweep.modes.frequency_error[k]))
+                text = float(with_bound(frequency, bound).partition(" ")[0])
+                marks.append((found[1].frequency, factor * found[1].value, f"{text:.4g} Hz"))
+    return marks
+
+
+def response_chart(
+    frfs: Sequence[Response],
+    names: Sequence[str],
+    styles: Sequence[CurveStyle] | None = None,
+    marks: Sequence[tuple[float, float, str]] = (),
+) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
 
-    `styles`: of the curves; default: those of their bodies.
+    `styles`: of the curves; default: those of their bodies. `marks`: labels of peaks; see `Panel`.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
+    strips: list[tuple[float, float]] = []
     for frf, name, style in zip(thinned, names, styles, strict=True):
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         known = is_determined(frf) & np.isfinite(frf.value)
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
         draw = "points" if known.size <= MAX_POINTS else "line"
-        magnitude.append(Curve(name, f, modulus, low, high, style, draw))
+        magnitude.append(Curve(name, f, np.where(known, modulus, np.nan), low, high, style, draw))
+        unknown = ~known & np.isfinite(frf.value)
+        if unknown.any():
+            strips += _ranges(f, unknown)
+            # One more point on either side makes the curve continuous where it becomes gray.
+            joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
+            magnitude.append(Curve(name, f, np.where(joined, modulus, np.nan), style=_UNDETERMINED, draw="through"))
         if draw == "points":
             through = frf.continued(np.isfinite(frf.value))
             magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
@@ -72,10 +113,12 @@ def response_chart(frfs: Sequence[Response], names: Sequence[str], styles: Seque
     band = np.concatenate([frf.frequency for frf in thinned])
     return Chart(
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % intervals, phase, coherence, "
-        "and expanded uncertainty relative to the value.",
+        "and expanded uncertainty relative to the value."
+        + (" Labels: natural frequencies of the table." if marks else "")
+        + (" Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." if strips else ""),
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
-            Panel(f"|{quantity}|", unit, magnitude, height=280, logarithmic=True, limits=_limits(magnitude)),
+            Panel(f"|{quantity}|", unit, magnitude, 280, True, _limits(magnitude), marks=marks, strips=strips),
             Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
             Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
             Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True, limits=_percent_limits(relative)),
@@ -115,6 +158,18 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
             logarithmic=needs_logarithmic_axis(frequency),
         )
     ]
+
+
+def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return the ends of the ranges of selected frequencies, each half way to the next frequency.
+
+    >>> _ranges(np.arange(5.0), np.array([False, True, True, False, True]))
+    [(0.5, 2.5), (3.5, 4.0)]
+    """
+    middle = np.concatenate([f[:1], (f[1:] + f[:-1]) / 2.0, f[-1:]])
+    steps = np.diff(np.concatenate([[0], selected.astype(int), [0]]))
+    ends = zip(middle[np.flatnonzero(steps > 0)], middle[np.flatnonzero(steps < 0)], strict=True)
+    return [(min(a, b), max(a, b)) for a, b in ((float(f"{a:.8g}"), float(f"{b:.8g}")) for a, b in ends)]
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:

@@ -248,6 +248,8 @@ def test_undetermined_values_have_no_band() -> None:
     curve = Response.curve(f, np.full(f.size, 1e-6 + 0j), "body1", limits={"sensors": bound})
     magnitude, *_, relative = response_chart([curve], ["body1"]).panels
     assert np.array_equal(np.isnan(np.asarray(magnitude.curves[0].high)), f < 15.0)
+    assert np.array_equal(np.isnan(np.asarray(magnitude.curves[0].y)), f < 15.0)
+    assert magnitude.strips == [(10.0, 14.75)]
     assert relative.limits is not None and relative.limits[1] == 100.0 == np.max(np.asarray(relative.curves[0].y))
 
 
@@ -272,6 +274,15 @@ def test_headline_has_the_intervals_of_the_table() -> None:
 def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path) -> None:
     text = write_report(recordings[:1], tmp_path, note="J. Doe <1>").files[0].read_text("utf-8")
     assert "J. Doe &lt;1&gt;" in text and "Modal assurance criterion" in text and "required force" in text
+
+
+def test_peak_labels_have_the_frequencies_of_the_table(page: Path) -> None:
+    text = page.read_text("utf-8")
+    labels = {
+        label for marks in re.findall(r'"marks":(\[\[.*?\]\])', text) for label in re.findall(r'"(.*?) Hz"', marks)
+    }
+    table = text.partition("Resonances, with 95 % intervals")[2].partition("</table>")[0]
+    assert labels and labels <= {f"{float(frequency):.4g}" for frequency in re.findall(r">([\d.]+) ±", table)}
 
 
 def test_drawing_names_bodies_and_sensors() -> None:

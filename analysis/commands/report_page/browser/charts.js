@@ -73,6 +73,28 @@
     context.restore();
   }
 
+  // Strips at the axis where the values are undetermined, and labels of peaks.
+  function annotate(plot, panel) {
+    const context = plot.ctx, { left, top, width, height } = plot.bbox, ratio = window.devicePixelRatio || 1;
+    const inside = (x) => Math.min(Math.max(x, left), left + width);
+    context.save();
+    context.fillStyle = "#9aa2ab";
+    for (const ends of panel.strips) {
+      const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
+      context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
+    }
+    context.fillStyle = theme("text");
+    context.font = `${12 * ratio}px system-ui, sans-serif`;
+    for (const [x, y, label] of panel.marks) {
+      const px = plot.valToPos(x, "x", true), half = context.measureText(label).width / 2;
+      if (px < left || px > left + width) continue;
+      context.textAlign = "center";
+      const at = Math.min(Math.max(px, left + half), left + width - half);
+      context.fillText(label, at, Math.max(plot.valToPos(y, "y", true) - 6 * ratio, top + 12 * ratio));
+    }
+    context.restore();
+  }
+
   // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between.
   function labeledMantissas(low, high) {
     const wide = Math.log10(high / low);
@@ -310,7 +332,7 @@
         bands,
         cursor: { sync: { key: `chart${number}`, setSeries: false, scales: ["x", null] }, drag: { x: true, y: false } },
         legend: { show: false },
-        hooks: { setCursor: [(u) => show(u)], ...(canvas ? { drawClear: [(u) => drawImage(u, panel.image, canvas)] } : {}) },
+        hooks: { setCursor: [(u) => show(u)], draw: [(u) => annotate(u, panel)], ...(canvas ? { drawClear: [(u) => drawImage(u, panel.image, canvas)] } : {}) },
       }, table(panel), holder);
       zoomByTouch(plot);
       drawn.push(plot);

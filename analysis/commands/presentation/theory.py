@@ -69,7 +69,7 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
 
 def _without_moving_dampers(scene: Scene) -> Scene:
     """Return a scene without dampers, except those that add a constant mass, and without weight."""
-    locked = tuple(damper for damper in scene.dampers if not damper.moves)
+    locked = tuple(damper for damper in scene.dampers if not damper.impacts)
     return scene.replace(dampers=locked, channels=None, gravity=0.0)
 
 

@@ -110,10 +110,17 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
     `RecordingError` if the recording contains no steady tone.
     """
-    bodies_with_dampers = sorted({damper.body for damper in rec.scene.dampers if not damper.locked})
+    impacting = [damper for damper in rec.scene.dampers if not damper.locked and damper.spring is None]
+    bodies_with_dampers = sorted({damper.body for damper in impacting})
     results = []
     for sweep in sweeps(rec, progress=progress):
-        bodies, missing, warnings = [], [], list(sweep.lines.warnings)
+        bodies, warnings = [], list(sweep.lines.warnings)
+        missing = [
+            f"{rec.scene.structure.label(damper.body)}: a mass on a spring has no impacts. The energy into the dampers "
+            "includes its loss."
+            for damper in rec.scene.dampers
+            if damper.spring is not None and damper.moves
+        ]
         for number in bodies_with_dampers:
             info = motion_channel_at(rec, f"body {number}")
             if info is None:

@@ -160,7 +160,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]
     loss = loss_per_squared_speed[events["damper"] - 1] * events["speed"] ** 2
-    has_finite_contact = [damper.moves and damper.contact is not None for damper in rec.scene.dampers]
+    has_finite_contact = [damper.impacts and damper.contact is not None for damper in rec.scene.dampers]
     losses = []
     for frequency, (first, stop) in zip(sweep.lines.frequency, sweep.windows, strict=True):
         is_inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)

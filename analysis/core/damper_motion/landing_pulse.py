@@ -85,7 +85,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     inside = {
         number: damper
         for number, damper in enumerate(scene.dampers, 1)
-        if damper.moves and location == f"body {damper.body}"
+        if damper.impacts and location == f"body {damper.body}"
     }
     dampers = inside.values()
     if any(damper.grains is not None for damper in dampers):

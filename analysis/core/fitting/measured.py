@@ -89,7 +89,7 @@ class Curves:
     @property
     def has_moving_dampers(self) -> bool:
         """Whether there are dampers that can move in their cavities."""
-        return any(damper.moves for damper in self.scene.dampers)
+        return any(damper.impacts for damper in self.scene.dampers)
 
 
 def measured_curves(rec: Recording, name: str) -> list[Curves]:
@@ -121,7 +121,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
     has_table = spring is not None or default_reference(rec) == "table"
     reference = "table" if has_table and not rec.test.kind.hammered else "force"
     has_tones = rec.test.kind.steady
-    if any(damper.moves for damper in scene.dampers) and not has_tones:
+    if any(damper.impacts for damper in scene.dampers) and not has_tones:
         raise RecordingError(
             f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."

@@ -57,8 +57,8 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
     if curves.reference == "table":
         states = states / states[system.points.index(test_scene.at_driven("table"))]
     beds = states[system.damper_coordinate]
-    beds[system.finite_contact] += states[system.gap_coordinate[system.finite_contact]]
-    return states[: test_scene.structure.bodies], beds[system.clearance > 0.0]
+    beds[~system.detached] += states[system.gap_coordinate[~system.detached]]
+    return states[: test_scene.structure.bodies], beds[np.isfinite(system.take_off_acceleration)]
 
 
 def linear_derivatives(

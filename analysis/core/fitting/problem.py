@@ -204,7 +204,7 @@ class Problem:
                 continue
             test_scene = scene_of_test(scene, group.curves)
             for number, damper in enumerate(test_scene.dampers):
-                if damper.body == body and damper.moves:
+                if damper.body == body and damper.impacts:
                     points = self.operating_points(x, group.curves)
                     largest = max(largest, group.orbits.largest_gap(test_scene, *points, number))
         return largest if np.isfinite(largest) else 0.0
@@ -310,12 +310,13 @@ class Problem:
     ) -> ComplexArray:
         """Differentiate the residuals of a group in which no damper moves; shape (fitted, responses, indices)."""
         curves, is_fitted, count = group.curves, group.is_fitted, len(self.parameters)
-        # Of dampers at rest on their floors, only the masses have an effect.
+        # Of dampers at rest on their floors, only the masses have an effect; of tuned mass dampers also these keys.
+        own_keys = ("mass", "mass_ratio", "spring", "damping")
         effective = [
             k
             for k in indices
             if k < count
-            and (self.parameters[k].damper is None or self.parameters[k].quantity in ("mass", "mass_ratio"))
+            and (self.parameters[k].damper is None or self.parameters[k].key_path[2:] in [(key,) for key in own_keys])
         ]
         values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
         changed_scenes = [self._changed_scene(k, float(values[k]), scene, curves) for k in effective]

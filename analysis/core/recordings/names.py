@@ -149,7 +149,7 @@ def belongs_to(label: str, recording: str) -> bool:
 
 def has_moving_dampers(rec: Recording) -> bool:
     """Return whether a recording is of a structure with dampers that can move."""
-    return any(damper.moves for damper in rec.scene.dampers)
+    return any(damper.impacts for damper in rec.scene.dampers)
 
 
 def excitation_text(rec: Recording) -> str:

@@ -104,7 +104,7 @@ def _impact_ratio(scene: Scene, body: int) -> float:
     masses = [
         bed_mass
         for damper, bed_mass in zip(scene.dampers, bed_masses(scene, mass_matrix(scene.structure)), strict=True)
-        if damper.body == body and damper.moves and not (damper.contact or damper.grains)
+        if damper.body == body and damper.impacts and not (damper.contact or damper.grains)
     ]
     return float(sum(masses)) * _inverse_mass(scene, body)
 

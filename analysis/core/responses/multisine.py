@@ -114,7 +114,7 @@ def best_linear_approximation(
         tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
         n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding,
     )  # fmt: skip
-    dampers_move = any(damper.moves for damper in rec.scene.dampers)
+    dampers_move = any(damper.impacts for damper in rec.scene.dampers)
     if count == 1:
         return replace(noise_only, warnings=(*notes, ONE_REALIZATION)) if dampers_move else noise_only
     deviations = (realization_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
@@ -134,7 +134,7 @@ def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str
     if reference == "force":
         row = reference_of(rec, "force").row(rec, averages.channels, averages.frequency)
         force = np.abs(np.sum(row * averages.mean, axis=0))
-    for body in {damper.body for damper in rec.scene.dampers if not damper.locked}:
+    for body in {damper.body for damper in rec.scene.dampers if damper.impacts}:
         info = motion_channel_at(rec, f"body {body}")
         if info is not None and reference == "force":
             accelerance = np.nan_to_num(abs(averages.frf(rec, info.name, motion="acceleration").value))

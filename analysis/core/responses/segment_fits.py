@@ -343,7 +343,7 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
 
 def warn_of_dampers(rec: Recording) -> tuple[str, ...]:
     """Return a warning if dampers may move; the response is then valid only for this excitation."""
-    if not any(damper.moves for damper in rec.scene.dampers):
+    if not any(damper.impacts for damper in rec.scene.dampers):
         return ()
     return (
         "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "

@@ -465,7 +465,7 @@ def _sweep(
     mean = np.stack([tone.amplitude[:, 0] for tone in tones], axis=1)
     windows = np.array([point.window for point in points])
     # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
-    is_linear = not any(damper.moves for damper in rec.scene.dampers)
+    is_linear = not any(damper.impacts for damper in rec.scene.dampers)
     settle = getattr(rec.scene.test, "settle", None)
     undetected = 0.0 if is_linear or settle is None else _UNDETECTED_TRANSIENT * settle.tolerance
     wait = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate

@@ -43,12 +43,13 @@ class Cavity:
     x: float  # position of its middle
     width: float
     ceiling: float | None  # height of the ceiling; None if it is above the drawing
+    rest: float = 0.0  # height of the damper at rest above the floor
 
     @property
     def damper(self) -> Box:
-        """Center and size of the damper on its floor."""
+        """Center and size of the damper at rest."""
         size = (self.width - 2 * _DAMPER_MARGIN, DEPTH - WALL - _DAMPER_MARGIN - 0.001, DAMPER_HEIGHT)
-        return (self.x, -WALL / 2, WALL + DAMPER_HEIGHT / 2), size
+        return (self.x, -WALL / 2, WALL + self.rest + DAMPER_HEIGHT / 2), size
 
 
 def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[Cavity]:
@@ -59,7 +60,10 @@ def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[
     for number, index in enumerate(dampers_of_body):
         clearance = dampers[index].clearance * exaggeration
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
-        result.append(Cavity(index, (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2, cavity_pitch - WALL, ceiling))
+        # A mass on a spring moves to both sides.
+        rest = 0.0 if dampers[index].spring is None else HEADROOM / 2
+        x = (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2
+        result.append(Cavity(index, x, cavity_pitch - WALL, ceiling, rest))
     return result
 
 

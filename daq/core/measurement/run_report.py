@@ -188,7 +188,9 @@ def _instantaneous_impact_note(rec: Recording, overloaded: Iterable[str]) -> str
         scene = rec.scene
     except ShotrigError:
         return ""
-    has_instant_impacts = [damper.contact is None and damper.grains is None for damper in scene.dampers]
+    has_instant_impacts = [
+        damper.impacts and damper.contact is None and damper.grains is None for damper in scene.dampers
+    ]
     sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
     if not any(has_instant_impacts) or all(
         each is None or complete_from_preset(each).saturation is None for each in sensors.values()

@@ -31,7 +31,9 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
     The level is the force in N, or the drive in the shaker's unit.
     """
     accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
-    return float(system.gravity / accelerations.max()) if accelerations.max(initial=0.0) > 0.0 else np.inf
+    with np.errstate(divide="ignore"):
+        levels = system.take_off_acceleration[:, None] / accelerations if accelerations.size else accelerations
+    return float(levels.min(initial=np.inf))
 
 
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
@@ -53,9 +55,13 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
     `rehearsals`: simulations of parts of the test.
     """
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
-    exceeds_gravity = level * _acceleration_per_level(scene, system, frequencies) > system.gravity
+    exceeds_gravity = (
+        level * _acceleration_per_level(scene, system, frequencies) > system.take_off_acceleration[:, None]
+    )
     names_by_range: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
+        if np.isinf(system.take_off_acceleration[row]):
+            continue
         impacts = [(rehearsal, time) for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]
         flight_range = ""
         if exceeds_gravity.size:

@@ -5,6 +5,7 @@ Effects that are not in the scene are not modeled.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Shaker
 from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.spheres import spheres_of
 from rig.core.system.structural_model import StructuralModel, structural_model
 
@@ -137,6 +138,7 @@ def explain(scene: SceneLike) -> Explanation:
         "ceilings",
         "restitution",
         "finite-duration contact",
+        "tuned mass dampers",
         "grains",
         "coil spring and table",
         "coil current",
@@ -212,7 +214,11 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
             f"{1e3 * spheres.mass:.4g} g; position, velocity, angular velocity; "
             f"step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
-    one_mass = ~system.grains  # dampers whose particles are modeled as one mass
+    texts = [_tuned_mass_text(element, scene.structure) for element in system.elements if not element.law.walls]
+    if texts:
+        yield Effect("motion", "tuned mass dampers", 2 * len(texts), "; ".join(texts))
+    # Dampers whose particles are modeled as one mass.
+    one_mass = ~system.grains & np.array([bool(element.law.walls) for element in system.elements])
     if not one_mass.any():
         return
     bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
@@ -230,6 +236,18 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect("motion", "restitution", 0, ratios)
     if system.finite_contact.any():
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
+
+
+def _tuned_mass_text(element: Element, structure: Structure) -> str:
+    """Describe a mass on a spring, with natural frequency and damping ratio on a body at rest."""
+    [force] = element.law.forces
+    assert force is not None
+    omega = math.sqrt(-force.gap / element.mass)
+    return (
+        f"in {structure.label(element.body + 1)}: {1e3 * element.mass:.4g} g on {-force.gap:.4g} N/m and "
+        f"{-force.speed:.4g} N s/m ({omega / (2.0 * math.pi):.4g} Hz, damping ratio "
+        f"{-50.0 * force.speed / (element.mass * omega):.3g} %)"
+    )
 
 
 def _wall_texts(system: HybridSystem, structure: Structure) -> Iterable[str]:

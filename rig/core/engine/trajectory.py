@@ -82,5 +82,5 @@ def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Arr
     contact = trajectory.contact.T
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
     gap = np.maximum(np.where(contact == FLIGHT, gap, np.where(contact == FLOOR, 0.0, ceiling)), 0.0)
-    gap[system.finite_contact] = trajectory.state[:, system.gap_coordinate[system.finite_contact]].T
+    gap[~system.detached] = trajectory.state[:, system.gap_coordinate[~system.detached]].T
     return gap, np.ascontiguousarray(contact)

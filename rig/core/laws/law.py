@@ -91,16 +91,34 @@ class Wall(NamedTuple):
 
 
 class Law(NamedTuple):
-    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first."""
+    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first.
+
+    `account`: entry of the energy balance (`rig.core.simulation.energy.Energy`) for the loss in its dashpots.
+    """
 
     modes: dict[str, Mode]
     start: str
     walls: tuple[Wall, ...] = ()
+    account: str = "contacts"
 
     @property
     def key(self) -> tuple[object, ...]:
         """The content of the law, which can be hashed."""
         return tuple(self.modes.items()), self.start
+
+    @property
+    def rests_on_wall(self) -> bool:
+        """Whether the element is at rest on a wall at the start, which it leaves if its body accelerates by 1 g."""
+        return self.modes[self.start].wall != FLIGHT
+
+    def mode_at(self, wall: int, gap: float) -> str:
+        """Return the first mode that touches a wall, or no wall (`FLIGHT`), and contains a gap, m."""
+        return next(
+            name
+            for name, mode in self.modes.items()
+            if mode.wall == wall
+            and all(signal.low <= gap <= signal.high for signal in mode.signals if signal.row == GAP)
+        )
 
     @property
     def force_indices(self) -> dict[str, int]:

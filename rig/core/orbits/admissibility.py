@@ -226,7 +226,8 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
-        if equations.gap_coordinate[j] >= 0:
+        # An element without walls has no borders.
+        if equations.stiffness[j, 0] > 0.0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
     return distances
 

@@ -20,7 +20,7 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.orbit_equations import Sequence
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.hybrid_system import Element, HybridSystem
 
 BOUNCE = {kinds.FLOOR: kinds.FLOOR_BOUNCE, kinds.CEILING: kinds.CEILING_BOUNCE}
 #: Wall state of a damper after an event.
@@ -37,8 +37,6 @@ WALL_AFTER_EVENT = {
     kinds.PRESS_CEILING: kinds.ON_CEILING,
     kinds.RELEASE: kinds.WITHOUT_FORCE,
 }
-#: Mode of the law for each wall state.
-MODES = ("flight", "floor", "ceiling", "free", "on floor", "on ceiling")
 #: Overlap, relative to the largest gap, above which a new contact force is a press event instead of a touch.
 MIN_RELATIVE_OVERLAP = 1e-9
 
@@ -175,25 +173,28 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
 
 def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
-    return np.asarray(contacts, dtype=np.int64) + np.where(system.finite_contact, kinds.WITHOUT_FORCE, kinds.FLYING)
+    return np.asarray(contacts, dtype=np.int64) + np.where(system.detached, kinds.FLYING, kinds.WITHOUT_FORCE)
+
+
+def _mode(element: Element, wall: int, gap: float) -> str:
+    """Return the engine's mode for a wall state of a sequence and a gap, m."""
+    return element.law.mode_at(wall - (kinds.FLYING if element.gap < 0 else kinds.WITHOUT_FORCE), gap)
 
 
 def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
     """Return the engine's modes for wall states of a sequence and the states z, shape (dampers,)."""
-    modes = []
-    for wall, element in zip(walls.tolist(), system.elements, strict=True):
-        name, gap = MODES[wall], z[element.gap]
-        # A damper without contact force may still overlap a wall from which it was released.
-        if wall == kinds.WITHOUT_FORCE:
-            [signal] = element.law.modes[name].signals
-            name = "recovers from floor" if gap < signal.low else "recovers from ceiling" if gap > signal.high else name
-        modes.append(list(element.law.modes).index(name))
-    return modes
+    # A damper without contact force may still overlap a wall from which it was released.
+    return [
+        list(element.law.modes).index(_mode(element, wall, float(z[element.gap]) if element.gap >= 0 else 0.0))
+        for wall, element in zip(walls.tolist(), system.elements, strict=True)
+    ]
 
 
 def configuration_of(walls: list[int], system: HybridSystem) -> int:
     """Return the configuration for wall states of a sequence."""
-    return system.configuration([MODES[wall] for wall in walls])
+    return system.configuration(
+        [_mode(element, wall, 0.0) for wall, element in zip(walls, system.elements, strict=True)]
+    )
 
 
 def make_plan(

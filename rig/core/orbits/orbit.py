@@ -121,7 +121,7 @@ class Orbit(Result):
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
         gaps = np.where(wall == kinds.FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
         gaps = np.where(wall == kinds.RIDES_CEILING, system.clearance, gaps)
-        gaps[..., system.finite_contact] = track.motion[..., system.gap_coordinate[system.finite_contact]]
+        gaps[..., ~system.detached] = track.motion[..., system.gap_coordinate[~system.detached]]
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
             "time_s": track.times.ravel(),

@@ -15,7 +15,7 @@ from rig.core.base.errors import RunError
 from rig.core.engine.propagator import Propagator, tone_propagator
 from rig.core.engine.state import CONFIGURATION
 from rig.core.engine.trajectory import Trajectory
-from rig.core.laws.events import CONTACT_EVENTS, FLOOR
+from rig.core.laws.events import CONTACT_EVENTS
 from rig.core.orbits.event_sequence import (
     Plan,
     configuration_of,
@@ -188,7 +188,7 @@ def start_propagator(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if from_linear_response:
-        plan = make_plan([], [], walls_from_contacts(np.full(system.dampers, FLOOR), system), 1, system)
+        plan = make_plan([], [], walls_from_contacts(system.start_contacts, system), 1, system)
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.

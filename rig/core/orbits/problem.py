@@ -371,12 +371,16 @@ def vary(setting: OperatingPoint, parameter: str) -> Callable[[float], Operating
 
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
+    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers.
+
+    The forces are those for a clearance of zero.
+    """
     riding = np.array(system.held(configuration), dtype=np.intp)
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)
-    return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
+    preload = system.with_clearance(0.0).contact_forces(configuration)[1]  # of springs that are not relaxed at 0
+    return system.mass + added_mass, system.force_constant + preload - system.gravity * added_mass.sum(axis=0)
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Annotated, ClassVar
 
@@ -95,17 +96,24 @@ class Grains(Settings):
 
 
 class Damper(Settings):
-    """A particle damper: the bed as one mass that rests on the floor, separates, and hits floor and ceiling."""
+    """A particle damper (a mass that rests on a floor, separates, hits floor and ceiling) or a tuned mass damper."""
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
+    required_unless: ClassVar = {"clearance": "spring"}
     body: Body
     """The body with the cavity, by its number from 1 or its name; a body may have several."""
     mass: Annotated[float, Quantity(MASS, above=0.0)] | None = None
     """Mass of the bed [kg]."""
     mass_ratio: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
     """Instead of `mass`: ratio of the bed's mass to the mass of its body."""
-    clearance: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)]
-    """Free height of the cavity above the bed [m]; infinite: no ceiling, 0: the bed cannot move."""
+    clearance: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)] = math.inf
+    """Free height of the cavity above the bed [m]; infinite: no ceiling, 0: the bed cannot move. Required without
+    `spring`."""
+    spring: Annotated[float, Quantity(STIFFNESS, above=0.0)] | None = None
+    """Stiffness of the spring of a tuned mass damper [N/m]. The mass then has no floor and no ceiling; its displacement
+    is measured from its position at rest."""
+    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
+    """Damping of the dashpot next to the spring [N s/m]."""
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None
@@ -113,15 +121,25 @@ class Damper(Settings):
     grains: Grains | None = None
     """The bed as spheres (requires the optional dependency `grains`); by default the bed is one mass."""
     locked: bool = False
-    """Whether the bed is glued to the floor."""
+    """Whether the mass is glued to its body."""
 
     @property
     def moves(self) -> bool:
-        """Return whether the bed can move in its cavity: it is not locked and has clearance."""
+        """Return whether the mass can move in its body: it is not locked and has clearance."""
         return not self.locked and self.clearance > 0.0
 
+    @property
+    def impacts(self) -> bool:
+        """Return whether the mass can hit a wall; without walls a damper is linear."""
+        return self.moves and self.spring is None
+
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the restitution is given once, and that the bed is either one mass or grains."""
+        """Check that a mass on a spring has no walls, and that beds have one restitution, of one mass or of grains."""
+        if self.spring is None and self.damping:
+            yield Problem(("damping",), "damping is that of a tuned mass damper. Add the spring, or remove damping.")
+        for key in ("clearance", "restitution", "contact", "grains") if self.spring is not None else ():
+            if getattr(self, key) != type(self).model_fields[key].default:
+                yield Problem((key,), f"a mass on a spring has no walls. Remove {key}, or remove the spring.")
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:

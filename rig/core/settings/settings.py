@@ -54,6 +54,8 @@ class Settings(_Model):
 
     # Groups of keys; exactly one key of each group must be given.
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    # Keys that must be given unless another key is given.
+    required_unless: ClassVar[Mapping[str, str]] = {}
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with some fields changed, validated like the original.
@@ -123,6 +125,8 @@ class Settings(_Model):
         class_schema["description"] = str(cls.__doc__).split("\n\n")[0]
         if cls.one_of:
             class_schema["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
+        if cls.required_unless:
+            class_schema["anyOf"] = [{"required": [key]} for pair in cls.required_unless.items() for key in pair]
         if "kind" in cls.model_fields:
             class_schema["required"] = ["kind", *class_schema.get("required", ())]
         for name, field in cls.model_fields.items():
@@ -204,13 +208,16 @@ class Settings(_Model):
 
     @classmethod
     def _check_groups(cls, data: Mapping[str, Any]) -> Iterable[Problem]:
+        misspelled = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
         for group in cls.one_of:
             given_keys = [key for key in group if data.get(key) is not None]
-            misspelled = {nearest_key(str(key), cls.keys()) for key in data if key not in cls.keys()}  # noqa: SIM118
             if len(given_keys) != 1 and not (not given_keys and misspelled.intersection(group)):
                 alternatives = " or ".join(group)
                 reason = f"{' and '.join(given_keys)} given together" if given_keys else f"{alternatives} missing"
                 yield Problem((), f"{reason}; expected exactly one of {alternatives}")
+        for key, other in cls.required_unless.items():
+            if data.get(key) is None and data.get(other) is None and not misspelled.intersection((key, other)):
+                yield Problem((key,), f"missing; expected {cls._expected_value(key)}")
 
     @classmethod
     def _check_kinds(cls, data: Mapping[str, Any], known_paths: set[KeyPath]) -> Iterable[Problem]:

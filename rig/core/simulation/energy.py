@@ -12,16 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.engine.flow_tables import FlowTables
-from rig.core.engine.state import State
+from rig.core.engine.state import CONFIGURATION, State
 from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING, FLIGHT
+from rig.core.laws.law import Row
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.system.hybrid_system import FORCE_OF_BED, HybridSystem
 
@@ -44,7 +44,7 @@ class Energy:
     work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
     stored: float
     stored_before: float
-    dissipated: float  # energy dissipated in structural damping, suspension and coil resistance
+    dissipated: float  # energy dissipated in structural damping, tuned mass dampers, suspension and coil resistance
     impacts: float  # energy lost in impacts
     contacts: float
     grains: float  # energy transferred to beds of grains: stored in their motion, and dissipated
@@ -135,14 +135,14 @@ def energy_balance(
     """
     forms = quadratic_forms(tables.system, tables.drive.output)
     intervals = _intervals(tables, trajectory, segment_states, durations)
-    work, dissipated, dashpots, to_grains = _integrate(tables, forms, *intervals)
+    work, to_grains, lost = _integrate(tables, forms, *intervals)
     return Energy(
         work=work,
         stored=_stored_energy(tables, forms, end),
         stored_before=_stored_energy(tables, forms, start),
-        dissipated=dissipated,
+        dissipated=lost["dissipated"],
         impacts=_impact_losses(tables.system, trajectory),
-        contacts=dashpots + _release_losses(tables, trajectory),
+        contacts=lost["contacts"] + _release_losses(tables, trajectory),
         grains=to_grains,
     )
 
@@ -227,49 +227,66 @@ def _integrate(
     table_indices: NDArray[np.int64],
     lengths: Array,
     starts: Array,
-) -> tuple[float, float, float, float]:
-    """Integrate power, dissipation in structure and contacts, and power into grains over the intervals."""
-    work = dissipated = dashpots = to_grains = 0.0
+) -> tuple[float, float, dict[str, float]]:
+    """Return work of the drive, energy transferred to grains, and losses in structure and elements by entry, J."""
+    work = to_grains = 0.0
+    lost = {"dissipated": 0.0, "contacts": 0.0}
     system = tables.system
-    walls = _walls(tables)
+    forces = _force_numbers(tables)
     for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
         fractions = durations / tables.step
-        in_contact = np.flatnonzero(system.finite_contact & (walls[table_index] != FLIGHT))
-        damping = system.wall_damping[in_contact, walls[table_index, in_contact] - 1]
+        dashpots = _dashpots(system, forces[table_index])
         for node, weight in zip(*_GAUSS_RULE, strict=True):
             at_node = _sum_series(terms, fractions * node)
             node_weights = weight * durations
             work += float(node_weights @ _quadratic(forms.power, at_node))
-            dissipated += float(node_weights @ _quadratic(forms.dissipated, at_node))
+            lost["dissipated"] += float(node_weights @ _quadratic(forms.dissipated, at_node))
             if forms.to_grains.any():
                 to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
-            dashpots += float(
-                node_weights @ (at_node[:, system.coordinates + system.gap_coordinate[in_contact]] ** 2 @ damping)
-            )
-    return work, dissipated, dashpots, to_grains
+            for account, (coordinates, damping) in dashpots.items():
+                lost[account] += float(node_weights @ (at_node[:, system.coordinates + coordinates] ** 2 @ damping))
+    return work, to_grains, lost
 
 
-def _walls(tables: FlowTables) -> NDArray[np.int64]:
+def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> dict[str, tuple[NDArray[np.intp], Array]]:
+    """Return the coordinates and the damping [N s/m] of the dashpots in the elements, by entry of the balance.
+
+    `forces`: number of the force of each element in its law.
+    """
+    by_account: dict[str, list[tuple[int, float]]] = {}
+    for element, index in zip(system.elements, forces.tolist(), strict=True):
+        force = element.law.forces[index]
+        if force is not None and force.gap:
+            by_account.setdefault(element.law.account, []).append((element.gap, -force.speed))
+    return {
+        account: (np.array([gap for gap, _ in dashpots]), np.array([damping for _, damping in dashpots]))
+        for account, dashpots in by_account.items()
+    }
+
+
+def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:
     """Return the number of the force of each element in its law; shape (configurations, elements)."""
     configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)
     return tables.system.force_indices(configurations)
 
 
-def _contact_energy(system: HybridSystem, walls: NDArray[Any], states: Array) -> Array:
-    """Return the energy in contact springs, J; `walls`, shape (states, dampers), as in `_walls`."""
+def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Array) -> Array:
+    """Return the energy in the springs of the elements, J; `numbers`, shape (states, elements): of their forces."""
     energy = np.zeros(len(states))
-    for j in np.flatnonzero(system.finite_contact):
-        stiffness = np.append(0.0, system.wall_stiffness[j])[walls[:, j]]
-        overlap = states[:, system.gap_coordinate[j]] - np.where(walls[:, j] == CEILING, system.clearance[j], 0.0)
-        energy += 0.5 * stiffness * overlap**2
+    for element, number in zip(system.elements, numbers.T, strict=True):
+        if element.gap >= 0:
+            forces = [force or Row() for force in element.law.forces]
+            stiffness = np.array([-force.gap for force in forces])[number]
+            rest = np.array([force.rest for force in forces])[number]
+            energy += 0.5 * stiffness * (states[:, element.gap] - rest) ** 2
     return energy
 
 
 def _release_losses(tables: FlowTables, trajectory: Trajectory) -> float:
     """Return the energy [J] of contact springs that are still compressed at release: they recover without force."""
-    walls = _walls(tables)
-    before = _contact_energy(tables.system, walls[trajectory.table_index_before], trajectory.state_before)
-    after = _contact_energy(tables.system, walls[trajectory.table_index_after], trajectory.state_after)
+    numbers = _force_numbers(tables)
+    before = _spring_energy(tables.system, numbers[trajectory.table_index_before], trajectory.state_before)
+    after = _spring_energy(tables.system, numbers[trajectory.table_index_after], trajectory.state_after)
     return float((before - after).sum())
 
 
@@ -312,16 +329,17 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
     height = np.where(is_flying, state.height, wall_height)
     velocity = np.where(is_flying, state.velocity, z[n + body])
     energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
-    energy += float(_contact_energy(system, contact[None], z[None])[0])
-    # Beds with finite-duration contact are part of the mass matrix.
-    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
+    numbers = system.force_indices(np.array(state.counters[CONFIGURATION]))
+    energy += float(_spring_energy(system, numbers[None], z[None])[0])
+    # Dampers whose gap is a coordinate are part of the mass matrix.
+    masses = np.where(system.detached, system.damper_mass, 0.0)
     return energy + float(masses @ (system.gravity * height + 0.5 * velocity**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Return the kinetic energy lost at the breaks, J."""
     n = system.coordinates
-    masses = np.where(system.finite_contact, 0.0, system.damper_mass)
+    masses = np.where(system.detached, system.damper_mass, 0.0)
     loss = 0.0
     for sign, states, damper_velocities in (
         (1.0, trajectory.state_before, trajectory.damper_velocity_before),

@@ -20,7 +20,8 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, s
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
     `segment_duration`: duration of a segment of the trajectory, s.
 
-    Returns one of these types for each damper: "riding" (at rest on the floor throughout), "I" (one floor impact per
+    Returns one of these types for each damper: "riding" (at rest on the floor throughout), "linear" (not at rest on a
+    wall at the start, and no impacts), "I" (one floor impact per
     period), "II" (one floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay),
     "k per n" (k impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
     """
@@ -42,7 +43,7 @@ def type_of(
     if n_periods == 0:
         return "irregular"
     if floor_impacts + ceiling_impacts == 0:
-        return "riding"
+        return "riding" if system.elements[damper].law.rests_on_wall else "linear"
     if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 0:
         return "I"
     if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 1:
@@ -61,9 +62,11 @@ def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSyst
 
 
 def combined_type(types: list[str]) -> str:
-    """Combine the motion types of all dampers; "linear" without dampers.
+    """Combine the motion types of all dampers; "linear" without dampers that can hit a wall.
 
     >>> combined_type(["I", "II", "I"])
     'I/II'
+    >>> combined_type(["linear", "riding"]), combined_type([])
+    ('riding', 'linear')
     """
-    return "/".join(sorted(set(types))) if types else "linear"
+    return "/".join(sorted(set(types) - {"linear"})) or "linear"

@@ -18,6 +18,7 @@ from rig.core.equations import Equations
 from rig.core.laws.landing import spring_damper
 from rig.core.laws.law import Law
 from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.wall_contact import wall_contact
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
 from rig.core.scene.scene import Scene
@@ -36,9 +37,9 @@ def assemble(scene: Scene) -> HybridSystem:
     """Return the hybrid linear system of a scene, in its initial state.
 
     The coordinates are the bodies, then the tables (heads) of the shakers that have one, then the beds with
-    finite-duration contact. Dampers that are locked or have no clearance are part of the mass matrix; the others are
-    free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or the test starts from the static
-    equilibrium of a structure without support.
+    finite-duration contact and the masses on springs. Dampers that are locked or have no clearance are part of the mass
+    matrix; the others are free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or the test
+    starts from the static equilibrium of a structure without support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
@@ -67,9 +68,14 @@ def assemble(scene: Scene) -> HybridSystem:
 
 
 def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
-    """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies and tables, shape (coordinates, coordinates)."""
+    """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies, tables and masses on springs.
+
+    The shape is (coordinates, coordinates).
+    """
     model = structural_model(scene)
     equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
+    for mass in model.tuned:
+        equations.support(_add_bed(equations, mass.body, mass.mass, 0.0), mass.stiffness, mass.damping)
     return equations.matrices()
 
 
@@ -95,7 +101,10 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
     """
     damper, gap = scene.dampers[number - 1], -1
     declare: Callable[[float], Law] = partial(particle_bed, damper.restitution)
-    if damper.contact is not None:
+    if damper.spring is not None:
+        gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
+        declare = partial(spring_mass, damper.spring, damper.damping, mass * scene.gravity)
+    elif damper.contact is not None:
         gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
         declare = partial(wall_contact, *_stiffness_and_damping(damper, 1.0 / (1.0 / mass + inverse_mass)))
     return Element(
@@ -188,12 +197,13 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     Raises `SceneError` if nothing supports the structure.
     """
     n = system.coordinates
-    load = system.force_constant.copy()
-    riding = ~system.finite_contact
+    force, constant = system.contact_forces(system.start)
+    load = system.force_constant + constant
+    riding = system.detached
     np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
     if not load.any():
         return np.zeros(n)
-    stiffness = -(system.force_state + system.contact_forces(system.start)[0])[:, :n]
+    stiffness = -(system.force_state + force)[:, :n]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(
             f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under the weight of "

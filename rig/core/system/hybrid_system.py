@@ -172,8 +172,13 @@ class HybridSystem:
         return np.array([element.is_grains for element in self.elements], dtype=bool)
 
     def with_clearance(self, clearance: float) -> HybridSystem:
-        """Return the system with the same clearance of all dampers, m."""
-        return replace(self, elements=tuple(replace(element, clearance=clearance) for element in self.elements))
+        """Return the system with the same clearance of all dampers that have walls, m."""
+        return replace(
+            self,
+            elements=tuple(
+                replace(element, clearance=clearance) if element.law.walls else element for element in self.elements
+            ),
+        )
 
     def reject_grains(self) -> None:
         """Raise `SceneError` if a damper is a bed of grains, which the engine cannot simulate."""
@@ -187,14 +192,25 @@ class HybridSystem:
     @property
     def coupled(self) -> bool:
         """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
-        coordinates = self.damper_coordinate[~self.finite_contact]
+        coordinates = self.damper_coordinate[self.detached]
         # Without coupling, each of these rows of the mass matrix has one nonzero element, and belongs to one damper.
         return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size)
 
     @property
+    def detached(self) -> NDArray[np.bool_]:
+        """Whether the position of each damper is not a coordinate, bool (dampers,)."""
+        return self.gap_coordinate < 0
+
+    @property
     def finite_contact(self) -> np.ndarray:
         """Whether the contact of each damper has a duration, bool (dampers,)."""
-        return self.gap_coordinate >= 0
+        return np.asarray(self.wall_stiffness.any(axis=1))
+
+    @property
+    def take_off_acceleration(self) -> np.ndarray:
+        """Acceleration of its body at which each damper leaves its wall, m/s^2; infinite without a wall."""
+        rests = np.array([element.law.rests_on_wall for element in self.elements], dtype=bool)
+        return np.where(rests, self.gravity, np.inf)
 
     @property
     def reduced_mass(self) -> np.ndarray:
@@ -229,6 +245,11 @@ class HybridSystem:
     def start(self) -> int:
         """Configuration in which every element is in the mode at its start: the dampers on their floors."""
         return self.configuration([element.law.start for element in self.elements])
+
+    @property
+    def start_contacts(self) -> NDArray[np.int8]:
+        """Wall that each element touches at the start (`rig.core.laws.events`), shape (elements,)."""
+        return np.array([element.law.modes[element.law.start].wall for element in self.elements], dtype=np.int8)
 
     def force_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of each element's force in `Law.forces`, shape of `configurations` and (elements,)."""

@@ -141,8 +141,8 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     n, ns = system.coordinates, system.states
     descriptor_matrix, state_matrix, input_vector = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
-    riding = system.damper_coordinate[~system.finite_contact]
-    np.add.at(mass, (riding, riding), system.damper_mass[~system.finite_contact])
+    riding = system.damper_coordinate[system.detached]
+    np.add.at(mass, (riding, riding), system.damper_mass[system.detached])
     descriptor_matrix[n : 2 * n, n : 2 * n] = mass
     state_matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.start)

@@ -58,6 +58,23 @@ class NaturalModes:
         return np.asarray(self.decay_rate / np.maximum(self.omega, 1e-9))
 
 
+@dataclass(frozen=True)
+class TunedMass:
+    """A mass on a spring and a dashpot in a body; SI units. `damper`, `body`: indices from 0."""
+
+    damper: int
+    body: int
+    mass: float
+    stiffness: float
+    damping: float
+
+    def dynamic_stiffness(self, omega: Array) -> ComplexArray:
+        """Return the force on the body that its motion needs, per displacement, N/m; `omega`: rad/s."""
+        spring = self.stiffness + 1j * omega * self.damping
+        inertia = -(omega**2) * self.mass
+        return np.asarray(spring * inertia / (spring + inertia))
+
+
 @dataclass(frozen=True, eq=False)
 class StructuralModel:
     """M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
@@ -65,7 +82,8 @@ class StructuralModel:
     `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
 
     `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: index of the body of each damper, from 0, shape
-    (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,).
+    (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,). `tuned`: the masses on
+    springs, which `response` includes.
     """
 
     mass: Array
@@ -74,6 +92,7 @@ class StructuralModel:
     bed_mass: Array = field(default_factory=lambda: np.zeros(0))
     bed_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     locked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    tuned: tuple[TunedMass, ...] = ()
 
     @cached_property
     def modes(self) -> NaturalModes:
@@ -92,7 +111,8 @@ class StructuralModel:
         missing = [number for number in numbers if not 1 <= number <= count]
         if missing:
             raise SceneError(f"riding: damper {missing[0]} does not exist. Give numbers of dampers from 1 to {count}.")
-        beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)})
+        on_springs = {mass.damper for mass in self.tuned}
+        beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)} - on_springs)
         if not beds:
             return self
         mass = self.mass.copy()
@@ -117,7 +137,9 @@ class StructuralModel:
         for first in range(0, frequencies_hz.size, step):
             block = slice(first, first + step)
             omega = 2.0 * np.pi * frequencies_hz[block, None, None]
-            dynamic_stiffness = self.stiffness + 1j * omega * self.damping - omega**2 * self.mass
+            dynamic_stiffness = np.asarray(self.stiffness + 1j * omega * self.damping - omega**2 * self.mass, complex)
+            for mass in self.tuned:
+                dynamic_stiffness[:, mass.body, mass.body] += mass.dynamic_stiffness(omega[:, 0, 0])
             try:
                 right_side = force[:, None] if force.ndim == 1 else force[:, block].T[:, :, None]
                 response[:, block] = np.linalg.solve(dynamic_stiffness, right_side)[:, :, 0].T
@@ -131,7 +153,7 @@ class StructuralModel:
 
 @once_per_object
 def structural_model(scene: Scene) -> StructuralModel:
-    """Return the matrices of a scene's structure, without the coil spring, and the masses of its beds.
+    """Return the matrices of a scene's structure, without the coil spring, and its dampers.
 
     A damper's mass ratio is relative to the mass of its body or, if matrices are given, to the diagonal element of M.
 
@@ -143,7 +165,13 @@ def structural_model(scene: Scene) -> StructuralModel:
     mass, damping, stiffness = _shared_matrices(scene.structure)
     body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
     locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
-    return StructuralModel(mass, damping, stiffness, bed_masses(scene, mass), body, locked)
+    masses = bed_masses(scene, mass)
+    tuned = tuple(
+        TunedMass(k, damper.body - 1, float(masses[k]), damper.spring, damper.damping)
+        for k, damper in enumerate(scene.dampers)
+        if damper.spring is not None and damper.moves
+    )
+    return StructuralModel(mass, damping, stiffness, masses, body, locked, tuned)
 
 
 def bed_masses(scene: Scene, mass: Array) -> Array:
@@ -159,7 +187,8 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
 
     `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
-    to their bodies. The masses of dampers that are locked or have no clearance are always added.
+    to their bodies. The masses of dampers that are locked or have no clearance are always added, and masses on springs
+    vibrate on these.
 
     Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
     or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.

@@ -77,6 +77,10 @@ class FirstOrderForm:
                 "structure: the compared methods require a diagonal mass matrix and at most one damper in a body. "
                 "Choose a scene without these couplings."
             )
+        if any(not element.law.walls for element in system.elements):
+            raise SceneError(
+                "dampers: the compared methods require dampers with a floor, but one is a mass on a spring. Remove it."
+            )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers
         self.first_height, self.constant_index = ns, ns + 2 * nd

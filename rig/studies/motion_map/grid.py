@@ -35,9 +35,9 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
     neither that level nor the clearance, or the scene has no level or no moving damper.
     """
     level_of(scene)
-    if not assemble(scene).dampers:
+    if not np.isfinite(assemble(scene).take_off_acceleration).any():
         raise SceneError(
-            f"scene {scene.name!r} has no damper that moves, so that its response is linear. Use rig response."
+            f"scene {scene.name!r} has no damper that can hit a wall, so that its response is linear. Use rig response."
         )
     level_quantity = scene.level_key
     over = over if over is not None else level_quantity
@@ -100,18 +100,19 @@ def take_off_levels(scene: Scene, frequency: Array) -> Array:
 
     `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
-    return assemble(scene).gravity / damper_accelerations(scene, frequency).max(axis=0)
+    system = assemble(scene)
+    take_off = system.take_off_acceleration[np.isfinite(system.take_off_acceleration)]
+    return np.asarray((take_off[:, None] / damper_accelerations(scene, frequency)).min(axis=0))
 
 
 def damper_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the acceleration of each damper that moves per unit of level, m/s^2; shape (dampers, frequencies).
+    """Compute the acceleration of each damper that can leave its floor, per unit of level, m/s^2.
 
-    All dampers are on their floors. `frequency`: Hz.
+    All these dampers are on their floors. `frequency`: Hz. Returns shape (dampers, frequencies).
     """
     system = assemble(scene)
-    return np.stack(
-        [accelerations_per_level(scene, system, 2.0 * np.pi * f)[system.damper_coordinate] for f in frequency], axis=1
-    )
+    bodies = system.damper_coordinate[np.isfinite(system.take_off_acceleration)]
+    return np.stack([accelerations_per_level(scene, system, 2.0 * np.pi * f)[bodies] for f in frequency], axis=1)
 
 
 def select_row_values(

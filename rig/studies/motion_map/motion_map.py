@@ -147,7 +147,7 @@ class MotionMap(Result):
     def own_value(self) -> float | None:
         """Return the level or clearance of the scene, if it is unique and within the map."""
         if self.over == "clearance":
-            clearances = {d.clearance for d in self.scene.dampers if d.moves}
+            clearances = {d.clearance for d in self.scene.dampers if d.impacts}
             value = clearances.pop() if len(clearances) == 1 else np.inf
         else:
             value = level_of(self.scene)
@@ -252,7 +252,7 @@ def map_motion(
 
 def _scene_at(scene: Scene, over: str, value: float) -> Scene:
     if over == "clearance":
-        dampers = [d.replace(clearance=value) if d.moves else d for d in scene.dampers]
+        dampers = [d.replace(clearance=value) if d.impacts else d for d in scene.dampers]
         return scene.replace(dampers=dampers)
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(**{over: value}))
@@ -314,6 +314,8 @@ def _kind_index(damper_motion: str) -> int:
     >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
     ['riding', 'III', 'other, every period', 'longer period', 'irregular']
     """
+    if damper_motion == "linear":
+        return 0  # a damper without walls does not change the kind of the motion
     if damper_motion in KINDS:
         return KINDS.index(damper_motion)
     return KINDS.index("other, every period" if damper_motion.endswith(" per 1") else "longer period")

@@ -146,6 +146,11 @@ def single_mode(
         if damper.locked:
             mass[damper.body - 1, damper.body - 1] += md
             continue
+        if damper.spring is not None:
+            raise SceneError(
+                f"damper in body {damper.body}: a mass on a spring; the approximate method assumes a floor. Remove the "
+                "damper, or use rig.orbit_response."
+            )
         if damper.grains is not None:
             raise SceneError(
                 f"scene {scene.name!r}: the damper in body {damper.body} is a bed of grains; the "

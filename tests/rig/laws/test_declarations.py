@@ -6,14 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rig
 from rig.core.engine.propagator import tone_propagator
+from rig.core.laws.events import CEILING_IMPACT, FLOOR_IMPACT
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import tone_drive
 from tests.rig.laws.dense import DenseMotion
 
 PERIODS = 8
+#: Slower impacts belong to the end of infinitely many rebounds, m/s.
+SLOWEST_IMPACT = 1e-6
 REBOUND = {"restitution": 0.4}
 CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "A": ("reference-A", {}),
@@ -31,6 +35,11 @@ def test_motion_is_that_of_the_declaration(case: str) -> None:
     name, changes = CASES[case]
     scene = rig.load(name)
     scene = scene.replace(dampers=[damper.replace(**changes) for damper in scene.dampers])
+    assert assert_motion_as_declared(scene, PERIODS) > 10
+
+
+def assert_motion_as_declared(scene: rig.Scene, periods: int, tolerance: float = 1e-12) -> int:
+    """Compare a motion under a tone with the oracle, times within a tolerance, s; return the number of events."""
     system = assemble(scene)
     tone = tone_drive(scene, system)
     assert tone is not None
@@ -38,18 +47,30 @@ def test_motion_is_that_of_the_declaration(case: str) -> None:
     propagator.set_state(tone.state, np.array([1.0, 0.0]))
     oracle = DenseMotion(system, propagator.drive, np.concatenate([tone.state, [1.0, 0.0]]))
     energy = oracle.stored_energy()
-    trajectory = propagator.propagate_tone(np.array([steps]), np.full(PERIODS, -1), np.ones(1, dtype=bool))
-    oracle.advance(PERIODS * 2.0 * np.pi / tone.omega)
+    trajectory = propagator.propagate_tone(np.array([steps]), np.full(periods, -1), np.ones(1, dtype=bool))
+    oracle.advance(periods * 2.0 * np.pi / tone.omega)
 
-    computed = np.array(oracle.events)
     times = trajectory.event_segment * steps * propagator.tables.step + trajectory.event_offset
-    assert len(computed) > 10
-    np.testing.assert_array_equal(computed[:, 1:3], np.stack([trajectory.event_damper, trajectory.event_kind], 1))
-    np.testing.assert_allclose(computed[:, 0], times, rtol=0, atol=1e-12)
-    is_impact = trajectory.event_speed > 0.0
-    np.testing.assert_allclose(computed[is_impact, 3], trajectory.event_speed[is_impact], rtol=0, atol=1e-11)
+    log = np.stack([times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed], axis=1)
+    declared, computed = (without_last_rebounds(events) for events in (np.array(oracle.events).reshape(-1, 4), log))
+    np.testing.assert_array_equal(computed[:, 1:3], declared[:, 1:3])
+    np.testing.assert_allclose(computed[:, 0], declared[:, 0], rtol=0, atol=tolerance)
+    np.testing.assert_allclose(computed[:, 3], declared[:, 3], rtol=0, atol=10 * tolerance)
     n, bodies = oracle.n, system.coordinates
     state = np.concatenate([oracle.state[:bodies], oracle.state[n : n + bodies]])
-    np.testing.assert_allclose(state, propagator.state.z[: 2 * bodies], rtol=0, atol=1e-11 * np.abs(state).max())
+    np.testing.assert_allclose(
+        state, propagator.state.z[: 2 * bodies], rtol=0, atol=10 * tolerance * np.abs(state).max()
+    )
     residual = oracle.work - (oracle.stored_energy() - energy) - oracle.lost
     assert abs(residual) < 1e-13 * max(abs(oracle.work), oracle.lost, energy)
+    return len(computed)
+
+
+def without_last_rebounds(events: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the events without impacts that are so slow that their number depends on rounding.
+
+    The speed of other events is set to zero.
+    """
+    is_impact = np.isin(events[:, 2], (FLOOR_IMPACT, CEILING_IMPACT))
+    events = np.where(is_impact[:, None] | (np.arange(4) < 3), events, 0.0)
+    return events[~is_impact | (events[:, 3] > SLOWEST_IMPACT)]

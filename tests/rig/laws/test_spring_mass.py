@@ -1,0 +1,167 @@
+"""Tuned mass dampers: fixed points of Den Hartog, an independent oracle, and every study of the product."""
+
+from __future__ import annotations
+
+from math import inf, pi, sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.core.laws.law import faults
+from rig.core.laws.spring_mass import spring_mass
+from rig.core.system.structural_model import receptance
+from rig.studies.cost.motion_study import motion_study
+from rig.studies.motion_map.grid import take_off_levels, vertical_axis
+from tests.rig.laws.test_declarations import assert_motion_as_declared
+
+MASS, STIFFNESS, MASS_RATIO = 1.0, 4e3, 0.05
+MIXED = {"body": 2, "mass_ratio": "6 %", "clearance": "0.98 mm"}
+TUNED = rig.load("tuned-mass-damper")
+
+
+def den_hartog(damping_ratio: float) -> rig.Scene:
+    """Return an undamped body with a damper of the optimal frequency, driven by 1 N."""
+    omega, mass = sqrt(STIFFNESS / MASS) / (1.0 + MASS_RATIO), MASS_RATIO * MASS
+    damper = {"body": 1, "mass": mass, "spring": mass * omega**2, "damping": 2.0 * damping_ratio * mass * omega}
+    content: dict[str, Any] = {
+        "structure": {"masses": [MASS], "springs": [STIFFNESS]},
+        "dampers": [damper],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": 10.0, "force": 1.0},
+    }
+    return rig.load(content)
+
+
+def with_particle_damper(restitution: float = 0.0) -> rig.Scene:
+    """Return the third mode of a structure with a particle damper and a tuned mass damper, 3.3 N."""
+    test = {"kind": "sine", "frequency": 49.6, "force": 3.3}
+    dampers = [{"body": 3, "mass": 0.03, "spring": 2.7e3, "damping": 2.0}, MIXED | {"restitution": restitution}]
+    return TUNED.replace(dampers=dampers, test=test)
+
+
+def test_declaration_has_no_faults() -> None:
+    assert faults(spring_mass(1e3, 0.5, 1.0, inf)) == []
+
+
+@pytest.mark.parametrize("damping_ratio", [0.02, 0.127, 0.5])
+def test_fixed_points_are_those_of_den_hartog(damping_ratio: float) -> None:
+    # At two frequencies the amplitude is sqrt(1 + 2 / mu) times the static one, for any damping.
+    spread = sqrt(MASS_RATIO / (2.0 + MASS_RATIO))
+    ratios = np.sqrt((1.0 + np.array([-spread, spread])) / (1.0 + MASS_RATIO))
+    frequencies = ratios * sqrt(STIFFNESS / MASS) / (2.0 * pi)
+    response = rig.frequency_response(den_hartog(damping_ratio), frequencies)
+    expected = sqrt(1.0 + 2.0 / MASS_RATIO) / STIFFNESS
+    np.testing.assert_allclose(np.abs(response.compliance[0]), expected, rtol=1e-6)
+    np.testing.assert_allclose(np.abs(receptance(den_hartog(damping_ratio), frequencies)[0]), expected, rtol=1e-12)
+
+
+def test_optimal_damping_levels_both_peaks() -> None:
+    optimum = sqrt(3.0 * MASS_RATIO / (8.0 * (1.0 + MASS_RATIO)))
+    frequencies = np.linspace(7.0, 13.0, 4001)
+    peaks = {
+        factor: np.abs(receptance(den_hartog(factor * optimum), frequencies)[0]).max() for factor in (0.8, 1.0, 1.25)
+    }
+    assert peaks[1.0] < min(peaks[0.8], peaks[1.25])
+    assert peaks[1.0] == pytest.approx(sqrt(1.0 + 2.0 / MASS_RATIO) / STIFFNESS, rel=0.01)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_systems_move_as_declared(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    bodies = int(random.integers(1, 6))
+    damped = random.permutation(bodies)[: random.integers(1, 5)] + 1
+    dampers = []
+    for body in damped.tolist():
+        mass = float(10.0 ** random.uniform(-2.5, -0.5))
+        if random.random() < 0.6:
+            stiffness = mass * float(random.uniform(30.0, 300.0)) ** 2
+            dashpot = float(random.choice([0.0, 0.1, 1.5])) * sqrt(mass * stiffness)
+            dampers.append({"body": body, "mass": mass, "spring": stiffness, "damping": dashpot})
+        else:
+            clearance = float(random.choice([3e-4, 1e-3, inf]))
+            restitution = float(random.choice([0.0, 0.4]))
+            dampers.append({"body": body, "mass": mass, "clearance": clearance, "restitution": restitution})
+    content: dict[str, Any] = {
+        "structure": {
+            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
+            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
+            "damping": {"modal": 0.01},
+        },
+        "dampers": dampers,
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
+    }
+    assert_motion_as_declared(rig.load(content), periods=5, tolerance=1e-10)
+
+
+def test_energy_balance_includes_the_dashpot() -> None:
+    energy = rig.simulate(with_particle_damper(restitution=0.3), duration=1.0, rate=2000.0).energy
+    assert energy.impacts > 0.0 and energy.contacts == 0.0
+    assert abs(energy.residual) < 1e-13 * energy.work
+
+
+def test_rest_is_an_equilibrium() -> None:
+    test = {"kind": "free", "displacement": [0.0, 0.0, 0.0], "duration": 0.2}
+    run = rig.simulate(TUNED.replace(shaker=None, test=test), duration=0.2, rate=1000.0)
+    assert np.abs(run.gap).max() < 1e-15 and np.ptp(run.displacement) < 1e-3
+    assert np.abs(run.velocity).max() < 1e-13
+
+
+def test_orbit_with_particle_damper_is_the_steady_motion() -> None:
+    scene = with_particle_damper()
+    orbit, response = rig.periodic_orbit(scene, 49.6), rig.frequency_response(scene, [49.6])
+    assert orbit.stable and orbit.motion_type == response.motion_type[0] == "II"
+    np.testing.assert_allclose(orbit.compliance, response.compliance[:, 0], rtol=1e-6)
+    assert orbit.damper_motion == ("linear", "II")
+
+
+def test_orbit_without_walls_is_the_receptance() -> None:
+    orbits = rig.orbit_response(TUNED, [11.0, 12.5, 14.0])
+    np.testing.assert_allclose(orbits.compliance, receptance(TUNED, [11.0, 12.5, 14.0]), rtol=1e-8)
+    assert set(orbits.motion_type) == {"linear"}
+
+
+def test_orbits_follow_the_mass_factor() -> None:
+    scene = with_particle_damper()
+    curve = rig.follow_orbits(scene, "mass_ratio", (1.0, 1.02), frequency=49.6)
+    heavier = [scene.dampers[0].replace(mass=1.02 * 0.03), scene.dampers[1].replace(mass_ratio=1.02 * 0.06)]
+    expected = rig.frequency_response(scene.replace(dampers=heavier), [49.6])
+    branch = curve.branches[0]
+    assert branch.value.max() == pytest.approx(1.02)
+    last = branch.compliance[:, np.argmax(branch.value)]
+    np.testing.assert_allclose(np.abs(last), np.abs(expected.compliance[:, 0]), rtol=1e-5)
+
+
+def test_explanation_states_frequency_and_damping_ratio() -> None:
+    explanation = rig.explain(TUNED)
+    assert explanation.states["motion"] == 8
+    assert "60 g on 365 N/m and 1.19 N s/m (12.41 Hz, damping ratio 12.7 %)" in str(explanation)
+
+
+def test_only_walls_limit_the_level() -> None:
+    mixed = with_particle_damper()
+    assert np.isfinite(take_off_levels(mixed, np.array([20.0, 49.0]))).all()
+    with pytest.raises(rig.SceneError, match="no damper that can hit a wall"):
+        vertical_axis(TUNED, None)
+
+
+def test_compared_methods_reject_a_mass_on_a_spring() -> None:
+    with pytest.raises(rig.SceneError, match="a mass on a spring"):
+        motion_study(with_particle_damper(), periods=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"clearance": "1 mm"}, "has no walls. Remove clearance"),
+        ({"restitution": 0.3}, "Remove restitution"),
+        ({"contact": {"duration": "2 ms"}}, "Remove contact"),
+        ({"spring": None}, "clearance: missing"),
+    ],
+)
+def test_walls_with_a_spring_are_reported(changes: dict[str, Any], message: str) -> None:
+    damper = {"body": 1, "mass": "50 g", "spring": "1 kN/m"} | changes
+    with pytest.raises(rig.SceneError, match=message):
+        rig.load({"structure": {"masses": [1.0], "springs": [1e4]}, "dampers": [damper]})

@@ -55,9 +55,8 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
     `rehearsals`: simulations of parts of the test.
     """
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
-    exceeds_gravity = (
-        level * _acceleration_per_level(scene, system, frequencies) > system.take_off_acceleration[:, None]
-    )
+    accelerations = level * _acceleration_per_level(scene, system, frequencies)
+    exceeds_gravity = accelerations > (system.take_off_acceleration[:, None] if accelerations.size else np.inf)
     names_by_range: dict[str, list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
         if np.isinf(system.take_off_acceleration[row]):

@@ -124,7 +124,11 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
     properties = node.get("properties", {})
     kind = properties.get("kind", {}).get("const")
     # Groups of keys of which exactly one is required (`Settings.one_of`).
-    groups = [[alternative["required"][0] for alternative in group["oneOf"]] for group in node.get("allOf", ())]
+    groups = [
+        [alternative["required"][0] for alternative in group["oneOf"]]
+        for group in node.get("allOf", ())
+        if "oneOf" in group
+    ]
     for name, field in properties.items():
         if name == "kind":
             continue

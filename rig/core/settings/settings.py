@@ -125,8 +125,8 @@ class Settings(_Model):
         class_schema["description"] = str(cls.__doc__).split("\n\n")[0]
         if cls.one_of:
             class_schema["allOf"] = [{"oneOf": [{"required": [key]} for key in group]} for group in cls.one_of]
-        if cls.required_unless:
-            class_schema["anyOf"] = [{"required": [key]} for pair in cls.required_unless.items() for key in pair]
+        for pair in cls.required_unless.items():
+            class_schema.setdefault("allOf", []).append({"anyOf": [{"required": [key]} for key in pair]})
         if "kind" in cls.model_fields:
             class_schema["required"] = ["kind", *class_schema.get("required", ())]
         for name, field in cls.model_fields.items():

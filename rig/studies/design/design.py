@@ -26,6 +26,7 @@ from rig.studies.design.ranking import is_equally_good, pareto_front
 from rig.studies.design.request import parse_request
 from rig.studies.design.search import estimate_job_count, search
 from rig.studies.design.tolerance import Tolerance, clearance_tolerance
+from rig.studies.design.tuned_mass import TunedMass, best_tuned_mass
 from rig.studies.design.worst_peak import Peak
 
 if TYPE_CHECKING:
@@ -64,6 +65,8 @@ class Design(Result):
         Peaks of the modes in the band and next to it, with and without the dampers.
     flight : Flight
         Take-off level and flight height of the dampers.
+    tuned : TunedMass or None
+        The best tuned mass damper with the mass of all dampers, which is linear; None if no mode moves its bodies.
     trials : tuple of Trial
         All designs computed; `front` is the Pareto front of peak against added mass.
     question : Objective
@@ -86,6 +89,7 @@ class Design(Result):
     tolerance: Tolerance
     modes: tuple[ModePeaks, ...]
     flight: Flight
+    tuned: TunedMass | None
     trials: tuple[Trial, ...]
     question: Objective
     space: SearchSpace
@@ -259,6 +263,9 @@ def design(
         tolerance=tolerance,
         modes=modes,
         flight=compute_flight(objective, best, is_ceiling_unreached=np.isinf(tolerance.high)),
+        tuned=best_tuned_mass(
+            objective, sorted({body for bodies in space.locations for body in bodies}), best.choice.mass
+        ),
         trials=tuple(trials),
         question=objective,
         space=space,

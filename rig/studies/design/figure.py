@@ -116,6 +116,10 @@ def _tables(design: Design) -> list[str]:
     for trial in design.front:
         reductions = "".join(f"{design.reduction(peak):9.1f}" for peak in trial.peaks)
         lines.append(f"{format_decimals(factor * trial.choice.mass, 1):>14}{reductions}  {trial.choice}")
+    if design.tuned is not None:
+        reductions = f"{design.reduction(design.tuned.peak):9.1f}" * len(design.question.levels)
+        mass = format_decimals(factor * design.best.choice.mass, 1)
+        lines.append(f"{mass:>14}{reductions}  for comparison, linear: {design.tuned}")
     lines += ["", f"{'':14}  largest peak in {response_unit}", f"{'mode, Hz':>14}{'without':>10}{levels}"]
     for mode in design.modes:
         peaks = "".join(f"{scale * peak.magnitude:9.4g}" for peak in mode.damped)

@@ -101,6 +101,7 @@ CHANGES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "dampers.body": ({"dampers": None}, {}),
     "dampers.clearance": ({}, {"dampers[1].clearance": "1 mm"}),
     "dampers.restitution": ({}, {"dampers[1].restitution": 0.3}),
+    "dampers.spring": ({"dampers": None}, {"dampers": [{"body": 2, "mass": "10 g", "spring": "40 N/m"}]}),
     "dampers.contact": ({}, {"dampers[1].contact": {"duration": "2 ms"}}),
     "dampers.locked": ({"dampers": None}, {"dampers[1].locked": True}),
     "shaker.spring": (

@@ -101,7 +101,8 @@ class Settings(_Model):
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)
-            if value == field.default:
+            is_required = name in self.required_unless and getattr(self, self.required_unless[name]) is None
+            if value == field.default and not is_required:
                 self.model_fields_set.discard(name)
             for part in value if isinstance(value, tuple) else (value,):
                 if isinstance(part, Settings):

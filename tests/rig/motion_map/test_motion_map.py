@@ -114,7 +114,7 @@ def test_locked_dampers_keep_their_clearance() -> None:
 
 
 def test_linear_scene_is_rejected() -> None:
-    with pytest.raises(SceneError, match="no damper that moves"):
+    with pytest.raises(SceneError, match="no damper that can hit a wall"):
         rig.map_motion("fig8-no-damper")
 
 

@@ -16,6 +16,7 @@ from scipy import fft
 
 from analysis.core.recordings.slices import PIECE_SAMPLES
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.numerics.memory import require_memory_with_program
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -29,6 +30,10 @@ _FILTER_LENGTH = 24
 _KAISER_BETA = 25.5
 # Maximum number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
+# Number of decimated samples that are transformed at a time, unless a single channel has more.
+_MAX_ELEMENTS = 1 << 24
+# Copies of the spectra that are in memory at a time.
+_COPIES = 2
 
 
 def low_spectra(
@@ -39,6 +44,21 @@ def low_spectra(
     The spectra, shape (channels, bins), equal the first bins of `numpy.fft.rfft` of the segment with zeros in front, up
     to `size` samples. The mean squares have the shape (channels,).
     """
+    require_memory_with_program(
+        _COPIES * 16 * bins * len(names), f"{rec.path}: the spectra of {len(names)} channels (--response selects fewer)"
+    )
+    spectra, squares = np.empty((len(names), bins), dtype=complex), np.empty(len(names))
+    step = max(1, int(_MAX_ELEMENTS / min(size, bins / _MAX_FREQUENCY_RATIO)))
+    for first in range(0, len(names), step):
+        group = slice(first, first + step)
+        spectra[group], squares[group] = _spectra_of_group(rec, names[group], start, stop, size, bins)
+    return spectra, squares
+
+
+def _spectra_of_group(
+    rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
+) -> tuple[ComplexArray, Array]:
+    """Compute the result of `low_spectra` for channels whose samples are in memory at a time."""
     max_decimation = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
     decimation = max(divisor for divisor in range(1, max_decimation + 1) if size % divisor == 0)
     taps = np.ones((1, 1))

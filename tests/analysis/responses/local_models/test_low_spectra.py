@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,12 +11,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
+from analysis.core.responses.local_models import low_spectra as module
 from analysis.core.responses.local_models.low_spectra import low_spectra
+from rig.core.base.errors import RunError
 
 
 def recording_of(samples: NDArray[np.float64]) -> Any:
-    """Return a substitute for a recording of channels a and b."""
-    return SimpleNamespace(read=lambda name, start, stop: samples["ab".index(name), start:stop])
+    """Return a substitute for a recording of channels a, b, ..."""
+    read = lambda name, start, stop: samples[ord(name) - ord("a"), start:stop]  # noqa: E731
+    return SimpleNamespace(path="a.mcap", read=read)
 
 
 @pytest.mark.parametrize(
@@ -34,3 +38,23 @@ def test_low_bins_equal_complete_transform(count: int, start: int, zeros: int, b
 
     np.testing.assert_allclose(spectra, expected, atol=1e-11 * np.sqrt(np.mean(abs(expected) ** 2)))
     np.testing.assert_allclose(squares, block.var(axis=1), rtol=1e-12)
+
+
+def test_many_channels_need_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    count, bins = 65_536, 1000
+    recording = recording_of(np.random.default_rng(2).standard_normal((16, count)))
+    whole, _ = low_spectra(recording, "abcdefghijklmnop", 0, count, count, bins)
+    monkeypatch.setattr(module, "_MAX_ELEMENTS", bins / module._MAX_FREQUENCY_RATIO)
+    peaks = []
+    for names in ("ab", "abcdefghijklmnop"):
+        tracemalloc.start()
+        spectra, _ = low_spectra(recording, names, 0, count, count, bins)
+        peaks.append(tracemalloc.get_traced_memory()[1] - spectra.nbytes)
+        tracemalloc.stop()
+    np.testing.assert_array_equal(spectra, whole)
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_too_many_channels_are_refused() -> None:
+    with pytest.raises(RunError, match=r"a\.mcap: the spectra of 26 channels .*--response"):
+        low_spectra(recording_of(np.empty((0, 0))), "abcdefghijklmnopqrstuvwxyz", 0, 10**8, 10**8, 10**6)

@@ -41,7 +41,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 
 def control_charts(rec: Recording) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty without such a test."""
-    if any(mark.kind == "tolerance" for mark in rec.markers) and any(mark.kind == "measure" for mark in rec.markers):
+    if {"identification", "measure"} <= {mark.kind for mark in rec.markers}:
         return [_profile_chart(profile(rec))]
     shocks = shocks_of(rec.markers)
     if not shocks or rec.scene.test is None:

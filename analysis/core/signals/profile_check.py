@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.slices import read_slices
+from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style
+from rig.core.scene.excitation.kind import Chirp
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
 
 # A channel limits the drive where it is nearer to its limit than this, dB, and the control is below the profile.
 _NOTCH_DB = 1.5
+# Number of periods of a window in which the amplitude of a sweep is estimated.
+_PERIODS = 4.0
 # Independent averages per segment, for half-overlapping segments with a Hann window.
 _INDEPENDENT_RATIO = 0.95
 
@@ -153,14 +158,16 @@ def profile(rec: Recording) -> ProfileCheck:
     if not measured:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
-    frequency, rows = _densities(rec, prescription, start, stop)
+    measure = _amplitudes if prescription.resolution is None else _densities
+    frequency, rows = measure(rec, prescription, start, stop)
     bound = prescription.profile.at(frequency)
     channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
     limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
                for each in prescription.limits]  # fmt: skip
     control = prescription.control.combined(np.array([level.values for level in channels]))
+    unit = "m/s²" if prescription.resolution is None else "(m/s²)²/Hz"
     return ProfileCheck(
-        rec.scene.name, "(m/s²)²/Hz", frequency, control, bound, tuple(channels), tuple(limited),
+        rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
         prescription.tolerance, prescription.abort,
     )  # fmt: skip
 
@@ -183,6 +190,42 @@ def _densities(
         values = density * _power_factor(rec.channels[name], lines[inside])
         rows[name] = values, values * quantiles[0], values * quantiles[1]
     return lines[inside], rows
+
+
+def _amplitudes(
+    rec: Recording, prescription: Prescription, start: int, stop: int
+) -> tuple[Array, dict[str, tuple[Array, Array, Array]]]:
+    """Return frequencies and, for each channel, its amplitude in windows of some periods, without an interval.
+
+    The phase of the tone follows from the sweep up to a constant, which does not change the amplitude.
+    """
+    sweep = rec.scene.test
+    assert sweep is not None
+    total, samples = round(sweep.shortest * rec.rate), stop - start
+    phase = sweep.wave(samples, rec.rate)
+    assert isinstance(phase, Chirp)
+    first, frequency, bounds = 0, list[float](), list[tuple[int, int]]()
+    while first < min(samples, total):
+        length = round(_PERIODS * observation_samples(float(phase.frequency[first]), rec.rate) / 2.0)
+        if first + length > samples:
+            break
+        bounds.append((start + first, start + first + length))
+        frequency.append(float(phase.frequency[first + length // 2]))
+        first += length
+    names, middle = list(_names(prescription)), np.array(frequency)
+    if not bounds:
+        raise RecordingError(f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Give a longer duration.")
+    values = np.empty((len(names), middle.size))
+    for k, segment in enumerate(read_slices(rec, names, bounds)):
+        begin = bounds[k][0] - start
+        tone = phase.phase[begin : begin + segment.shape[1]]
+        values[:, k] = abs(estimate_amplitudes(segment, tone, rec.rate)[0])
+    order, none = np.argsort(middle), np.full(middle.size, np.nan)
+    rows: dict[str, tuple[Array, Array, Array]] = {}
+    for name, row in zip(names, values, strict=True):
+        amplitude = row * np.sqrt(_power_factor(rec.channels[name], middle))
+        rows[name] = amplitude[order], none, none
+    return middle[order], rows
 
 
 def _names(prescription: Prescription) -> Iterable[str]:

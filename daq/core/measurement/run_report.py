@@ -118,7 +118,7 @@ def next_steps(rec: Recording) -> list[str]:
         is_one_tone = kind.steady and len({mark.fields.get("frequency") for mark in measured}) == 1
         steps += ["frf"] if is_one_tone else ["frf", "modes"]
     steps = ["srs"] if shocks_of(rec.markers) else steps
-    steps = ["profile", *steps] if "tolerance" in kinds else steps
+    steps = ["profile", *steps] if {"identification", "measure"} <= kinds else steps
     steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 

@@ -17,13 +17,24 @@ from rig.core.scene.excitation.random import Random as Random
 from rig.core.scene.excitation.random_control import RandomControl as RandomControl
 from rig.core.scene.excitation.shock import Shock as Shock
 from rig.core.scene.excitation.sine import Sine as Sine
+from rig.core.scene.excitation.sine_control import SineControl as SineControl
 from rig.core.scene.excitation.stepped_sine import Measure as Measure
 from rig.core.scene.excitation.stepped_sine import SteppedSine as SteppedSine
 from rig.core.scene.excitation.swept_sine import SweptSine as SweptSine
 from rig.core.settings.alternatives import Alternatives, by_kind
 
 Test = Annotated[
-    Sine | SteppedSine | SweptSine | Random | Multisine | Impulse | ConstantResponse | Free | Shock | RandomControl,
+    Sine
+    | SteppedSine
+    | SweptSine
+    | Random
+    | Multisine
+    | Impulse
+    | ConstantResponse
+    | Free
+    | Shock
+    | RandomControl
+    | SineControl,
     Alternatives(by_kind),
 ]
 #: The classes of all kinds.

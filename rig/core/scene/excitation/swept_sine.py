@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -23,7 +23,46 @@ from rig.core.scene.excitation.kind import (
 from rig.core.settings.problems import Problem
 
 
-class SweptSine(KindOfTest):
+class FrequencySweep:
+    """The frequency of a test whose tone sweeps from one end to the other; a subclass has the keys."""
+
+    if TYPE_CHECKING:
+        from_: float
+        to: float
+        duration: float
+        spacing: Spacing
+
+    @property
+    def sweep_direction(self) -> Literal["up", "down"]:
+        """Direction of the sweep."""
+        return "up" if self.from_ < self.to else "down"
+
+    def frequency_at(self, fraction: Any) -> Any:
+        """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
+        if self.spacing == "linear":
+            return self.from_ + (self.to - self.from_) * fraction
+        return self.from_ * (self.to / self.from_) ** fraction
+
+    def periods_at(self, fractions: Array) -> Array:
+        """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
+        if self.spacing == "linear":
+            return self.duration * (self.from_ * fractions + (self.to - self.from_) * fractions**2 / 2)
+        log_ratio = np.log(self.to / self.from_)
+        return np.asarray(self.duration * self.from_ * np.expm1(log_ratio * fractions) / log_ratio)
+
+    def frequency_slope(self, frequency: float) -> float:
+        """Return the change of the frequency per second, Hz/s, at a frequency in Hz."""
+        if self.spacing == "linear":
+            return (self.to - self.from_) / self.duration
+        return float(frequency * np.log(self.to / self.from_) / self.duration)
+
+    def wave(self, samples: int, rate: float) -> Chirp:
+        """Return the tone at its momentary frequency; after the sweep, the last phase."""
+        progress = np.minimum(np.arange(samples) / rate / self.duration, 1.0)
+        return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))
+
+
+class SweptSine(FrequencySweep, KindOfTest):
     """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
 
     one_of: ClassVar = (("force", "drive"),)
@@ -50,26 +89,3 @@ class SweptSine(KindOfTest):
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
             yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
-
-    @property
-    def sweep_direction(self) -> Literal["up", "down"]:
-        """Direction of the sweep."""
-        return "up" if self.from_ < self.to else "down"
-
-    def frequency_at(self, fraction: Any) -> Any:
-        """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
-        if self.spacing == "linear":
-            return self.from_ + (self.to - self.from_) * fraction
-        return self.from_ * (self.to / self.from_) ** fraction
-
-    def periods_at(self, fractions: Array) -> Array:
-        """Return the number of periods of the tone since its start, at fractions, 0 to 1, of the sweep."""
-        if self.spacing == "linear":
-            return self.duration * (self.from_ * fractions + (self.to - self.from_) * fractions**2 / 2)
-        log_ratio = np.log(self.to / self.from_)
-        return np.asarray(self.duration * self.from_ * np.expm1(log_ratio * fractions) / log_ratio)
-
-    def wave(self, samples: int, rate: float) -> Chirp:
-        """Return the tone at its momentary frequency; after the sweep, the last phase."""
-        progress = np.minimum(np.arange(samples) / rate / self.duration, 1.0)
-        return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))

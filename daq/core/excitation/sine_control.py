@@ -1,0 +1,344 @@
+"""Sine test with profile control: a sweep whose drive follows the amplitudes of control and limited channels.
+
+After each window, the drive amplitude d changes by ln d += gain * clip(ln ratio), where the ratio is the smallest of
+profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland, J.
+Debille, Virtual shaker testing, IMAC 2009). An integrator with a delay of m windows is stable for a gain below
+2 sin(pi / (2 (2m + 1))). In a sweep, the deviation at a resonance with the damping ratio D and the decay rate d is
+S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and the window T. The check before the test uses the
+slope of the required drive, whose largest value is 1 / (2 D).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from math import ceil, log, pi, sin
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from daq.core.excitation.identification import EXPECTED_PERIODS, Identified, identify
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
+from rig.core.base.arrays import Array
+from rig.core.numerics.runs import runs_of
+from rig.core.results.text import format_decimals
+from rig.core.scene.excitation.profile import in_decibels
+from rig.core.scene.scene import Scene
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import riding_response
+from rig.core.system.structural_model import structural_model
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import SineControl
+    from rig.core.scene.excitation.kind import KindOfTest
+
+
+# The drive changes after this number of periods, and at least this number of samples.
+_WINDOW_PERIODS, _MIN_WINDOW_SAMPLES = 1.0, 4
+# An observation takes four periods: free vibrations at lower resonances then hardly change it.
+_OBSERVATION_PERIODS = 4.0
+# Largest change of the logarithmic drive per gain: steps down are larger than steps up.
+_MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
+# Period of the identification, s and periods of the lowest frequency.
+_IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
+# The sweep begins when the amplitudes have been within this tolerance, dB, for a number of windows, and at the latest
+# after this time, s.
+_START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
+# Time in which the drive rises at the start and falls at the end, s.
+_RISE_S = 0.25
+# Number of frequencies at which the slope of the drive is computed before the test.
+_CHECKED_FREQUENCIES = 2000
+# An oscillation of the logarithmic error above this reduces the gain by a factor; it recovers with a power.
+_OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
+# CPU time of each period, s, measured on one core of 2 GHz.
+_PERIOD_CPU_S = 0.3e-3
+
+
+class Observation(NamedTuple):
+    """Amplitudes in the samples from `first` on, in the sweep."""
+
+    first: int
+    stop: int
+    frequency: float  # Hz
+    deviation: float  # of the control from the profile, dB
+    limiting: int  # index of the limit that determines the drive; -1: the profile
+
+
+def loop_gain(speed: float, delay: float) -> float:
+    """Return the gain for a delay in windows; `speed`: relative to the limit of stability.
+
+    >>> [round(loop_gain(1.0, delay), 2) for delay in (1, 2, 3)]
+    [1.0, 0.62, 0.45]
+    """
+    return speed * 2.0 * sin(pi / (2.0 * (2.0 * ceil(delay) + 1.0)))
+
+
+def next_drive(drive: float, ratio: float, gain: float) -> float:
+    """Return the next drive amplitude; `ratio`: required over measured amplitude."""
+    return drive * float(np.exp(gain * np.clip(log(max(ratio, 1e-12)), -_MAX_DECREASE, _MAX_INCREASE)))
+
+
+def sweep_deviation(test: SineControl, frequency: float, slope: float, latency: float = 0.0) -> float:
+    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency); `latency`: s.
+
+    The largest slope at a resonance is 1 / (2 D).
+    """
+    lag = _WINDOW_PERIODS / frequency / loop_gain(test.speed, _delay(frequency, latency)) + slope / (pi * frequency)
+    return float(20.0 / log(10.0) * test.rate_at(frequency) * slope * lag)
+
+
+def _delay(frequency: float, latency: float) -> float:
+    """Return the delay of the loop in windows: an observation, and the latency, s."""
+    return (_OBSERVATION_PERIODS + latency * frequency) / _WINDOW_PERIODS
+
+
+def _observation_samples(frequency: float, rate: float) -> int:
+    """Return the number of samples of an observation at a frequency in Hz."""
+    return max(observation_samples(frequency, rate), round(_OBSERVATION_PERIODS * rate / frequency))
+
+
+class SineSweep:
+    """A sweep with its controller."""
+
+    def __init__(self, station: Station, test: SineControl) -> None:
+        self.station, self.test = station, test
+        self.rows = [station.row_of(name) for _, name in test.named_channels]
+        self.control = len(test.control.channels)
+        self.total, self.completed = station.samples(test.duration), 0
+        self.drive, self.phase = 0.0, 0.0
+        self.observations: list[Observation] = []
+        self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
+        self.limited = False  # whether the output limited the drive
+        self._caution, self._error = 1.0, 0.0  # factor of the gain; last logarithmic error
+
+    def bounds(self, frequency: float) -> tuple[float, Array]:
+        """Return profile and limits at a frequency, m/s^2; infinite without a limit."""
+        limits = np.array([float(limit.at(np.array(frequency))) for limit in self.test.limits])
+        return float(self.test.profile.at(np.array(frequency))), np.where(np.isfinite(limits), limits, np.inf)
+
+    def ratios(self, amplitudes: Array, frequency: float) -> Array:
+        """Return required over measured amplitude: of the control, and of each limited channel."""
+        profile, limits = self.bounds(frequency)
+        control = max(float(self.test.control.combined(amplitudes[: self.control])), 1e-12 * profile)
+        return np.append(profile / control, limits / np.maximum(amplitudes[self.control :], 1e-12 * profile))
+
+    def first_drive(self, found: Identified, period: int) -> float:
+        """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
+        frequency = found.lines * self.station.rate / period
+        gains = zip(np.abs(found.gain).T, frequency.tolist(), strict=True)
+        drive = [float(self.ratios(gain, f).min()) for gain, f in gains]
+        worst, shaker = int(np.argmax(drive)), self.station.scene.driven_shaker
+        assert shaker is not None
+        if drive[worst] > self.station.output_limit:
+            unit = shaker.drive_unit
+            raise GivenUp(
+                f"at {frequency[worst]:.4g} Hz the profile requires a drive of {drive[worst]:.3g} {unit}; the output "
+                f"gives {self.station.output_limit:.3g} {unit}. Lower the profile there."
+            )
+        return drive[int(np.argmin(abs(frequency - self.test.from_)))]
+
+    def window(self, samples: int, frequency: float, drive: float) -> Generator[Array, Array, None]:
+        """Output a window, in which the drive changes to a new amplitude, and store its readings."""
+        if self.completed or frequency != self.test.from_:
+            fractions = np.arange(self.completed, self.completed + samples + 1) / self.total
+            periods = self.test.periods_at(np.minimum(fractions, 1.0))
+            periods = periods - periods[0]
+        else:
+            periods = np.asarray(np.arange(samples + 1) * (frequency / self.station.rate), dtype=np.float64)
+        phase = self.phase + 2.0 * np.pi * periods
+        envelope = self.drive + (drive - self.drive) * np.arange(samples) / samples
+        self.phase, self.drive = float(phase[-1]), drive
+        readings = yield self.station.drive(envelope * np.sin(phase[:-1]))
+        length = self.station.latency + 2 * _observation_samples(frequency, self.station.rate)
+        self._recent = np.concatenate([self._recent, readings[self.rows]], axis=1)[:, -length:]
+        self._phases = np.concatenate([self._phases, phase[:-1]])[-length:]
+
+    def observe(self, frequency: float) -> Array | None:
+        """Return the amplitudes of the accelerations in the last periods, m/s^2; None if they are not complete."""
+        length, latency = _observation_samples(frequency, self.station.rate), self.station.latency
+        if self._phases.size < length + latency:
+            return None
+        # The readings are earlier than the drive.
+        phases = self._phases[self._phases.size - length - latency : self._phases.size - latency]
+        amplitudes = estimate_amplitudes(self._recent[:, -length:], phases, self.station.rate)[0]
+        return np.array([
+            abs(self.station.acceleration_factor(row, frequency) * amplitude)
+            for row, amplitude in zip(self.rows, amplitudes, strict=True)
+        ])  # fmt: skip
+
+    def step(self, frequency: float, samples: int) -> Generator[Array, Array, Observation | None]:
+        """Output a window with the present drive, observe, and update the drive of the next window."""
+        amplitudes = self.observe(frequency)
+        drive, observation = self.drive, None
+        if amplitudes is not None:
+            ratios = self.ratios(amplitudes, frequency)
+            gain = loop_gain(self.test.speed, _delay(frequency, self.station.latency / self.station.rate))
+            error = float(np.clip(log(max(ratios.min(), 1e-12)), -_MAX_DECREASE, _MAX_INCREASE))
+            # At an anti-resonance, sidebands of the tone are amplified: the loop oscillates unless its gain is reduced.
+            is_oscillating = error * self._error < 0.0 and abs(error - self._error) > _OSCILLATION
+            self._caution = max(self._caution * _REDUCTION, 0.02) if is_oscillating else self._caution**_RECOVERY
+            self._error = error if abs(error) > 0.25 * abs(self._error) else self._error
+            drive = next_drive(self.drive, float(ratios.min()), gain * self._caution)
+            self.limited |= drive > self.station.output_limit
+            drive = min(drive, self.station.output_limit)
+            deviation, now = -float(in_decibels(ratios[0])), self.station.now - self.station.latency
+            length = _observation_samples(frequency, self.station.rate)
+            observation = Observation(max(now - length, 0), now, frequency, deviation, int(np.argmin(ratios)) - 1)
+            if deviation > self.test.abort and drive > 0.0:
+                names = " and ".join(self.test.control.channels)
+                raise GivenUp(
+                    f"aborted at {format_decimals(frequency, 1)} Hz: {names} is {deviation:.1f} dB above the profile. "
+                    "Sweep more slowly, or add a limit."
+                )
+        yield from self.window(samples, frequency, drive)
+        return observation
+
+
+def excite(station: Station, test: SineControl) -> Excitation:
+    """Run the sweep; it is marked `measure`, its deviations `tolerance`, and the bands of the limits `notch`."""
+    warning = slow_sweep_warning(station, test, test.tolerance)
+    if warning:
+        station.warn(warning)
+    sweep, low, high = SineSweep(station, test), min(test.from_, test.to), max(test.from_, test.to)
+    period = station.samples(max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / low))
+    lines = lines_between(low, high, period, station.rate)
+    frequency = lines * station.rate / period
+    # Together, the tones are as large as the profile.
+    required = test.profile.at(np.clip(frequency, low, high)) / np.sqrt(lines.size)
+    largest = [np.nanmin(limit.at(frequency), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
+    limits = np.array([np.inf] * sweep.control + [value if np.isfinite(value) else np.inf for value in largest])
+    found = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
+    first, target = station.now, sweep.first_drive(found, period)
+    samples = _window_samples(test.from_, station.rate)
+    rise = -(-station.samples(_RISE_S) // samples)
+    for k in range(rise):
+        yield from sweep.window(samples, test.from_, target * (k + 1) / rise)
+    settled_windows = 0
+    while settled_windows < _START_WINDOWS and station.now < first + station.samples(_MAX_START_S):
+        station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
+        at_start = yield from sweep.step(test.from_, samples)
+        reached = at_start is not None and (at_start.limiting >= 0 or abs(at_start.deviation) < _START_DB)
+        settled_windows = settled_windows + 1 if reached else 0
+    station.mark("settle", first, station.now, frequency=test.from_, settled=settled_windows >= _START_WINDOWS)
+    first = station.now
+    try:
+        while sweep.completed < sweep.total:
+            now_at = float(test.frequency_at(sweep.completed / sweep.total))
+            samples = min(sweep.total - sweep.completed, _window_samples(now_at, station.rate))
+            observation = yield from sweep.step(now_at, samples)
+            sweep.completed += samples
+            if observation is not None:
+                sweep.observations.append(observation)
+            station.report(sweep.completed / sweep.total, f"{format_decimals(now_at, 2)} Hz")
+    finally:
+        # The measurement is marked even if the test ends early.
+        if station.now > first:
+            _mark(sweep, first)
+    fall = station.samples(_RISE_S)
+    yield from sweep.window(fall, test.to, 0.0)
+    if sweep.limited:
+        station.warn("the output limited the drive, so that the profile was not reached. Lower the profile.")
+
+
+def _mark(sweep: SineSweep, first: int) -> None:
+    """Mark the sweep, its deviations from the profile, and the bands in which a limit determines the drive."""
+    station, test, seen = sweep.station, sweep.test, sweep.observations
+    outside = np.array([abs(each.deviation) > test.tolerance and each.limiting < 0 for each in seen], dtype=bool)
+    for start, stop in runs_of(outside):
+        worst = max(seen[start:stop], key=lambda each: abs(each.deviation))
+        station.mark(
+            "tolerance", seen[start].first, seen[stop - 1].stop, worst=round(worst.deviation, 2),
+            frequency=worst.frequency,
+        )  # fmt: skip
+    for index, limit in enumerate(test.limits):
+        for start, stop in runs_of(np.array([each.limiting == index for each in seen], dtype=bool)):
+            band = {"from": seen[start].frequency, "to": seen[stop - 1].frequency}
+            station.mark("notch", seen[start].first, seen[stop - 1].stop, channel=limit.channel, **band)
+    fields: dict[str, Any] = {"from": test.from_, "to": test.to, "spacing": test.spacing}
+    level = float(test.profile.at(np.array(test.from_)))
+    station.mark(
+        "measure", first, station.now, duration=test.duration, settled=True, level=level,
+        outside=round(float(np.mean(outside)) if seen else 0.0, 4), **fields,
+    )  # fmt: skip
+    if outside.any():
+        worst = max((seen[k] for k in np.flatnonzero(outside)), key=lambda each: abs(each.deviation))
+        station.warn(
+            f"the control deviates from the profile by more than {test.tolerance:g} dB in {100 * outside.mean():.1f} % "
+            f"of the sweep, most at {worst.frequency:.4g} Hz ({worst.deviation:+.1f} dB). Sweep more slowly."
+        )
+
+
+def slow_sweep_warning(station: Station, test: SineControl, tolerance: float) -> str:
+    """Return a warning about the frequency at which the sweep is fastest for a tolerance in dB; empty if there is none.
+
+    It uses the slopes of the required drive of the linear scene, with all dampers on their floors.
+    """
+    scene, sweep = station.scene, SineSweep(station, test)
+    system, low, high = assemble(scene), min(test.from_, test.to), max(test.from_, test.to)
+    frequency = np.geomspace(low, high, _CHECKED_FREQUENCIES)
+    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
+    points = [system.points.index(station.channels[row].at) for row in sweep.rows]
+    amplitudes = np.abs(states[points]) * (2.0 * pi * frequency) ** 2
+    drive = [float(sweep.ratios(column, f).min()) for column, f in zip(amplitudes.T, frequency.tolist(), strict=True)]
+    slopes = abs(np.gradient(np.log(drive), np.log(frequency)))
+    latency = station.latency / station.rate
+    deviations = [
+        sweep_deviation(test, f, s, latency) for f, s in zip(frequency.tolist(), slopes.tolist(), strict=True)
+    ]
+    worst = int(np.argmax(deviations))
+    if deviations[worst] <= tolerance:
+        return ""
+    octaves = test.rate_at(float(frequency[worst])) / log(2.0) * 60.0 * tolerance / deviations[worst]
+    return (
+        f"at {frequency[worst]:.4g} Hz (damping {50.0 / slopes[worst]:.2g} %) the sweep exceeds the tolerance of "
+        f"{tolerance:g} dB above {octaves:.2g} oct/min. Give a longer duration."
+    )
+
+
+def _window_samples(frequency: float, rate: float) -> int:
+    """Return the number of samples of a window at a frequency in Hz."""
+    return max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency))
+
+
+class SineControlProcedure(Procedure["SineControl"]):
+    """A sweep with profile control."""
+
+    form = Form("sine control of the scene", ())
+
+    def excite(self, station: Station, test: SineControl) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def waits(self, test: SineControl, scene: Scene) -> float:
+        """Return the expected time of the identification and of the start, s."""
+        period = max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / min(test.from_, test.to))
+        return EXPECTED_PERIODS * period + 2.0 * _RISE_S + _START_WINDOWS / test.from_
+
+    def control_seconds(self, test: SineControl) -> float:
+        """Return the CPU time of the controller, which works in each period, s."""
+        return _PERIOD_CPU_S * (test.from_ + test.to) / 2.0 * test.duration
+
+    def part(self, test: SineControl, seconds: float, scene: Scene) -> SineControl:
+        """Return the part of the sweep about the first resonance, at the same rate."""
+        low, high = min(test.from_, test.to), max(test.from_, test.to)
+        inside = [f for f in structural_model(scene).modes.frequency.tolist() if low < f < high]
+        fractions = np.linspace(0.0, 1.0, 1001)
+        center = float(fractions[int(np.argmin(abs(test.frequency_at(fractions) - inside[0])))]) if inside else 0.5
+        half = min(0.5, 0.5 * seconds / test.duration)
+        start = min(max(center - half, 0.0), 1.0 - 2.0 * half)
+        ends = {"from_": float(test.frequency_at(start)), "to": float(test.frequency_at(start + 2.0 * half))}
+        return test.replace(**ends, duration=2.0 * half * test.duration)
+
+    def frequency_at(self, test: SineControl, fraction: float) -> float:
+        """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
+        return float(test.frequency_at(fraction))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
+        """Return the test of the scene."""
+        assert test is not None
+        return test
+
+
+PROCEDURE = SineControlProcedure()

@@ -1,0 +1,75 @@
+"""A swept sine whose amplitude at control channels is held at a profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from rig.core.scene.excitation.kind import Duration, Frequency, KindOfTest, ShakerNumber, Spacing, Start
+from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription
+from rig.core.scene.excitation.random_control import named_channels
+from rig.core.scene.excitation.swept_sine import FrequencySweep
+from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.quantities import RATIO
+from rig.core.settings.quantity_field import Quantity
+
+
+class SineControl(FrequencySweep, KindOfTest):
+    """A swept sine whose amplitude at control channels is held at a profile, with limits of other channels."""
+
+    kind: Literal["sine_control"] = "sine_control"
+    recorded_as: ClassVar = "sweep"
+    level_keys: ClassVar = ()
+    single_tone: ClassVar = True
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    """First frequency [Hz]."""
+    to: Frequency
+    """Last frequency [Hz], above or below the first."""
+    duration: Duration
+    """Duration of the sweep [s]."""
+    spacing: Spacing = "log"
+    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
+    profile: MotionProfile
+    """Amplitude of the control channels: keys frequencies, and acceleration, velocity or displacement."""
+    control: Control
+    """Control channels: keys channels and combine."""
+    limits: tuple[MotionLimit, ...] = ()
+    """Largest amplitudes of other channels: keys channel, frequencies, and acceleration, velocity or displacement."""
+    speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.3
+    """Gain of the controller, relative to its limit of stability."""
+    tolerance: Decibels = 3.0
+    """Permissible deviation from the profile [dB]."""
+    abort: Decibels = 6.0
+    """Deviation above the profile at which the test ends [dB]."""
+    shaker: ShakerNumber | None = None
+    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the profile contains the sweep, and that the abort line lies above the tolerance."""
+        low, high = min(self.from_, self.to), max(self.from_, self.to)
+        if low == high:
+            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Give another frequency.")
+        if low < self.profile.frequencies[0] or high > self.profile.frequencies[-1]:
+            ends = f"{self.profile.frequencies[0]:g} to {self.profile.frequencies[-1]:g} Hz"
+            message = f"the profile from {ends} does not contain the sweep. Give breakpoints at from and to."
+            yield Problem(("profile", "frequencies"), message)
+        if self.abort <= self.tolerance:
+            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
+            yield Problem(("abort",), message)
+
+    @property
+    def named_channels(self) -> Iterable[tuple[KeyPath, str]]:
+        """The control and the limited channels."""
+        return named_channels(self.control.channels, [limit.channel for limit in self.limits])
+
+    @property
+    def prescription(self) -> Prescription:
+        """Profile and limits of the amplitudes."""
+        return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, None)
+
+    def rate_at(self, frequency: float) -> float:
+        """Return the relative change of the frequency per second, 1/s, at a frequency in Hz."""
+        return abs(self.frequency_slope(frequency)) / frequency

@@ -1,0 +1,153 @@
+"""Sine tests with profile control: control law, profile and limits on the bench, and messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+import rig
+from analysis.commands.cli import app
+from daq.core.excitation.sine_control import loop_gain, next_drive
+from rig.core.base.errors import SceneError
+from tests.daq.excitation.virtual_device import MarkedRun, run_device
+
+PROFILE = {"frequencies": ["5 Hz", "30 Hz"], "acceleration": ["0.1 g", "0.2 g"]}
+LIMIT = {"channel": "unit", "frequencies": ["5 Hz", "30 Hz"], "acceleration": ["1 g", "1 g"]}
+
+
+def scene(shaker: Any = None, dampers: Any = (), **test: Any) -> rig.Scene:
+    """Return a rack on a shaker table with modes at 13 and 39 Hz."""
+    settings = {"kind": "sine_control", "from": "5 Hz", "to": "30 Hz", "control": {"channels": ["table"]}}
+    sensor = {"sensitivity": "50 mV/g", "noise": "50 ug/sqrt(Hz)"}
+    places = {"table": "table", "frame": "body 1", "unit": "body 2"}
+    return rig.load({
+        "structure": {"masses": [2.0, 1.0], "springs": [8e4, 8e3], "damping": {"modal": 0.03}},
+        "shaker": shaker or {"kind": "base", "output": {"range": "10 V", "bits": 16}},
+        "dampers": dampers,
+        "channels": [{"name": name, "at": at, "accelerometer": sensor} for name, at in places.items()],
+        "converter": {"rate": 512, "bits": 24, "range": 5.0},
+        "recording": {"display": False},
+        "test": {"profile": PROFILE, **settings, "duration": "60 s"} | test,
+    })  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return daq.record(scene(limits=[LIMIT], duration="240 s"), tmp_path_factory.mktemp("sine") / "sine.mcap")
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3, 5])
+@pytest.mark.parametrize(("speed", "is_stable"), [(0.3, True), (0.95, True), (1.1, False)])
+def test_loop_is_stable_below_its_limit(delay: int, speed: float, is_stable: bool) -> None:
+    drives = [1.0] * (delay + 1)
+    for _ in range(600):
+        drives.append(next_drive(drives[-1], 1.01 / drives[-1 - delay], loop_gain(speed, delay)))
+    errors = abs(np.log(np.array(drives) / 1.01))
+    assert (errors[-20:].max() < errors[:20].max()) == is_stable
+
+
+def test_steps_down_are_larger_than_steps_up() -> None:
+    assert next_drive(1.0, 100.0, 1.0) == pytest.approx(1.5)
+    assert next_drive(1.0, 0.01, 1.0) == pytest.approx(0.25)
+
+
+def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:
+    check = analysis.profile(recording)
+    (unit,) = check.limited
+    assert check.within == 1.0
+    assert np.max(20 * np.log10(unit.values / unit.bound)) < 1.0
+    ((name, low, high), *_) = check.notches()
+    assert name == "unit" and low < 13.0 < high
+    with daq.open(recording) as rec:
+        notches = [mark.fields for mark in rec.markers if mark.kind == "notch"]
+    assert notches and notches[0]["channel"] == "unit"
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "displacement"])
+def test_profile_of_other_motion_is_held(quantity: str) -> None:
+    value = {"velocity": "20 mm/s", "displacement": "0.5 mm"}[quantity]
+    profile = {"frequencies": ["5 Hz", "30 Hz"], quantity: [value, value]}
+    run = MarkedRun(scene(profile=profile, shaker={"kind": "base"}))
+    assert not run.reason and run.of_kind("measure")[0]["outside"] == 0.0
+
+
+@pytest.mark.parametrize(("first", "last"), [("5 Hz", "30 Hz"), ("30 Hz", "5 Hz")])
+def test_body_is_held_through_resonance(first: str, last: str) -> None:
+    settings = scene(control={"channels": ["unit"]}, duration="240 s", **{"from": first, "to": last})
+    run = MarkedRun(settings)
+    assert not run.reason and not run.of_kind("tolerance")
+
+
+def test_dampers_in_flight_are_controlled() -> None:
+    dampers = [{"body": 2, "mass_ratio": 0.06, "clearance": "1 mm", "contact": {"duration": "4 ms"}}]
+    profile = {"frequencies": ["5 Hz", "30 Hz"], "acceleration": ["0.2 g", "0.2 g"]}
+    run = MarkedRun(scene(dampers=dampers, profile=profile, limits=[LIMIT | {"acceleration": ["1.3 g", "1.3 g"]}]))
+    assert not run.reason and run.of_kind("notch")
+
+
+def test_electrodynamic_shaker_is_controlled() -> None:
+    shaker = {"kind": "electrodynamic", "body": 1, "spring": "6.6 kN/m"}
+    run = MarkedRun(scene(shaker=shaker, control={"channels": ["table"]}, duration="120 s", abort="20 dB"))
+    assert not run.reason and run.of_kind("measure")
+
+
+@pytest.mark.parametrize("queued", [0, 20])
+def test_device_gives_same_markers(queued: int) -> None:
+    expected, markers = MarkedRun(scene()).markers, run_device(scene(), queued)
+    assert [kind for kind, *_ in markers] == [marker[0] for marker in expected]
+    assert markers[-1][3] == pytest.approx(expected[-1][3])
+
+
+def test_fast_sweep_is_named_before_the_test() -> None:
+    run = MarkedRun(scene(control={"channels": ["unit"]}, duration="20 s", abort="30 dB"))
+    warning = run.warnings[0]
+    assert "(damping 2.8 %)" in warning and "the sweep exceeds the tolerance of 3 dB above" in warning
+    assert not any("oct/min" in text for text in MarkedRun(scene()).warnings)
+
+
+def test_excess_aborts_with_zero_drive() -> None:
+    run = MarkedRun(scene(control={"channels": ["unit"]}, duration="5 s"))
+    assert "aborted at" in run.reason and "dB above the profile. Sweep more slowly, or add a limit" in run.reason
+    assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
+
+
+def test_too_high_profile_leaves_zero_drive() -> None:
+    run = MarkedRun(scene(shaker={"kind": "base", "output": {"range": "0.15 V"}}))
+    assert "the profile requires a drive of" in run.reason and not run.drives[-1][:, -1].any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"control": {"channels": ["tabel"]}}, "test.control.channels[1]: no motion channel 'tabel'"),
+        ({"to": "40 Hz"}, "the profile from 5 to 30 Hz does not contain the sweep"),
+        ({"to": "5 Hz"}, "test.to: got 5 Hz, which equals from"),
+        ({"abort": "2 dB"}, "test.abort: got 2 dB, which is not above the tolerance, 3 dB"),
+        ({"profile": PROFILE | {"velocity": [1.0, 1.0]}}, "expected exactly one of acceleration or velocity or"),
+        ({"profile": {"frequencies": ["5 Hz", "30 Hz"]}}, "expected exactly one of acceleration or velocity or"),
+    ],
+)
+def test_wrong_setting_is_named(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError) as error:
+        scene(**changes)
+    assert message in str(error.value)
+
+
+def test_foresight_states_duration() -> None:
+    assert daq.foresee(scene()).seconds == pytest.approx(MarkedRun(scene()).station.now / 512.0, rel=0.2)
+
+
+def test_profile_and_responses_are_evaluated(recording: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["profile", str(recording), "-o", str(tmp_path)])
+    assert "unit limits the drive from" in result.output and (tmp_path / "sine-profile.csv").exists()
+    assert "analysis profile" in str(daq.info(recording))
+    peak = np.max(abs(analysis.frfs(recording)["unit"].value))
+    assert peak == pytest.approx(1.0 / (2 * 0.03), rel=0.35)
+    page = analysis.report(recording, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Band of the profile: tolerance" in page

@@ -146,6 +146,11 @@ def profile(rec: Recording) -> ProfileCheck:
     rec : daq.Recording, str or Path
         Recording of a test with profile control.
 
+    Returns
+    -------
+    ProfileCheck
+        Densities or amplitudes of the channels, with profile and limits.
+
     Raises
     ------
     RecordingError

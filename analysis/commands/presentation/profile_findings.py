@@ -28,7 +28,6 @@ def present_profile(recordings: OpenRecordings, paths: Sequence[Path], output: P
             for axis in (axes.xaxis, axes.yaxis):
                 set_log_scale(axis)
             add_title(axes, "Control and limited channels at full level")
-            axes.legend()
             add_legend_below(figure, f"Band: tolerance of {check.tolerance:g} dB. Dashed: limits.")
             files += save_figure(figure, stem)
         columns = check.columns()

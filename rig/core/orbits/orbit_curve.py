@@ -83,7 +83,7 @@ class OrbitBranch(Result):
 
     def summary(self) -> str:
         """Return the type of motion, the range of the parameter and the stable fraction in words."""
-        unit = self.axis.kind.si
+        unit = self.axis.unit
         return (
             f"{self.motion_type}, {self.value.size} orbits, {self.axis.name} {self.value.min():.4g} to "
             f"{self.value.max():.4g} {unit}, {format_percent(self.stable.mean())} stable, {self.folds.size} folds"

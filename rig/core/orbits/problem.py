@@ -50,6 +50,11 @@ class Axis:
         """Name of its column in tables, such as clearance_m."""
         return f"{self.name}_{self.kind.si}".replace("/", "_per_").replace("^", "").rstrip("_")
 
+    @property
+    def unit(self) -> str:
+        """Its SI unit, as it is displayed."""
+        return self.kind.si.replace("^2", "²")
+
     def values(self, values: ArrayLike) -> Array:
         """Convert values, in SI or as text, to an array in SI; raises `SceneError` for an invalid value."""
         return positive_values(values, self.kind, f"values of the {self.name}")
@@ -131,7 +136,7 @@ class OrbitProblem:
         assert shaker is not None
         name = "force" if shaker.drive_is_force else "drive"
         unit = f"({shaker.drive_unit})" if "/" in shaker.drive_unit else shaker.drive_unit
-        level = Axis("level", name, shaker.drive_quantity, f"{name} / {unit}")
+        level = Axis("level", name, shaker.drive_quantity, f"{name} / {unit}".replace("^2", "²"))
         axes = {
             "frequency": Axis("frequency", "frequency", FREQUENCY, "frequency / Hz"),
             "force": level,

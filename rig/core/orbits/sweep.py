@@ -160,7 +160,7 @@ class OrbitResponse(Result):
     def summary(self) -> str:
         """Return the range of the parameter, the peaks and the types of motion in words."""
         body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
-        unit = self.axis.kind.si
+        unit = self.axis.unit
         frf_unit, factor = frf_display(self.reference)[1:]
         return (
             f"{self.value.size} steady-state motions, "

@@ -45,7 +45,7 @@ def summary(design: Design) -> str:
     levels = ", ".join(format_number(level) for level in objective.levels)
     smallest, largest = (format_number(1e3 * clearance) for clearance in space.clearance)
     lines = [
-        f"{design.scene.name}: {len(design.trials)} designs at {levels} {objective.level.kind.si}, "
+        f"{design.scene.name}: {len(design.trials)} designs at {levels} {objective.level.unit}, "
         f"{objective.band[0]:.4g} to {objective.band[1]:.4g} Hz"
         + (f", {len(objective.scenes)} structures" if len(objective.scenes) > 1 else ""),
         f"clearances searched: {smallest} to {largest} mm{', and no ceiling' if space.allows_no_ceiling else ''}",
@@ -61,7 +61,7 @@ def summary(design: Design) -> str:
         percentages = ", ".join(f"{share:.0f}" for share in shares)
         lines += [
             "",
-            f"the motion is irregular at {percentages} % of the frequencies at {levels} {objective.level.kind.si}; the "
+            f"the motion is irregular at {percentages} % of the frequencies at {levels} {objective.level.unit}; the "
             f"{objective.response_display[0]} there is an "
             "average, accurate to a few percent",
         ]
@@ -85,7 +85,7 @@ def _verdict(design: Design) -> list[str]:
     lines = [
         f"{heading}: {design.best.choice}",
         f"largest peak {factor * peak.magnitude:.4g} {unit} (body {peak.body}, "
-        f"{format_decimals(peak.frequency, 2)} Hz, {format_number(peak.level)} {design.question.level.kind.si}): "
+        f"{format_decimals(peak.frequency, 2)} Hz, {format_number(peak.level)} {design.question.level.unit}): "
         f"{abs(reduction):.1f} dB {below_or_above} the bare structure's "
         f"{factor * design.bare.magnitude:.4g} {unit}",
         *design.shortfall,
@@ -110,7 +110,7 @@ def _verdict(design: Design) -> list[str]:
 def _tables(design: Design) -> list[str]:
     """Return two tables over the levels: reductions by the best dampers of each mass, and the peaks of each mode."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
-    level_unit, (_, response_unit, scale) = design.question.level.kind.si, design.question.response_display
+    level_unit, (_, response_unit, scale) = design.question.level.unit, design.question.response_display
     levels = "".join(f"{f'{format_number(level)} {level_unit}':>9}" for level in design.question.levels)
     lines = [f"{'':14}  reduction in dB at", f"{f'added mass, {unit}':>14}{levels}  dampers"]
     for trial in design.front:
@@ -147,7 +147,7 @@ def describe_check(design: Design, scene: Path) -> str:
     level, display = design.question.level, design.question.response_display
     levels = ", ".join(map(format_number, test.levels))
     bare = f"test.{level.name}={format_number(test.levels[0])}{level.kind.si}"
-    overloads = predict_overloads(design.scene, design.expected, design.bare, level.kind.si)
+    overloads = predict_overloads(design.scene, design.expected, design.bare, level.unit)
     remedies = "".join(f" --set {quote(change)}" for overload in overloads for change in overload.changes)
     finite_contact = all(damper.contact is not None for damper in design.scene.dampers)
     locations = {channel.name: channel.at for channel in design.scene.channels or ()}
@@ -159,7 +159,7 @@ def describe_check(design: Design, scene: Path) -> str:
         [
             (
                 f"{scene}: the scene with these dampers and a test of the design, a stepped sine from "
-                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} {level.kind.si} around the largest peaks "
+                f"{test.band[0]:.4g} to {test.band[1]:.4g} Hz at {levels} {level.unit} around the largest peaks "
                 "with and without dampers"
             ),
             *([f"channels that this test has in addition to those of the scene: {added}"] if added else []),
@@ -169,7 +169,7 @@ def describe_check(design: Design, scene: Path) -> str:
             f"In the test, {_accuracy_of_level(design.scene)}the motion is measured when it is steady within "
             f"{format_percent(test.steady_state.tolerance)}.",
             *([_OTHER_MOTION] if any(map(_has_other_motion, design.expected)) else []),
-            f"{f'{level.name}, {level.kind.si}':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
+            f"{f'{level.name}, {level.unit}':>14}{'peak of':>9}{'at Hz':>9}{'sinusoidal':>15}  this test",
             *(_expected_line(expected, display[2]) for expected in design.expected),
             *overload_lines(overloads, finite_contact),
             "",
@@ -273,7 +273,7 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
 def _draw_responses(axes: Axes, design: Design) -> None:
     """Draw the largest response of all bodies without dampers, and the peaks of each mode with dampers."""
     scene, (low, high) = design.question.scenes[0], design.question.band
-    (name, unit, factor), level_unit = design.question.response_display, design.question.level.kind.si
+    (name, unit, factor), level_unit = design.question.response_display, design.question.level.unit
     peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
     frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
     bare = abs(linear_response(scene.replace(dampers=[]), frequency)).max(axis=0)

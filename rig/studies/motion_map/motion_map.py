@@ -168,7 +168,10 @@ class MotionMap(Result):
         ax.set(xlim=(lowest_hz, highest_hz), xlabel="frequency / Hz")
         in_millimeters = self.unit == "m"
         set_log_scale(ax.yaxis, factor=1e3 if in_millimeters else 1.0)
-        ax.set(ylim=(lowest_value, highest_value), ylabel=f"{self.over} / {'mm' if in_millimeters else self.unit}")
+        ax.set(
+            ylim=(lowest_value, highest_value),
+            ylabel=f"{self.over} / {'mm' if in_millimeters else self.unit.replace('^2', '²')}",
+        )
         if self.over != "clearance":
             ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
         scene_value = self.own_value

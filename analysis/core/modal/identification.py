@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from analysis.core.modal.band_choice import band_choice
 from analysis.core.modal.line_choice import are_in_gaps, is_peak, reduce_lines, scatter
-from analysis.core.modal.lscf import merge_charts, stabilization_chart
+from analysis.core.modal.lscf import ChartPole, merge_charts, stabilization_chart
 from analysis.core.modal.mode_warnings import mode_warnings
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.core.modal.order_selection import (
@@ -105,21 +107,21 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             tuple(f"{point.quantity} at {point.place or point.name}" for point in matrix.inputs),
             tuple(point.place for point in matrix.outputs),
         )
-    curves = _remove_unbounded(reduce_lines([frf.to("displacement").sorted() for frf in frfs]))
-    measured, sigma = _measured(curves)
-    magnitude = abs(measured.value)
-    equal_weights = np.ones(sigma.shape) / magnitude.max(axis=1, keepdims=True)
-    weights = (equal_weights, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude))
-    charts = [stabilization_chart(measured.frequency, measured.value, weight) for weight in weights]
-    stable, candidates = merge_charts(measured.frequency, charts)
-    stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
-    max_modes = MAX_MODES if count is None else count
-    weighted, model, model_error = _best_model(measured, sigma, stable, candidates, max_modes)
-    model, rejected = _remove_spurious_poles(weighted, model, curves)
+    all_lines = [frf.to("displacement").sorted() for frf in frfs]
+    curves = _remove_unbounded(reduce_lines(all_lines))
+    fitted = _fit_modes(curves, count)
+    measured, charts, weighted, model, model_error, rejected = fitted
     refinement = None if model_error else _refine(weighted, model, curves)
     if refinement is not None:
         model = refinement.model
     accepted = are_in_band(weighted, model.poles)
+    choice = None
+    if not any(curve.degrees.any() for curve in curves):
+        choice = band_choice(
+            all_lines[0].frequency, model.poles, lambda lines: _poles_of_lines(all_lines, lines, count)
+        )
+        rejected += (abs(model.poles[accepted & ~choice.confirmed]) / (2 * np.pi)).tolist()
+        accepted &= choice.confirmed
     if not accepted.any():
         raise RecordingError(
             f"{curves[0].label}: no resonance is higher than the noise and wider than the frequency resolution. "
@@ -134,6 +136,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     frequency_error, damping_error = (
         np.hypot(*errors) for errors in zip(random_errors, map(standard_of_limit, systematic), strict=True)
     )
+    if choice is not None:
+        frequency_error = np.hypot(frequency_error, choice.frequency_error)
+        damping_error = np.hypot(damping_error, choice.damping_error)
     # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     is_unbounded = accepted & (expand(frequency_error) >= frequency)
@@ -177,6 +182,38 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = mode_warnings(result, curves, count, rejected, uncertain, unmeasured, unused)
     return replace(result, warnings=(*curves[0].warnings, *notes))
+
+
+class _FittedModes(NamedTuple):
+    """A modal model of curves, whose poles are not yet examined for being modes."""
+
+    measured: Curves
+    charts: list[list[ChartPole]]
+    weighted: Curves
+    model: ModalModel
+    model_error: float
+    rejected: list[float]
+
+
+def _fit_modes(curves: Sequence[Response], count: int | None) -> _FittedModes:
+    """Fit the model of significant poles to curves."""
+    measured, sigma = _measured(curves)
+    magnitude = abs(measured.value)
+    equal_weights = np.ones(sigma.shape) / magnitude.max(axis=1, keepdims=True)
+    weights = (equal_weights, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude))
+    charts = [stabilization_chart(measured.frequency, measured.value, weight) for weight in weights]
+    stable, candidates = merge_charts(measured.frequency, charts)
+    stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
+    max_modes = MAX_MODES if count is None else count
+    weighted, model, model_error = _best_model(measured, sigma, stable, candidates, max_modes)
+    model, rejected = _remove_spurious_poles(weighted, model, curves)
+    return _FittedModes(measured, charts, weighted, model, model_error, rejected)
+
+
+def _poles_of_lines(curves: Sequence[Response], lines: NDArray[np.intp], count: int | None) -> ComplexArray:
+    """Identify the poles of some lines of curves."""
+    fitted = _fit_modes(_remove_unbounded(reduce_lines([curve.at(lines) for curve in curves])), count)
+    return fitted.model.poles[are_in_band(fitted.weighted, fitted.model.poles)]
 
 
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:

@@ -32,7 +32,8 @@ _ARRAY_ENDINGS = (".mat", ".npz", ".npy")
 ENDINGS = (".uff", ".unv", ".csv", ".txt", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
-    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|amp|abs|phase|arg)"
+    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|arg"
+    r"|realteil|imaginärteil|betrag)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
@@ -52,7 +53,7 @@ _IMPORT = "If the file contains time histories, make a recording of it with `daq
 _NO_NAME = UNNAMED.format("")
 _NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
 # Components of a response by the first letter of their names.
-_COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "p": "phase"}
+_COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase"}
 
 
 def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
@@ -291,7 +292,8 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             return [_unnamed_curve(path, frequency, real, imag, unit)]
         frequency = first.read(0, first.samples)
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
-    if not re.match(r"f|freq|hz", first.name, re.IGNORECASE) or (first.unit and first.unit.lower() != "hz"):
+    # A column in Hz contains frequencies, whatever its name: analyzers call it X-Axis.
+    if first.unit.lower() != "hz" and (first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE)):
         raise RecordingError(
             f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
         )

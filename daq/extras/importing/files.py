@@ -26,6 +26,7 @@ READERS = {
     ".txt": _TEXT,
     ".tsv": _TEXT,
     ".lvm": _TEXT,
+    ".asc": _TEXT,
     ".dat": _TEXT,
     ".npz": _ARRAYS,
     ".npy": _ARRAYS,

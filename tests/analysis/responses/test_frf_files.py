@@ -292,6 +292,29 @@ def test_table_of_time_histories_should_be_imported(tmp_path) -> None:
         analysis.read_frfs(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        # SignalCalc, Dewesoft, and a table of Excel with decimal commas.
+        ["SignalCalc 730", "Date: 12/03/2021", "", "X-Axis(Hz)\tH2,1 Real((m/s²)/N)\tH2,1 Imag((m/s²)/N)"],
+        ["File name: a.dxd", "", "Frequency (Hz)\tFRF Ampl (m/s2/N)\tFRF Phase (deg)"],
+        ["Frequenz [Hz];Betrag [m/s²/N];Phase [°]"],
+        ["Frequenz [Hz];Realteil [m/s²/N];Imaginärteil [m/s²/N]"],
+    ],
+)
+def test_table_of_analyzer_is_read(lines, tmp_path) -> None:
+    value = accelerance()[0]
+    are_parts = "Real" in lines[-1]
+    columns = (value.real, value.imag) if are_parts else (abs(value), np.angle(value, deg=True))
+    separator = ";" if ";" in lines[-1] else "\t"
+    rows = [separator.join(f"{number:.9e}" for number in row) for row in zip(FREQUENCY, *columns, strict=True)]
+    text = "\n".join(lines + [row.replace(".", ",") if separator == ";" else row for row in rows])
+    (tmp_path / "a.txt").write_bytes(text.encode("cp1252"))
+    [curve] = analysis.read_frfs(tmp_path / "a.txt")
+    assert curve.motion == "acceleration"
+    np.testing.assert_allclose(curve.value, value[1:], rtol=1e-7)
+
+
 def test_table_without_heading_is_read(tmp_path) -> None:
     frequency = 2.0 * np.arange(1, 51)
     value = 1.0 / (2000.0 - frequency**2 + 4j * frequency)

@@ -620,3 +620,12 @@ def test_plain_numbers_are_parsed_in_blocks(tmp_path, monkeypatch):
         (signal,) = text_signals(tmp_path / "a.csv", stack)
         assert signal.read(65_536, 65_539).tolist() == [k % 7 for k in range(65_536, 65_539)]
     assert len(calls) < 100
+
+
+def test_text_of_catman_is_read(tmp_path):
+    heading = "catmanEasy ASCII\nMessrate: 1000 Hz\nZeit - Standard Messrate [s]\tKraft [N]\tBeschl 1 [m/s²]\n"
+    rows = "".join(f"{k / 1000:.6f}\t{k % 7}\t{k % 5}\n" for k in range(300)).replace(".", ",")
+    (tmp_path / "a.asc").write_bytes((heading + rows).encode("cp1252"))
+    listed = CliRunner().invoke(app, ["import", str(tmp_path / "a.asc")]).output
+    assert 'signal1: {column: "Kraft", unit: "N"}  # 300 samples at 1000 Hz' in listed
+    assert 'signal2: {column: "Beschl 1", unit: "m/s²"}  # 300 samples at 1000 Hz' in listed

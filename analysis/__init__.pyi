@@ -10,11 +10,13 @@ from .core.modal.modes import Modes, mac
 from .core.responses.frequency_responses import Response, compliance, frequency_responses, frfs
 from .core.signals.profile_check import ProfileCheck, profile
 from .core.signals.shock_spectrum import ShockSpectrum, srs
+from .core.tracking.backbone import Backbone, backbone
 from .extras.formats.export import sep005
 from .extras.formats.frf_files import read_frfs
 from .extras.formats.mode_files import read_modes
 
 __all__ = [
+    "Backbone",
     "Comparison",
     "Dampers",
     "Decay",
@@ -24,6 +26,7 @@ __all__ = [
     "Response",
     "Results",
     "ShockSpectrum",
+    "backbone",
     "compare",
     "compliance",
     "cost",

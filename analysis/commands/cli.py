@@ -171,6 +171,16 @@ def profile(files: Recordings, output: Output = None, overwrite: Overwrite = Fal
     _print_output(result)
 
 
+@app.command(example="analysis backbone resonance.mcap")
+def backbone(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+    """Estimate frequency and damping against amplitude."""
+    from analysis.commands.presentation.backbone_findings import present_backbone
+
+    with allow_overwriting(overwrite):
+        result = present_backbone(files, output)
+    _print_output(result)
+
+
 @app.command(example="analysis modes sweep.mcap")
 def modes(
     files: Curves,

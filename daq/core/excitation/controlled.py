@@ -46,6 +46,20 @@ def controlled(station: Station) -> Controlled | None:
     return _sum_of_displacements(station, terms, _MOTION if is_motion else _FORCE) if terms else None
 
 
+def displacement(station: Station, at: str) -> Controlled:
+    """Return the displacement at a location; raise `SceneError` as `controlled`."""
+    return _sum_of_displacements(station, {at: 1.0}, _MOTION)
+
+
+def measured_force(station: Station) -> Controlled | None:
+    """Return the force of the driven shaker, from its channel or its coil spring; None if no channel measures it."""
+    location = station.scene.at_driven("shaker")
+    for row, info in enumerate(station.channels):
+        if info.at == location and info.quantity == "force":
+            return Controlled(station, (row,), (1.0,))
+    return None if station.force_is_drive else spring_force(station)
+
+
 def spring_force(station: Station) -> Controlled:
     """Return the force of the driven shaker's coil spring, F1 = k0 (x0 - x1); raise `SceneError` as `controlled`."""
     shaker = station.scene.driven_shaker

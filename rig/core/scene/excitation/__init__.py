@@ -13,6 +13,7 @@ from rig.core.scene.excitation.kind import KindOfTest as KindOfTest
 from rig.core.scene.excitation.kind import Settle as Settle
 from rig.core.scene.excitation.kind import spaced_frequencies as spaced_frequencies
 from rig.core.scene.excitation.multisine import Multisine as Multisine
+from rig.core.scene.excitation.phase_resonance import PhaseResonance as PhaseResonance
 from rig.core.scene.excitation.random import Random as Random
 from rig.core.scene.excitation.random_control import RandomControl as RandomControl
 from rig.core.scene.excitation.shock import Shock as Shock
@@ -31,6 +32,7 @@ Test = Annotated[
     | Multisine
     | Impulse
     | ConstantResponse
+    | PhaseResonance
     | Free
     | Shock
     | RandomControl

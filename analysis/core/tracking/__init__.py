@@ -1,0 +1,1 @@
+"""Curves of nonlinear structures over the amplitude: backbones."""

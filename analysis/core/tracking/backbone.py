@@ -1,0 +1,174 @@
+"""Backbone of a resonance: natural frequency and damping ratio against amplitude, from a test of phase resonance.
+
+At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w^3 a^2) with the
+modal amplitude a of mass-normalized modes. P is the power of the tone; that of the harmonics is zero for a force
+shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.recordings.names import takes_path
+from analysis.core.responses.frequency_responses import frequency_responses
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.results import Result, complete_style
+from rig.core.results.uncertainty import SENSITIVITY
+from rig.core.system.structural_model import structural_model
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+
+# Factor on the deviation of the frequency from that of one mode: other modes contribute to the phase, so that the
+# amplitude changes with it. The largest factor with the scene `backbone` was 1.8.
+_SLOPE = 2.0
+
+
+@dataclass(frozen=True, repr=False)
+class Backbone(Result):
+    """Natural frequency and damping ratio at each level of a test, in its order.
+
+    Attributes
+    ----------
+    label : str
+        Name of the scene.
+    body : str
+        Body whose amplitude is given.
+    level : ndarray, shape (n,)
+        Level, in the unit of the test.
+    frequency, frequency_bound : ndarray, shape (n,)
+        Frequency of phase resonance and half of its 95 % interval, which includes the deviation of the phase, Hz.
+    amplitude, amplitude_bound : ndarray, shape (n,)
+        Displacement of the body and half of its 95 % interval, m.
+    damping, damping_bound : ndarray, shape (n,)
+        Damping ratio and half of its 95 % interval.
+    settled : ndarray of bool, shape (n,)
+        Whether the phase was locked.
+    """
+
+    label: str
+    body: str
+    level: Array
+    frequency: Array
+    frequency_bound: Array
+    amplitude: Array
+    amplitude_bound: Array
+    damping: Array
+    damping_bound: Array
+    settled: NDArray[np.bool_]
+
+    def summary(self) -> str:
+        """Return the ranges of amplitude, frequency and damping."""
+        amplitude, frequency, damping = (
+            (float(values.min()), float(values.max())) for values in (self.amplitude, self.frequency, self.damping)
+        )
+        return (
+            f"{self.label}: {self.level.size} levels, {self.body} from {1e3 * amplitude[0]:.3g} to "
+            f"{1e3 * amplitude[1]:.3g} mm: {frequency[0]:.5g} to {frequency[1]:.5g} Hz, damping ratio "
+            f"{100 * damping[0]:.2g} to {100 * damping[1]:.2g} %"
+        )
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return level, frequency, amplitude and damping ratio with their intervals."""
+        return {
+            "level": self.level,
+            "frequency_Hz": self.frequency,
+            "frequency_bound_Hz": self.frequency_bound,
+            "amplitude_m": self.amplitude,
+            "amplitude_bound_m": self.amplitude_bound,
+            "damping_ratio": self.damping,
+            "damping_ratio_bound": self.damping_bound,
+            "settled": self.settled,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the frequency against the amplitude."""
+        bars = complete_style(style, label=self.label, marker="o", markersize=4, capsize=2)
+        order = np.argsort(self.amplitude)
+        ax.errorbar(
+            self.frequency[order],
+            1e3 * self.amplitude[order],
+            1e3 * self.amplitude_bound[order],
+            self.frequency_bound[order],
+            **bars,
+        )
+        ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+
+
+@takes_path
+def backbone(rec: Recording) -> Backbone:
+    """Estimate natural frequency and damping ratio against amplitude from a test of phase resonance.
+
+    The damping ratio needs a motion channel at each body. The mass matrix of the scene gives the modal amplitude.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        The recording, or its path.
+
+    Returns
+    -------
+    Backbone
+
+    Raises
+    ------
+    RecordingError
+        If the recording contains no test of phase resonance.
+    """
+    markers = [marker for marker in rec.markers if marker.kind == "measure" and "phase" in marker.fields]
+    if not markers:
+        raise RecordingError(f"{rec.path}: no phase was held. Record a test of kind phase_resonance.")
+    test = rec.scene.test
+    body, wanted = getattr(test, "at", "body 1"), float(getattr(test, "phase", -np.pi / 2))
+    mass = structural_model(rec.scene).mass
+    driven = rec.scene.force_on
+    rows = []
+    for marker in markers:
+        [response] = frequency_responses(rec, level=float(marker.fields["level"]))
+        line = int(np.argmin(abs(response.frequency - float(marker.fields["frequency"]))))
+        omega = 2.0 * np.pi * float(response.frequency[line])
+        outputs = {output.at: k for k, output in enumerate(response.outputs)}
+        force = np.nan if response.amplitude is None else float(response.amplitude[line])
+        values, bounds = response.value[line, :, 0], response.expanded()[line, :, 0]
+        k = outputs[body]
+        relative = float(bounds[k] / abs(values[k]))
+        amplitude = abs(values[k]) * force
+        damping = np.nan
+        if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
+            motion = force * np.array([values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)])
+            power = sum(-0.5 * force * omega * motion[number - 1].imag for number in driven)
+            damping = float(power / (omega**3 * np.real(motion.conj() @ mass @ motion)))
+        error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
+        # Sensitivities do not change the phase; the other contributions can rotate the response.
+        systematic = [limit[line, k, 0] for name, limit in response.limits.items() if name != SENSITIVITY]
+        rotation = (float(response.random_bound()[line, k, 0]) + float(np.sum(systematic))) / abs(values[k])
+        bound = abs(damping) * omega / (2.0 * np.pi) * float(np.tan(min(_SLOPE * (abs(error) + rotation), 1.0)))
+        rows.append(
+            (
+                marker.fields["level"], response.frequency[line], bound, amplitude, relative * amplitude, damping,
+                2.0 * relative * damping, marker.fields.get("settled") is not False,
+            )
+        )  # fmt: skip
+    level, frequency, frequency_bound, displacement, displacement_bound, ratio, ratio_bound, settled = (
+        np.array(column, dtype=float) for column in zip(*rows, strict=True)
+    )
+    return Backbone(
+        label=rec.scene.name,
+        body=rec.scene.structure.label(body),
+        level=level,
+        frequency=frequency,
+        frequency_bound=frequency_bound,
+        amplitude=displacement,
+        amplitude_bound=displacement_bound,
+        damping=ratio,
+        damping_bound=ratio_bound,
+        settled=settled.astype(bool),
+    )

@@ -1,0 +1,63 @@
+"""Control of the phase between a displacement and a force by the frequency of the tone: a phase-locked loop.
+
+At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
+amplitude, also where the resonance curve overhangs. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139;
+tuning by the SIMC rules for an integrating plant with dead time, as in `envelope_control`.)
+"""
+
+from __future__ import annotations
+
+import math
+
+# The loop is slowed down if the deviation does not decay by this ratio from one to the next group of so many windows: a
+# coil spring or another mode adds dynamics to the force.
+_COMPARED_ERRORS = 25
+_MIN_DECAY = 0.7
+_MAX_SLOWNESS = 16.0
+# The frequency changes by at most this fraction from window to window.
+_MAX_CHANGE_RATIO = 0.02
+
+
+class PhaseLoop:
+    """PI control of the angular frequency by the deviation of the phase.
+
+    `frequency`: first frequency, Hz; `lowest`, `highest`: its limits, Hz; `phase`: required phase of the displacement
+    relative to the force, rad; `tolerance`: its permitted deviation, rad.
+
+    >>> loop, omega, error = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02), 2 * math.pi * 10.3, 0.0
+    >>> for _ in range(200):
+    ...     error += 0.2 * (-0.4 * math.sin(error) - (omega - 2 * math.pi * 10.0))
+    ...     omega = 2 * math.pi * loop.next_frequency(error - math.pi / 2, 0.2, 0.3)
+    >>> round(omega / 2 / math.pi, 4)
+    10.0
+    """
+
+    def __init__(self, frequency: float, lowest: float, highest: float, phase: float, tolerance: float) -> None:
+        self.phase, self._tolerance = phase, tolerance
+        self._errors: list[float] = []
+        self._slowness = 1.0  # factor on the dead time
+        self._omega, self._integral = 2.0 * math.pi * frequency, 2.0 * math.pi * frequency
+        self._lowest, self._highest = 2.0 * math.pi * lowest, 2.0 * math.pi * highest
+
+    def error(self, phase: float) -> float:
+        """Return the deviation of a phase, rad, from -pi to pi."""
+        return math.remainder(phase - self.phase, 2.0 * math.pi)
+
+    def next_frequency(self, phase: float, window: float, dead_time: float) -> float:
+        """Compute the next frequency, Hz, from the phase in the last window; `window`, `dead_time`: s."""
+        error = self.error(phase)
+        self._errors.append(error)
+        if len(self._errors) == 2 * _COMPARED_ERRORS:
+            before = math.sqrt(sum(each**2 for each in self._errors[:_COMPARED_ERRORS]))
+            latest = math.sqrt(sum(each**2 for each in self._errors[_COMPARED_ERRORS:]))
+            if latest > _MIN_DECAY * before and latest > self._tolerance * math.sqrt(_COMPARED_ERRORS):
+                self._slowness = min(2.0 * self._slowness, _MAX_SLOWNESS)
+            self._errors.clear()
+        dead_time *= self._slowness
+        self._integral += window * error / (16.0 * dead_time**2)
+        requested = self._integral + error / (2.0 * dead_time)
+        change = max(-_MAX_CHANGE_RATIO, min(_MAX_CHANGE_RATIO, requested / self._omega - 1.0))
+        self._omega = max(self._lowest, min(self._highest, self._omega * (1.0 + change)))
+        # Without the part beyond a limit, the integral does not wind up.
+        self._integral += self._omega - requested
+        return self._omega / (2.0 * math.pi)

@@ -1,0 +1,199 @@
+"""Phase resonance: the frequency of a tone follows a resonance while the level is raised (backbone curve)."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from daq.core.excitation.controlled import controlled, displacement, measured_force
+from daq.core.excitation.lock_in import lock_in, whole_periods
+from daq.core.excitation.phase_loop import PhaseLoop
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.settling import Settling
+from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
+from rig.core.base.arrays import Array
+from rig.core.results.text import format_decimals
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import PhaseResonance
+    from rig.core.scene.excitation.kind import KindOfTest
+    from rig.core.scene.scene import Scene
+
+# The phase is locked if it is within the tolerance in this number of windows, over which the frequency is averaged.
+_LOCKED_WINDOWS = 8
+# The phase is locked if its mean deviates by less than this fraction of the tolerance.
+_LOCKED_RATIO = 0.7
+# Largest number of locks of a level: the phase can leave the tolerance while the frequency is constant.
+_MAX_LOCKS = 4
+# Largest number of changes of the drive of a level.
+_MAX_DRIVES = 12
+# Smallest force, counts of the converter, whose phase is determined.
+_MIN_COUNTS = 2.0
+# The expected wait at a level, periods, measured with the bundled scenes.
+_PERIODS_OF_LOCK = 400.0
+
+
+class _Window(NamedTuple):
+    """Amplitudes in a window, and the phase of the displacement relative to the force."""
+
+    motion: complex  # m
+    force: complex  # N
+    phase: float  # rad
+
+
+class _PhaseTone(SteadyTone):
+    """A tone whose frequency follows the phase."""
+
+    def __init__(self, station: Station, test: PhaseResonance) -> None:
+        super().__init__(station, test.frequency, controlled(station))
+        self._test, self._quantities = test, (displacement(station, test.at), measured_force(station))
+
+    def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
+        """Hold the tone for a window."""
+        start = self.phase - 2.0 * math.pi * self.frequency * self.station.latency / self.rate
+        readings = yield self.station.drive(self.hold(samples))
+        amplitudes = lock_in(readings, self.frequency, self.rate, start)
+        motion, force = (
+            -1j * self.amplitude if quantity is None else complex(quantity.weights(self.frequency) @ amplitudes)
+            for quantity in self._quantities
+        )
+        return _Window(motion, force, float(np.angle(motion / force)) if force else 0.0)
+
+    def lock(self) -> Generator[Array, Array, tuple[bool, complex]]:
+        """Control the frequency until the phase is locked and the motion is steady.
+
+        Returns whether it is, and the amplitude of the force. At the end the frequency is constant.
+        """
+        detector, test = Settling(self._test.settle.tolerance), self._test
+        windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
+        loop = self.loop = PhaseLoop(self.frequency, test.from_, test.to, test.phase, test.tolerance)
+        end = self.station.now + self.station.samples(test.settle.longest)
+        while self.station.now < end:
+            samples = whole_periods(self.frequency, self.rate, WINDOW_S)
+            window = yield from self.window_of(samples)
+            windows.append(window)
+            frequencies.append(self.frequency)
+            if window.force:
+                # The phase of the amplitudes is that of a tone whose frequency changes: only the ratio is steady.
+                detector.add(np.array([window.motion / window.force * abs(window.force), abs(window.force) + 0j]))
+            mean_error = float(np.mean([loop.error(each.phase) for each in windows]))
+            if (
+                detector.settled
+                and len(windows) == _LOCKED_WINDOWS
+                and abs(mean_error) < _LOCKED_RATIO * test.tolerance
+            ):
+                self.frequency = float(np.mean(frequencies))
+                return True, complex(np.mean([abs(each.force) for each in windows]))
+            dead_time = (1.5 * samples + self.station.latency) / self.rate
+            self.frequency = loop.next_frequency(window.phase, samples / self.rate, dead_time)
+        return False, windows[-1].force if windows else 0j
+
+    def measure_phase(self, samples: int) -> Generator[Array, Array, _Window]:
+        """Hold the tone for at least a number of samples, and return the amplitudes."""
+        return (yield from self.window_of(whole_periods(self.frequency, self.rate, samples / self.rate)))
+
+
+def excite(station: Station, test: PhaseResonance) -> Excitation:
+    """Lock the phase at each level, and measure at constant frequency; raise `GivenUp` without any lock."""
+    tone, failures = _PhaseTone(station, test), list[str]()
+    frequency, drive = test.frequency, 0.0
+    for number, level in enumerate(test.levels):
+        station.report(number / len(test.levels), f"level {level:g}, {format_decimals(tone.frequency, 3)} Hz")
+        first_drive = tone.start(level)
+        drive = first_drive if not number or not station.is_controlled else drive * level / test.levels[number - 1]
+        first = station.now
+        yield station.drive(tone.transition(station.samples(TRANSITION_S), frequency, drive))
+        locked = False
+        for _ in range(_MAX_DRIVES):
+            locked, force = yield from tone.lock()
+            if not locked or tone.control is None or tone.control.is_at_level(abs(force)):
+                break
+            locked, drive = False, tone.control.next_drive(tone.amplitude, abs(force))
+            yield station.drive(tone.transition(station.samples(TRANSITION_S), tone.frequency, drive))
+        measured = None
+        fields: dict[str, Any] = {"level": level, "direction": "up"}
+        begin = station.now
+        station.mark("settle", first, begin, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields)
+        for attempt in range(_MAX_LOCKS):
+            begin = station.now
+            measured = yield from tone.measure_phase(round(test.measure.periods * station.rate / tone.frequency))
+            within = abs(tone.loop.error(measured.phase)) <= test.tolerance
+            if not locked or within or attempt == _MAX_LOCKS - 1:
+                locked = locked and within
+                break
+            locked, _ = yield from tone.lock()
+        assert measured is not None
+        station.mark(
+            "measure",
+            begin,
+            station.now,
+            drive=tone.amplitude,
+            force=abs(measured.force),
+            settled=locked,
+            frequency=tone.frequency,
+            phase=measured.phase,
+            **fields,
+        )
+        if locked:
+            frequency, drive = tone.frequency, tone.amplitude
+        else:
+            failures.append(_failure(station, test, tone, level, measured))
+    yield tone.end()
+    if len(failures) == len(test.levels):
+        raise GivenUp(failures[0])
+    for message in failures:
+        station.warn(message)
+    station.report(1.0, "done")
+
+
+def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: float, measured: _Window) -> str:
+    """Describe why a level has no lock."""
+    quantity = measured_force(station)
+    count = None if quantity is None else station.channels[quantity.rows[0]].unit_per_count
+    at_level = f"level {level:g}"
+    if quantity is not None and count is not None and quantity.factors == (1.0,):
+        counts = abs(measured.force) / count
+        if counts < _MIN_COUNTS:
+            return f"{at_level}: the force is {counts:.2g} counts of the converter. Use a more sensitive force sensor."
+    return (
+        f"{at_level}: no lock within {test.settle.longest:g} s: the phase is {math.degrees(measured.phase):.0f}° at "
+        f"{tone.frequency:.4g} Hz. No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls too "
+        "fast with the amplitude (test constant_response), or the motion is irregular."
+    )
+
+
+class PhaseResonanceProcedure(Procedure["PhaseResonance"]):
+    """A tone that follows a resonance."""
+
+    detection = "steps"
+    form = Form("phase resonance", ("level", "frequency", "low", "high"))
+
+    def excite(self, station: Station, test: PhaseResonance) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: PhaseResonance, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the measured periods."""
+        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+
+    def waits(self, test: PhaseResonance, scene: Scene) -> float:
+        """Return the expected time of all locks, s."""
+        return len(test.levels) * min(_PERIODS_OF_LOCK / test.frequency, test.settle.longest)
+
+    def part(self, test: PhaseResonance, seconds: float, scene: Scene) -> PhaseResonance:
+        """Return the highest level."""
+        return test.at_level(max(test.levels))
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return a tone at the given force that follows the resonance of body 1, or of the body of the scene's test."""
+        at = getattr(test, "at", "body 1")
+        band = {"from": values.low, "to": values.high, "frequency": values.frequency}
+        return {"kind": "phase_resonance", "at": at, "force": values.level, **band}
+
+
+PROCEDURE = PhaseResonanceProcedure()

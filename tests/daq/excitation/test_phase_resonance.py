@@ -1,0 +1,137 @@
+"""Phase resonance: the law of its loop, runs on the bench, and backbones compared with exact orbits."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+import rig
+from analysis.commands.cli import app
+from daq.core.excitation.phase_loop import PhaseLoop
+from rig.core.base.errors import RecordingError, RunError, SceneError
+from tests.daq.excitation.test_constant_response import device_marks
+from tests.daq.measurement.bench_run import run
+
+TEST = {
+    "kind": "phase_resonance", "frequency": "49 Hz", "from": "46 Hz", "to": "53 Hz", "at": "body 1", "force": [0.5, 2.0]
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damping", [0.001, 0.005, 0.02])
+@pytest.mark.parametrize("latency", [0.0, 0.2])
+def test_law_locks_shifted_resonance(damping: float, latency: float) -> None:
+    omega0, window = 2.0 * math.pi * 13.0, 0.15
+    decay, late = damping * omega0, round(latency / window)
+    loop, frequency, error = PhaseLoop(13.0, 10.0, 16.0, -math.pi / 2, 0.02), 13.0, 0.0
+    omega0 += 3.0 * decay  # the level has changed
+    errors = [0.0] * (late + 1)
+    for _ in range(600):
+        total = 0.0
+        for _ in range(50):
+            error += window / 50 * (-decay * math.sin(error) - (2.0 * math.pi * frequency - omega0))
+            total += error / 50
+        errors.append(total)
+        frequency = loop.next_frequency(errors[-1 - late] - math.pi / 2, window, 1.5 * window + latency)
+    assert frequency == pytest.approx(omega0 / (2.0 * math.pi), abs=1e-4)
+    assert abs(error) < 1e-3
+
+
+def test_law_stays_within_limits() -> None:
+    loop = PhaseLoop(13.0, 12.0, 14.0, -math.pi / 2, 0.02)
+    assert max(loop.next_frequency(0.0, 0.1, 0.15) for _ in range(90)) == 14.0
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene = rig.load("held-response").replace(test=TEST)
+    return daq.record(scene, tmp_path_factory.mktemp("phase") / "phase.mcap")
+
+
+def test_points_are_exact_orbits(recording: Path) -> None:
+    measured = analysis.backbone(recording)
+    assert measured.settled.all()
+    for level, frequency, bound, amplitude, amplitude_bound in zip(
+        *(measured.level, measured.frequency, measured.frequency_bound),
+        *(measured.amplitude, measured.amplitude_bound),
+        strict=True,
+    ):
+        test = {"kind": "sine", "frequency": frequency, "force": level}
+        theory = rig.load("held-response").replace(test=test, channels=None)
+        [(exact, exact_amplitude)] = resonances(theory, frequency, 0)
+        assert abs(frequency - exact) < bound < 0.02
+        assert frequency == pytest.approx(exact, rel=2e-4)
+        assert abs(amplitude - exact_amplitude) < amplitude_bound
+
+
+def resonances(theory: rig.Scene, frequency: float, body: int) -> list[tuple[float, float]]:
+    """Return frequency (Hz) and amplitude (m) of the stable orbits at which a body lags the force by 90 degrees."""
+    found = []
+    for branch in rig.follow_orbits(theory, "frequency", (0.98 * frequency, 1.02 * frequency)).branches:
+        phase = np.angle(1j * branch.frf[body])
+        amplitude = abs(branch.frf[body] * [orbit.reference_amplitude for orbit in branch.orbits])
+        for k in np.flatnonzero((phase[1:] * phase[:-1] <= 0.0) & (abs(np.diff(phase)) < 1.0) & branch.stable[1:]):
+            share = phase[k] / (phase[k] - phase[k + 1])
+            found.append(tuple(values[k] + share * (values[k + 1] - values[k]) for values in (branch.value, amplitude)))
+    return found
+
+
+def test_linear_backbone_is_the_mode(tmp_path: Path) -> None:
+    scene = rig.load("held-response").replace(test={**TEST, "at": "body 1", "force": 0.5}, dampers=[])
+    measured = analysis.backbone(daq.record(scene, tmp_path / "linear.mcap"))
+    assert measured.frequency[0] == pytest.approx(49.663, abs=0.03)
+    assert measured.damping[0] == pytest.approx(0.005, abs=float(measured.damping_bound[0]))
+
+
+def test_coil_shaker_is_locked() -> None:
+    bench_run = run(rig.load("fig9").replace(test={**TEST, "force": [1.5]}))
+    [(*_, fields)] = bench_run.marks_of("measure")
+    assert fields["settled"] and math.degrees(fields["phase"]) == pytest.approx(-90.0, abs=1.0)
+    assert fields["force"] == pytest.approx(1.5, rel=0.006)
+
+
+def test_device_gives_equal_markers() -> None:
+    scene = rig.load("held-response").replace(test={**TEST, "force": 0.5})
+    assert device_marks(scene, 0) == run(scene).marks
+    delayed = [fields for kind, *_, fields in device_marks(scene, 256) if kind == "measure"]
+    assert delayed[0]["settled"] and delayed[0]["frequency"] == pytest.approx(48.91, abs=0.01)
+
+
+def test_missing_resonance_gives_up(tmp_path: Path) -> None:
+    changes = {"frequency": "20 Hz", "from": "18 Hz", "to": "22 Hz", "force": 0.5, "settle": {"longest": "5 s"}}
+    scene = rig.load("held-response").replace(test={**TEST, **changes})
+    with pytest.raises(RunError, match=r"no lock within 5 s.*No resonance lies between 18 and 22 Hz"):
+        daq.record(scene, tmp_path / "phase.mcap")
+    with daq.open(tmp_path / "phase.mcap") as rec:
+        assert rec.markers[-1].kind == "abort"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"at": "body 7"}, "body 7 does not exist"), ({"frequency": "60 Hz"}, "expected a frequency from 46 to 53 Hz")],
+)
+def test_mistake_is_named(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        rig.load("held-response").replace(test={**TEST, **change})
+
+
+def test_test_is_foreseen() -> None:
+    assert "test.force" in str(daq.foresee(rig.load("held-response").replace(test={**TEST, "force": 0.5})))
+
+
+def test_command_prints_the_backbone(recording: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["backbone", str(recording), "-o", str(tmp_path)])
+    assert result.exit_code == 0 and "2 levels, body 1" in result.stdout
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_other_test_has_no_backbone(tmp_path: Path) -> None:
+    scene = rig.load("held-response").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
+    with pytest.raises(RecordingError, match="no phase was held"):
+        analysis.backbone(daq.record(scene, tmp_path / "sine.mcap"))

@@ -117,6 +117,7 @@ def backbone(rec: Recording) -> Backbone:
     Returns
     -------
     Backbone
+        Frequencies, amplitudes and damping ratios of all levels.
 
     Raises
     ------

@@ -19,6 +19,8 @@ _UNITS_PER_M = 1000.0
 # Number of turns of a drawn spring, and half its width in m of the drawing.
 _COIL_TURNS = 7
 _COIL_HALF_WIDTH = 0.018
+# Left end of the labels of bodies, m of the drawing.
+_LABEL_X = WIDTH / 2 + 0.015
 
 
 class RigDrawing:
@@ -57,7 +59,9 @@ class RigDrawing:
         scene, parts = self._scene, [_box(0.0, -0.01, 0.44, 0.02, GROUND)]
         for table in view.shaker_tables:
             parts.append(_box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116)))
-            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(table.x + 0.05, -0.02, table.point)
+            # The springs of a body above the table must not cross the label.
+            label_x = max(table.x + 0.05, _LABEL_X)
+            plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(label_x, -0.02, table.point)
             parts.append(_group(table.entity("table"), plate))
             if table.has_coil_spring:
                 parts.append(_group(table.entity("coil_spring"), _coil(table.x, COIL_LENGTH, DRIVE)))
@@ -79,7 +83,7 @@ class RigDrawing:
                 )
             texts = [scene.structure.label(body), *([] if masses is None else [f"{masses[body - 1]:g} kg"])]
             for row, text in enumerate(texts):
-                frame += _text(WIDTH / 2 + 0.015, height / 2 + 0.008 - 0.028 * row, text)
+                frame += _text(_LABEL_X, height / 2 + 0.008 - 0.032 * row, text)
             parts.append(_group(f"rig/body_{body}", frame))
         parts.append(_text(-0.14, -0.045, f"motion × {view.exaggeration:g}"))
         top = _UNITS_PER_M * (view.stack.top + 0.1)
@@ -111,7 +115,7 @@ def _box(x: float, z: float, width: float, height: float, color: Color, filled: 
 
 def _text(x: float, z: float, text: str) -> str:
     # The colors of bodies are too dark for text on the dark page.
-    style = f'font-size="24" fill="{hex_color(LABEL)}"'
+    style = f'font-size="28" fill="{hex_color(LABEL)}"'
     return f'<text x="{_UNITS_PER_M * x:.0f}" y="{-_UNITS_PER_M * z:.0f}" {style}>{escape(text)}</text>'
 
 

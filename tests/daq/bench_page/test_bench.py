@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import socket
 import threading
 import webbrowser
@@ -17,10 +18,12 @@ from nidaqmx.constants import TaskMode
 import analysis
 import daq
 import rig
+from daq.core.drawing.rig_view import RigMotion
 from daq.core.recording.committed_file import RESERVE, CommittedFile
 from daq.extras.bench_page.bench import _open_browser, _serve_page
 from daq.extras.bench_page.half_power import live_peaks
 from daq.extras.bench_page.live_bench import LiveBench
+from daq.extras.bench_page.rig_svg import RigDrawing
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_device.engines.log import MarkedRecording
 from daq.extras.ni_server.connection import connect
@@ -410,6 +413,15 @@ def test_failed_display_is_reported(bench, monkeypatch):
     monkeypatch.setattr(bench.monitor, "_process", lambda *_: 1 // 0)
     pass_time(bench, 0.5)
     assert [problem for problem in bench.chassis.problems if "the display of the page has ended" in problem]
+
+
+def test_springs_do_not_cross_the_label_of_the_table():
+    scene = rig.load("fig8-three-dampers")
+    drawing = RigDrawing(scene)
+    drawing.frames(RigMotion(np.zeros((scene.structure.bodies, 1)), np.zeros((len(scene.tables), 1))))
+    (label,) = re.findall(r'<text x="(\d+)"[^>]*>table<', drawing.svg)
+    springs = re.findall(r'id="rig-spring_1">(.*?)</g>', drawing.svg)
+    assert int(label) > max(float(x) for x in re.findall(r"([\d.]+),", springs[0]))
 
 
 def test_port_in_use_is_reported_before_the_start():

@@ -190,6 +190,24 @@ def test_page_has_the_colors_of_the_figures(bench, browser):
     assert colors == {"base": BODIES[0].lower(), "arm": BODIES[1].lower(), "force": HAMMER.lower()}
 
 
+@pytest.mark.thorough
+def test_texts_and_scales_suit_the_values(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+
+    def value(script):
+        return browser.execute_script(f"return {script}")
+
+    # Noise at ±180° does not cross the chart.
+    assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
+    assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
+    note = "response.note({hits: [], running: true, frf_reason: ''})"
+    assert "coherence needs 2" in value(f"(response.head = {{averages: 1}}, {note})")
+    panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
+    assert value(f"inMillimeters({panel}).name") == "mm"
+    assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5
+
+
 def _options(channel):
     return nidaqmx.GrpcSessionOptions(channel, "")
 

@@ -62,6 +62,13 @@ function steady(key, [low, high]) {
   return [shownScales.get(key).low, shownScales.get(key).high];
 }
 
+// A panel in millimeters if its axis ends above 1000 µm.
+function inMillimeters(panel) {
+  if (panel.name !== "µm" || panel.range[1] <= 1000) return panel;
+  const curves = panel.curves.map((curve) => ({ ...curve, y: curve.y.map((value) => value / 1000) }));
+  return { ...panel, name: "mm", range: panel.range.map((end) => end / 1000), curves };
+}
+
 function panels(kind, x, values, log) {
   return groups().map(({ key, name, factor, smallest, rows }) => {
     const curves = rows.map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.2 }));
@@ -69,7 +76,7 @@ function panels(kind, x, values, log) {
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.
     panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, smallest) * 1e-3, Math.max(high, smallest)] : [low, high]);
-    return panel;
+    return inMillimeters(panel);
   });
 }
 

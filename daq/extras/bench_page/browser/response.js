@@ -30,7 +30,7 @@ const response = {
     this.head = head;
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence } = arrays;
-      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: phase[k], coherence: coherence[k] }));
+      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k] }));
       this.curves = { test: head.test, frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
@@ -48,7 +48,7 @@ const response = {
   note(state) {
     const averages = this.head?.averages;
     const empty = state.hits.length ? "no accepted hit yet" : state.running ? "begins with the measurement" : "begins with a test";
-    return (averages ? `H1, ${averages} average${averages > 1 ? "s" : ""}` : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
+    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "H1, 1 average; coherence needs 2") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
   // The band of the test, or of a pulse: from zero to the highest excited frequency.
@@ -79,7 +79,7 @@ const response = {
     const fixed = (values) => values.map((value) => [value, true]);
     this.chart.show(this.range(), [
       { name: "µm/N", log: true, share: 3.2, curves: magnitude },
-      { name: "phase / °", range: [-180, 180], ticks: fixed([-180, -90, 0, 90, 180]), curves: phase },
+      { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       { name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence },
     ]);
     this.describe();
@@ -110,7 +110,12 @@ const response = {
 // Below this coherence, or if it is not known, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
 
-// The phase where it is coherent, without the lines across the chart at ±180°.
+// The phase where it is coherent, without the lines across the chart where it wraps.
 function cut(phase, coherence) {
   return phase.map((value, k) => (!(coherence[k] >= COHERENT) || (k && Math.abs(value - phase[k - 1]) > 180) ? NaN : value));
+}
+
+// The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.
+function wrapped(phase) {
+  return phase.map((value) => (value > 90 ? value - 360 : value));
 }

@@ -17,7 +17,7 @@ const bar = {
     $("progress").hidden = progress == null;
     $("progress").firstChild.style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
-    setText("force", !state.running ? "" : `${digits(state.target, 3)} N ${state.level_kind}, measured ${digits(state.force, 3)} N`);
+    setText("force", state.running ? levelText(state) : "");
     setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
@@ -58,3 +58,8 @@ const bar = {
     }
   },
 };
+
+// The level of the test, and the measured level as soon as it is known.
+function levelText({ target, level_kind: kind, force }) {
+  return `${digits(target, 3)} N ${kind}${force == null ? "" : `, measured ${digits(force, 3)} N`}`;
+}

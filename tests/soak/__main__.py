@@ -30,6 +30,7 @@ matplotlib.use("agg")
 # Default number of cases of each kind.
 CASES = {
     "kills": 200,
+    "writing": 200,
     "starts": 100,
     "studies": 40,
     "damage": 400,

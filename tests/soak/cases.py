@@ -54,6 +54,15 @@ STUDY_COMMANDS = (
     "analysis paper",
     "analysis demo",
 )
+# Commands that write files from a recording r.mcap or a table x.csv, and the files.
+WRITING_COMMANDS = {
+    "daq recover r.mcap -o out.mcap": "out.mcap",
+    "daq import x.csv --scene s.yaml -o out.mcap": "out.mcap",
+    "analysis export r.mcap -o out.csv": "out.csv",
+    "analysis export r.mcap -o out.npz": "out.npz",
+    "analysis export r.mcap -o out.uff": "out.uff",
+    "analysis report r.mcap -o out.html": "out.html",
+}
 # A client script for `daq run`.
 CLIENT_SCRIPT = """
 import nidaqmx
@@ -154,6 +163,32 @@ def interrupt_recording(workspace: Workspace, rng: random.Random) -> tuple[Comma
     if overwrite and not (folder / "r.mcap").exists():
         faults.append("file lost")
     return result, faults
+
+
+def interrupt_writing(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
+    """Kill or interrupt a command while it replaces a file: the old or the new file must be complete."""
+    command, folder = rng.choice(list(WRITING_COMMANDS)), workspace.clear()
+    output = folder / WRITING_COMMANDS[command]
+    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    (folder / "s.yaml").write_text(files.make_scene().to_yaml())
+    (folder / "x.csv").write_bytes(workspace.foreign_files[".csv", "csv"])
+    output.write_bytes(old := b"old")
+    words = [*command.split(), "--overwrite"]
+    completed = run(words, folder)
+    if completed.code:
+        return completed, ["not written"]
+    size, before = output.stat().st_size, {path.name for path in folder.iterdir()}
+    output.write_bytes(old)
+    signal_number = rng.choice((signal.SIGKILL, signal.SIGKILL, *TERMINATION_SIGNALS))
+    result = run(words, folder, on_poll=signal_sender(signal_number, rng.uniform(0.0, 1.1) * completed.seconds))
+    faults = workspace.recording_faults(folder / "r.mcap", 0)
+    if output.read_bytes() != old and not (0.99 * size <= output.stat().st_size <= 1.01 * size):
+        faults.append("incomplete file")
+    # The next run removes what a kill has left behind.
+    again = run(words, folder)
+    faults += again.faults + (["not written again"] if again.code else [])
+    faults += [f"left behind: {path.suffix}" for path in folder.iterdir() if path.name not in before]
+    return _without_signal_effects(result, signal_number), faults
 
 
 def interrupt_startup(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
@@ -316,6 +351,7 @@ def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[Comma
 
 KINDS: dict[str, Callable[[Workspace, random.Random], tuple[CommandResult, list[str]]]] = {
     "kills": interrupt_recording,
+    "writing": interrupt_writing,
     "starts": interrupt_startup,
     "studies": interrupt_study,
     "damage": damage_recording,

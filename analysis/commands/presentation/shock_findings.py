@@ -63,7 +63,6 @@ def present_srs(
         for axis in (axes.xaxis, axes.yaxis):
             set_log_scale(axis)
         add_title(axes, f"Shock response spectrum, Q = {q:g}")
-        axes.legend()
         add_legend_below(figure, "Solid: largest magnitude. Dashed: positive. Dotted: negative.")
         files = save_figure(figure, stem)
     rows: list[Row] = [

@@ -387,11 +387,14 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
 
 def sweep_name(rec: Recording, key: _SweepKey) -> str:
     """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
-    level, direction = format_number(key[0]), key[1]
+    level, direction = key
     test = rec.scene.test
     if test is None or test.held_motion is None:
-        return f"level {level} {direction}" if rec.scene.level_key == "drive" else f"{level} N {direction}"
-    return f"{level} {test.level_unit(None)} {direction}"
+        name = f"level {format_number(level)}" if rec.scene.level_key == "drive" else f"{format_number(level)} N"
+        return f"{name} {direction}"
+    unit = test.level_unit(None)
+    factor, prefix = (1.0, "") if unit.endswith("^2") else (1e3, "m")  # displacements and velocities are small
+    return f"{format_number(factor * level)} {prefix}{unit.replace('^2', '²')} {direction}"
 
 
 def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:

@@ -92,11 +92,18 @@ def test_mobility_is_receptance_times_i_omega(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("level", "name"), [("force: [1 N, 3 N]", "3 N up"), ("drive: [1 m, 3 m]", "level 3 up")], ids=["force", "drive"]
+    ("level", "name"),
+    [
+        ("kind: stepped_sine, force: [1 N, 3 N]", "3 N up"),
+        ("kind: stepped_sine, drive: [1 m, 3 m]", "level 3 up"),
+        ("kind: constant_response, at: body 1, displacement: [1 m, 3 m]", "3000 mm up"),
+        ("kind: constant_response, at: body 1, acceleration: [1 m/s^2, 3 m/s^2]", "3 m/s² up"),
+    ],
+    ids=["force", "drive", "displacement", "acceleration"],
 )
 def test_ambiguous_level_lists_the_levels(level, name, tmp_path):
     infos = synthetic.channels()
-    scene = synthetic.scene(f"{{kind: stepped_sine, frequencies: [20 Hz], {level}}}")
+    scene = synthetic.scene(f"{{frequencies: [20 Hz], {level}}}")
     markers = [
         ("measure", 0, 2559, {"frequency": 20.0, "level": 1.0, "direction": "up"}),
         ("measure", 2560, 5119, {"frequency": 20.0, "level": 3.0, "direction": "up"}),

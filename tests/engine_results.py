@@ -7,6 +7,7 @@ that the results of a version are computed when they are compared, and are not s
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -70,7 +71,10 @@ def _scenes() -> Iterator[tuple[str, Any]]:
     for variant in DAMPERS:
         yield variant, rig.load(_chain(variant))
     for path in sorted(CASES.glob("*.yaml")):
-        if not path.stem.startswith("chain"):  # a hard case of sensors
+        if path.stem.startswith("chain"):  # a hard case of sensors
+            continue
+        # An older version lacks the keys of newer cases, which are then reported as new.
+        with suppress(rig.SceneError):
             yield path.stem, rig.load(path)
 
 

@@ -32,6 +32,11 @@ SHORTENED: dict[str, dict[str, Any]] = {
     "stepped_sine": {"test.points": 2, "test.settle.longest": "3 s"},
     "impulse": {"test.repeats": 1, "test.interval": "1 s"},
     "sine": {"test.duration": "0.3 s"},
+    "constant_response": {"test.displacement": ["0.2 mm"], "test.points": 2},
+    "phase_resonance": {"test.force": ["1 N"]},
+    "random_control": {"test.duration": "10 s", "test.ramp": [-6.0]},
+    "shock": {"test.repeats": 1},
+    "sine_control": {"test.duration": "30 s"},
 }
 
 BENCH: dict[str, Any] = {

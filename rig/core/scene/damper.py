@@ -112,8 +112,8 @@ class Damper(Settings):
     spring: Annotated[float, Quantity(STIFFNESS, above=0.0)] | None = None
     """Stiffness of the spring of a tuned mass damper [N/m]. The mass then has no floor and no ceiling; its displacement
     is measured from its position at rest."""
-    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
-    """Damping of the dashpot next to the spring [N s/m]."""
+    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] | None = None
+    """Damping of the dashpot next to the spring [N s/m]; None: no dashpot."""
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None
@@ -122,6 +122,11 @@ class Damper(Settings):
     """The bed as spheres (requires the optional dependency `grains`); by default the bed is one mass."""
     locked: bool = False
     """Whether the mass is glued to its body."""
+
+    @property
+    def dashpot(self) -> float:
+        """Return the damping of the dashpot, N s/m; 0 without one."""
+        return self.damping or 0.0
 
     @property
     def moves(self) -> bool:

@@ -103,7 +103,7 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
     declare: Callable[[float], Law] = partial(particle_bed, damper.restitution)
     if damper.spring is not None:
         gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
-        declare = partial(spring_mass, damper.spring, damper.damping, mass * scene.gravity)
+        declare = partial(spring_mass, damper.spring, damper.dashpot, mass * scene.gravity)
     elif damper.contact is not None:
         gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
         declare = partial(wall_contact, *_stiffness_and_damping(damper, 1.0 / (1.0 / mass + inverse_mass)))

@@ -167,7 +167,7 @@ def structural_model(scene: Scene) -> StructuralModel:
     locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
     masses = bed_masses(scene, mass)
     tuned = tuple(
-        TunedMass(k, damper.body - 1, float(masses[k]), damper.spring, damper.damping)
+        TunedMass(k, damper.body - 1, float(masses[k]), damper.spring, damper.dashpot)
         for k, damper in enumerate(scene.dampers)
         if damper.spring is not None and damper.moves
     )

@@ -49,7 +49,7 @@ class TunedMass:
         damper = self.damper
         return (
             f"tuned mass damper in body {damper.body}: {self.frequency:.4g} Hz, damping ratio "
-            f"{100.0 * self.damping_ratio:.3g} % ({damper.spring:.4g} N/m, {damper.damping:.3g} N s/m)"
+            f"{100.0 * self.damping_ratio:.3g} % ({damper.spring:.4g} N/m, {damper.dashpot:.3g} N s/m)"
         )
 
 

@@ -130,6 +130,12 @@ def test_links_of_pages_lead_somewhere(page) -> None:
     assert all((page.parent / link).exists() for link in links), links
 
 
+def test_site_contains_each_guide_page() -> None:
+    contents = (ROOT / ".docs/index.md").read_text(encoding="utf-8").split()
+    pages = {str(page.relative_to(ROOT).with_suffix("")) for page in ROOT.glob("*/guide/*.md") if page.stem != "index"}
+    assert pages - set(contents) == set()
+
+
 def glossary() -> list[list[str]]:
     """Return the cells of the rows of the glossary, without headings."""
     text = (ROOT / "rig/guide/glossary.md").read_text(encoding="utf-8")

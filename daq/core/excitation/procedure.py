@@ -111,4 +111,6 @@ class Procedure(Generic[TestT]):
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
         """Return a test, or the settings of a test, with the values of the page; `test`: the test of the scene."""
-        raise NotImplementedError
+        if test is None or self.form is None or self.form.fields:
+            raise NotImplementedError
+        return test

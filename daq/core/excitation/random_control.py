@@ -6,13 +6,13 @@ The terms are those of IEC 60068-2-64. Limits of other channels reduce the drive
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erfc
 
 from daq.core.excitation.identification import EXPECTED_PERIODS, identify
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
@@ -21,7 +21,6 @@ from rig.core.scene.excitation.random_control import excess
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import RandomControl
-    from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
 
@@ -208,11 +207,6 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     def part(self, test: RandomControl, seconds: float, scene: Scene) -> RandomControl:
         """Return a test with the full level only, and a shorter duration."""
         return test.replace(ramp=(), duration=min(test.duration, max(seconds, 1.0 / test.resolution)))
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
-        """Return the test of the scene."""
-        assert test is not None
-        return test
 
 
 PROCEDURE = RandomControlProcedure()

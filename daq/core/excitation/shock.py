@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.core.excitation.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
@@ -20,7 +20,6 @@ from rig.core.scene.excitation.shock import PULSE_POSITION
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Shock
-    from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
 
@@ -104,14 +103,8 @@ def _pulse(test: Shock, period: int, rate: float) -> Pulse:
 
 def _check_drive(station: Station, replication: Replication, test: Shock) -> None:
     """Give up if the drive of the shock exceeds the output or the amplifier."""
-    largest, shaker = float(abs(replication.drive(1.0)).max()), station.scene.driven_shaker
-    assert shaker is not None
-    if largest > station.output_limit:
-        size = "Lower the spectrum." if test.half_sine is None else "Shorten the width, or lower the peak."
-        raise GivenUp(
-            f"the pulse requires a drive of {largest:.3g} {shaker.drive_unit}; the output gives "
-            f"{station.output_limit:.3g} {shaker.drive_unit}. {size}"
-        )
+    remedy = "Lower the spectrum." if test.half_sine is None else "Shorten the width, or lower the peak."
+    station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", remedy)
 
 
 class ShockProcedure(Procedure["Shock"]):
@@ -134,11 +127,6 @@ class ShockProcedure(Procedure["Shock"]):
     def part(self, test: Shock, seconds: float, scene: Scene) -> Shock:
         """Return the test with one shock: all are equal."""
         return test.replace(repeats=1)
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
-        """Return the test of the scene."""
-        assert test is not None
-        return test
 
 
 PROCEDURE = ShockProcedure()

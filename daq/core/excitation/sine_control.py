@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.identification import EXPECTED_PERIODS, Identified, identify
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
@@ -32,7 +32,6 @@ from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import SineControl
-    from rig.core.scene.excitation.kind import KindOfTest
 
 
 # The drive changes after this number of periods, and at least this number of samples.
@@ -129,14 +128,9 @@ class SineSweep:
         frequency = found.lines * self.station.rate / period
         gains = zip(np.abs(found.gain).T, frequency.tolist(), strict=True)
         drive = [float(self.ratios(gain, f).min()) for gain, f in gains]
-        worst, shaker = int(np.argmax(drive)), self.station.scene.driven_shaker
-        assert shaker is not None
-        if drive[worst] > self.station.output_limit:
-            unit = shaker.drive_unit
-            raise GivenUp(
-                f"at {frequency[worst]:.4g} Hz the profile requires a drive of {drive[worst]:.3g} {unit}; the output "
-                f"gives {self.station.output_limit:.3g} {unit}. Lower the profile there."
-            )
+        worst = int(np.argmax(drive))
+        place = f"at {frequency[worst]:.4g} Hz the profile"
+        self.station.check_output(drive[worst], place, "Lower the profile there.")
         return drive[int(np.argmin(abs(frequency - self.test.from_)))]
 
     def window(self, samples: int, frequency: float, drive: float) -> Generator[Array, Array, None]:
@@ -201,8 +195,8 @@ def excite(station: Station, test: SineControl) -> Excitation:
     warning = slow_sweep_warning(station, test, test.tolerance)
     if warning:
         station.warn(warning)
-    sweep, low, high = SineSweep(station, test), min(test.from_, test.to), max(test.from_, test.to)
-    period = station.samples(max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / low))
+    sweep, (low, high) = SineSweep(station, test), test.band
+    period = station.samples(_identification_seconds(test))
     lines = lines_between(low, high, period, station.rate)
     frequency = lines * station.rate / period
     # Together, the tones are as large as the profile.
@@ -276,7 +270,7 @@ def slow_sweep_warning(station: Station, test: SineControl, tolerance: float) ->
     It uses the slopes of the required drive of the linear scene, with all dampers on their floors.
     """
     scene, sweep = station.scene, SineSweep(station, test)
-    system, low, high = assemble(scene), min(test.from_, test.to), max(test.from_, test.to)
+    system, (low, high) = assemble(scene), test.band
     frequency = np.geomspace(low, high, _CHECKED_FREQUENCIES)
     states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
     points = [system.points.index(station.channels[row].at) for row in sweep.rows]
@@ -297,6 +291,11 @@ def slow_sweep_warning(station: Station, test: SineControl, tolerance: float) ->
     )
 
 
+def _identification_seconds(test: SineControl) -> float:
+    """Return the period of the identification, s."""
+    return max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / test.band[0])
+
+
 def _window_samples(frequency: float, rate: float) -> int:
     """Return the number of samples of a window at a frequency in Hz."""
     return max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency))
@@ -313,8 +312,7 @@ class SineControlProcedure(Procedure["SineControl"]):
 
     def waits(self, test: SineControl, scene: Scene) -> float:
         """Return the expected time of the identification and of the start, s."""
-        period = max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / min(test.from_, test.to))
-        return EXPECTED_PERIODS * period + 2.0 * _RISE_S + _START_WINDOWS / test.from_
+        return EXPECTED_PERIODS * _identification_seconds(test) + 2.0 * _RISE_S + _START_WINDOWS / test.from_
 
     def control_seconds(self, test: SineControl) -> float:
         """Return the CPU time of the controller, which works in each period, s."""
@@ -322,7 +320,7 @@ class SineControlProcedure(Procedure["SineControl"]):
 
     def part(self, test: SineControl, seconds: float, scene: Scene) -> SineControl:
         """Return the part of the sweep about the first resonance, at the same rate."""
-        low, high = min(test.from_, test.to), max(test.from_, test.to)
+        low, high = test.band
         inside = [f for f in structural_model(scene).modes.frequency.tolist() if low < f < high]
         fractions = np.linspace(0.0, 1.0, 1001)
         center = float(fractions[int(np.argmin(abs(test.frequency_at(fractions) - inside[0])))]) if inside else 0.5
@@ -334,11 +332,6 @@ class SineControlProcedure(Procedure["SineControl"]):
     def frequency_at(self, test: SineControl, fraction: float) -> float:
         """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
         return float(test.frequency_at(fraction))
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
-        """Return the test of the scene."""
-        assert test is not None
-        return test
 
 
 PROCEDURE = SineControlProcedure()

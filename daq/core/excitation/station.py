@@ -119,6 +119,17 @@ class Station:
             return self.drive_limit
         return min(self.drive_limit, volts * DRIVE_PER_VOLT[shaker.drive_unit])
 
+    def check_output(self, drive: float, requiring: str, remedy: str) -> None:
+        """Raise `GivenUp` if a drive exceeds `output_limit`; `requiring`: what requires the drive."""
+        shaker = self.scene.driven_shaker
+        assert shaker is not None
+        if drive > self.output_limit:
+            unit = shaker.drive_unit
+            raise GivenUp(
+                f"{requiring} requires a drive of {drive:.3g} {unit}; the output gives {self.output_limit:.3g} {unit}. "
+                f"{remedy}"
+            )
+
     def row_of(self, channel: str) -> int:
         """Return the row of a channel in the readings."""
         return next(row for row, info in enumerate(self.channels) if info.name == channel)

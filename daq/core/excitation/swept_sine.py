@@ -60,7 +60,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
     level, law = station.level, None
     if force is not None:
         station.report(0.0, "measuring the shaker")
-        law = yield from pretest(station, force, min(test.from_, test.to), max(test.from_, test.to), level)
+        law = yield from pretest(station, force, *test.band, level)
     station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
     first = station.now
     settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)

@@ -98,7 +98,7 @@ def default_frequency(scene: Scene, system: HybridSystem) -> float:
     if isinstance(test, SteppedSine):
         grid: Array = np.array(sorted(set(test.order)))
     elif isinstance(test, SweptSine):
-        grid = np.linspace(min(test.from_, test.to), max(test.from_, test.to), 400)
+        grid = np.linspace(*test.band, 400)
     else:
         raise SceneError("test: has no frequency. Give frequency (--frequency).")
     accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]

@@ -33,6 +33,11 @@ class FrequencySweep:
         spacing: Spacing
 
     @property
+    def band(self) -> tuple[float, float]:
+        """Lowest and highest frequency of the tone, Hz."""
+        return min(self.from_, self.to), max(self.from_, self.to)
+
+    @property
     def sweep_direction(self) -> Literal["up", "down"]:
         """Direction of the sweep."""
         return "up" if self.from_ < self.to else "down"

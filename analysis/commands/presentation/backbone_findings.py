@@ -4,33 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
-from analysis.commands.presentation.tables import write_table
+from analysis.commands.presentation.figures_of_recordings import present_each
+from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
-from rig.core.base.figure_style import add_title, new_figure, save_figure
+from rig.core.base.figure_style import add_title
 from rig.core.results.text import format_quantity, table_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @with_recordings
 def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    stems = separate_stems(paths, output, "backbone")
-    check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))
-    files: list[Path] = []
-    lines: list[str] = []
-    for path, stem in zip(paths, stems, strict=True):
-        result = backbone(recordings.of(path))
-        with new_figure(4.6) as figure:
-            axes = figure.add_subplot()
-            result.draw(axes)
-            add_title(axes, "Frequency of phase resonance against amplitude")
-            files += save_figure(figure, stem)
-        columns = result.columns()
-        files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))
-        lines += [result.summary(), *level_lines(result)]
-    return CommandOutput(tuple(files), tuple(lines), ())
+    return present_each(recordings, paths, output, "backbone", backbone, _complete, level_lines)
+
+
+def _complete(result: Backbone, figure: Figure, axes: Axes) -> None:
+    add_title(axes, "Frequency of phase resonance against amplitude")
 
 
 def level_lines(result: Backbone) -> list[str]:

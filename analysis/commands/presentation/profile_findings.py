@@ -4,36 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
-from analysis.commands.presentation.tables import write_table
+from analysis.commands.presentation.figures_of_recordings import present_each
+from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.signals.profile_check import ProfileCheck, profile
-from rig.core.base.figure_style import add_legend_below, add_title, new_figure, save_figure, set_log_scale
+from rig.core.base.figure_style import add_legend_below, add_title, set_log_scale
 from rig.core.results.text import table_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @with_recordings
 def present_profile(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    stems = separate_stems(paths, output, "profile")
-    check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))
-    files: list[Path] = []
-    lines: list[str] = []
-    for path, stem in zip(paths, stems, strict=True):
-        check = profile(recordings.of(path))
-        with new_figure(4.6) as figure:
-            axes = figure.add_subplot()
-            check.draw(axes)
-            for axis in (axes.xaxis, axes.yaxis):
-                set_log_scale(axis)
-            add_title(axes, "Control and limited channels at full level")
-            add_legend_below(figure, f"Band: tolerance of {check.tolerance:g} dB. Dashed: limits.")
-            files += save_figure(figure, stem)
-        columns = check.columns()
-        files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))
-        lines += [check.summary(), *channel_lines(check)]
-    return CommandOutput(tuple(files), tuple(lines), ())
+    return present_each(recordings, paths, output, "profile", profile, _complete, channel_lines)
+
+
+def _complete(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
+    for axis in (axes.xaxis, axes.yaxis):
+        set_log_scale(axis)
+    add_title(axes, "Control and limited channels at full level")
+    add_legend_below(figure, f"Band: tolerance of {result.tolerance:g} dB. Dashed: limits.")
 
 
 def channel_lines(check: ProfileCheck) -> list[str]:

@@ -24,6 +24,7 @@ from analysis.core.damper_motion.matching_pursuit import (
     MatchingPursuit,
 )
 from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.recordings.slices import interpolated
 from analysis.core.responses.measurands import find_channel
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
@@ -159,7 +160,7 @@ def detect_impacts(
             "converter range."
         )
     if not valid_samples.all():
-        samples = np.interp(np.arange(samples.size), np.flatnonzero(valid_samples), samples[valid_samples])
+        samples = interpolated(samples, valid_samples)
     # Constant readings have quantization noise too.
     quantization_noise = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     noise_floor = max(quantization_noise, 1e-14 * float(abs(samples).max()))

@@ -31,6 +31,7 @@ from analysis.core.damper_motion.joint_fit import (
     jump_error,
     range_of,
 )
+from analysis.core.recordings.slices import interpolated
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 
@@ -138,7 +139,7 @@ class MatchingPursuit:
 
         self.noise_floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
         if not is_valid.all():
-            readings = np.interp(np.arange(readings.size), np.flatnonzero(is_valid), readings[is_valid])
+            readings = interpolated(readings, is_valid)
         self.model = model = models[0]
         self.residual = np.diff(readings, model.difference_order)
         self.prior = self._prior_deviations(readings)

@@ -17,7 +17,7 @@ from analysis.core.decays.modal_decay import ModalDecay, band_width, modal_decay
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
-from analysis.core.recordings.slices import hits
+from analysis.core.recordings.slices import hits, interpolated
 from analysis.core.responses.measurands import motion_channel, response_channels
 from analysis.core.responses.systematic import clock_deviation
 from daq.core.recording.markers import faulty_hits
@@ -254,7 +254,7 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
                 f"{rec.path}: {format_percent(lost.mean())} of the samples of hit {hit} are lost. Choose another hit, "
                 "or record again."
             )
-        samples = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+        samples = interpolated(samples, ~lost)
         warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(

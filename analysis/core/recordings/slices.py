@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.core.recording.layout import require_ordered_times
 from rig.core.base.arrays import Array
@@ -112,6 +113,15 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
         available = buffer[:, : stop - start]
         segment[:, : available.shape[1]], segment[:, available.shape[1] :] = available, np.nan
         yield segment
+
+
+def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
+    """Return samples with those that are not valid interpolated linearly; at least one must be valid.
+
+    >>> interpolated(np.array([1.0, np.nan, 3.0]), np.array([True, False, True])).tolist()
+    [1.0, 2.0, 3.0]
+    """
+    return np.interp(np.arange(samples.size), np.flatnonzero(is_valid), samples[is_valid])
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:

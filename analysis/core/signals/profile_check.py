@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import signal, stats
 
 from analysis.core.recordings.names import takes_path
-from analysis.core.recordings.slices import read_slices
+from analysis.core.recordings.slices import interpolated, read_slices
 from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
@@ -84,15 +84,19 @@ class ProfileCheck(Result):
     abort: float
 
     @property
+    def _decibels(self) -> float:
+        """Decibels of a factor 10: the values are densities or amplitudes."""
+        return 10.0 if "Hz" in self.unit else 20.0
+
+    @property
     def deviation(self) -> Array:
         """Control relative to the profile, dB."""
-        return (10.0 if "Hz" in self.unit else 20.0) * np.log10(self.control / self.profile)
+        return self._decibels * np.log10(self.control / self.profile)
 
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
         """Return at which frequencies a channel limits the drive."""
-        factor = 10.0 if "Hz" in self.unit else 20.0
         with np.errstate(invalid="ignore", divide="ignore"):
-            distance = factor * np.log10(level.values / level.bound)
+            distance = self._decibels * np.log10(level.values / level.bound)
         return np.asarray((distance > -_NOTCH_DB) & (self.deviation < 0.0), dtype=bool)
 
     @property
@@ -127,7 +131,7 @@ class ProfileCheck(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw control and limited channels with profile, tolerance and limits."""
-        ratio = 10.0 ** (self.tolerance / (10.0 if "Hz" in self.unit else 20.0))
+        ratio = 10.0 ** (self.tolerance / self._decibels)
         ax.loglog(self.frequency, self.profile, color="black", lw=1.0, label="profile")
         ax.fill_between(self.frequency, self.profile / ratio, self.profile * ratio, color="#999999", alpha=0.3, lw=0)
         ax.loglog(self.frequency, self.control, **complete_style(style, label="control"))
@@ -243,7 +247,7 @@ def _finite(rec: Recording, name: str, start: int, stop: int) -> Array:
     lost = ~np.isfinite(samples)
     if lost.all():
         raise RecordingError(f"{rec.path}: all samples of {name} are lost. Record again.")
-    return np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
+    return interpolated(samples, ~lost)
 
 
 def _power_factor(info: ChannelInfo, frequency: Array) -> Array:

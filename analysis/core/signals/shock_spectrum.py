@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.names import takes_path
-from analysis.core.recordings.slices import Slice
+from analysis.core.recordings.slices import Slice, interpolated
 from analysis.core.responses.measurands import find_channel, response_channels
 from daq.core.dsp.shock_response import shock_response
 from daq.core.recording.recorded_test import shocks_of
@@ -205,5 +205,5 @@ def _finite(rec: Recording, samples: Array) -> tuple[Array, tuple[str, ...]]:
     if lost.mean() > _MAX_LOST_FRACTION:
         message = f"{rec.path}: {format_percent(lost.mean())} of the samples are lost. Choose a segment without gaps."
         raise RecordingError(message)
-    filled = np.interp(np.arange(samples.size), np.flatnonzero(~lost), samples[~lost])
-    return filled, (f"{int(lost.sum())} lost samples were interpolated; a peak among them is missing.",)
+    warning = f"{int(lost.sum())} lost samples were interpolated; a peak among them is missing."
+    return interpolated(samples, ~lost), (warning,)

@@ -1,0 +1,52 @@
+"""Output of a command that draws and tabulates one result for each recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
+from analysis.commands.presentation.tables import write_table
+from rig.core.base.figure_style import new_figure, save_figure
+from rig.core.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from analysis.core.recordings.names import OpenRecordings
+    from daq.core.recording.recording import Recording
+
+R = TypeVar("R", bound=Result)
+
+
+def present_each(
+    recordings: OpenRecordings,
+    paths: Sequence[Path],
+    output: Path | None,
+    kind: str,
+    evaluate: Callable[[Recording], R],
+    complete: Callable[[R, Figure, Axes], None],
+    table: Callable[[R], list[str]],
+) -> CommandOutput:
+    """Write figure and columns of each recording's result; `output`: folder, by default that of the recording.
+
+    `kind`: ending of the file names; `complete` adds titles and scales to a figure; `table` returns the lines that are
+    printed after the summary.
+    """
+    stems = separate_stems(paths, output, kind)
+    check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))
+    files: list[Path] = []
+    lines: list[str] = []
+    for path, stem in zip(paths, stems, strict=True):
+        result = evaluate(recordings.of(path))
+        with new_figure(4.6) as figure:
+            axes = figure.add_subplot()
+            result.draw(axes)
+            complete(result, figure, axes)
+            files += save_figure(figure, stem)
+        columns = result.columns()
+        files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))
+        lines += [result.summary(), *table(result)]
+    return CommandOutput(tuple(files), tuple(lines), ())

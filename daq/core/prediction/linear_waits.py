@@ -23,7 +23,7 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # The tones are represented by this number of samples per period of the highest frequency.
-_SAMPLES_PER_PERIOD = 64
+_SAMPLES_PER_PERIOD = 32
 # Number of windows after the end of the transient until the detector has confirmed the steady state.
 _CONFIRMING_WINDOWS = 2
 # Shortest wait, s: beats of several modes have to be distinguished from noise.
@@ -67,8 +67,12 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         return np.asarray(to_modes @ np.imag(per_drive[:, index] * amplitude * np.exp(1j * phase)))
 
     waits = np.empty(tones.size)
+    lengths = [whole_periods(tone, rate, WINDOW_S) for tone in tones]
+    # All transients decay by the same factors; the exponentials take most of the time.
+    decay = np.exp(np.outer(poles, np.arange(max(*lengths, round(TRANSITION_S * rate)) + 1) / rate))
+    decay_parts = np.concatenate([decay.real, decay.imag])
     for index in range(1, tones.size):
-        window = whole_periods(tones[index], rate, WINDOW_S)
+        window = lengths[index]
         samples = 2 * (max(round(TRANSITION_S * rate), window) // 2)
         known = [(tones[k], drive[k]) for k in range(max(0, index - 3), index)]
         start = extrapolate_drive(known, tones[index]) if scene.controlled_terms else float(drive[index])
@@ -79,11 +83,11 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         weights = np.where(np.arange(samples + 1) % 2, 4.0, 2.0)
         weights[[0, -1]] = 1.0
         integrand = np.append(wave, start * np.sin(tone.phase)) * weights / (3.0 * rate)
-        forced = modal_input * (np.exp(np.outer(poles, np.arange(samples, -1, -1) / rate)) @ integrand)
-        end = np.exp(poles * samples / rate) * modes_at(index - 1, drive[index - 1], 0.0) + forced
+        forced = modal_input * (decay[:, : samples + 1] @ integrand[::-1])
+        end = decay[:, samples] * modes_at(index - 1, drive[index - 1], 0.0) + forced
         transient = abs(end - modes_at(index, start, tone.phase))
-        decays = np.exp(np.outer(poles, np.arange(window) / rate))
-        in_window = abs(lock_in(decays.real, tones[index], rate) + 1j * lock_in(decays.imag, tones[index], rate))
+        real, imaginary = np.split(lock_in(decay_parts[:, :window], tones[index], rate), 2)
+        in_window = abs(real + 1j * imaginary)
         amplitudes = abs(quantities @ per_drive[:, index]) * drive[index]
         windows = np.arange(int(steady_state.longest * rate / window) + 2)
         remaining = abs(quantities @ shapes) * (transient * in_window)

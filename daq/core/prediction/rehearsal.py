@@ -71,13 +71,10 @@ class ShakerLoad(NamedTuple):
 
     def values(self, motion: Motion) -> Array:
         """Return the quantity in a motion, shape (samples,)."""
-        displacement, weights = motion.displacement, self.load.weights
-        return (
-            weights[0] * displacement[self.table]
-            + weights[1] * motion.velocity[self.table]
-            + weights[2] * motion.acceleration[self.table]
-            + weights[3] * displacement[self.body]
-        )
+        table, displacement = self.table, motion.displacement
+        rows = displacement[table], motion.velocity[table], motion.acceleration[table], displacement[self.body]
+        terms = [weight * row for weight, row in zip(self.load.weights, rows, strict=True) if weight]
+        return np.asarray(sum(terms[1:], terms[0]))
 
 
 def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:

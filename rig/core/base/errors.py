@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -64,5 +63,7 @@ def suggestion(name: str, names: Iterable[str], otherwise: str = "", n: int = 1,
     >>> suggestion("clearence", ["mass", "clearance"]), suggestion("x", ["mass"], "Give mass.")
     ("Did you mean 'clearance'?", 'Give mass.')
     """
+    from difflib import get_close_matches
+
     similar = dict.fromkeys(get_close_matches(name, list(names), n=n, cutoff=cutoff))
     return f"Did you mean {' or '.join(map(repr, similar))}?" if similar else otherwise

@@ -5,7 +5,6 @@ Names, notes and reasons in a scene or recording are untrusted text.
 
 from __future__ import annotations
 
-import html as _html
 import re
 
 # Control characters except line feed and tab; bidirectional, invisible and line-ending characters; surrogates, which
@@ -42,7 +41,9 @@ def escape_html(text: object) -> str:
     >>> escape_html("<b> & 'x'")
     '&lt;b&gt; &amp; &#x27;x&#x27;'
     """
-    return _html.escape(escape_terminal(text))
+    from html import escape
+
+    return escape(escape_terminal(text))
 
 
 def escape_cell(text: str) -> str:

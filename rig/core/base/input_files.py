@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -40,6 +39,8 @@ def read_file(path: Path) -> bytes:
 
 def duplicate_files(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
     """Return pairs of each repeated file and the first file with the same content."""
+    import hashlib
+
     by_size: dict[int, list[Path]] = {}
     for path in paths:
         if path.is_file():

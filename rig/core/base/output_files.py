@@ -5,18 +5,13 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import os
-import platform
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from hashlib import sha256
 from pathlib import Path
-from secrets import token_hex
-from tempfile import TemporaryFile
 
 from rig.core.base.errors import RunError, SceneError, ShotrigError
 from rig.core.base.escaping import escape_cell
@@ -57,6 +52,8 @@ def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> 
     `error_type`: type of the error. Raises `ShotrigError` if the folder is not writable, or does not exist and has the
     suffix of an output file.
     """
+    from tempfile import TemporaryFile
+
     try:
         if folder.suffix.lower() in _FILE_SUFFIXES and not folder.exists():
             raise error_type(
@@ -159,6 +156,8 @@ def atomic_write(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 def _new_temporary(file: Path) -> Path:
     """Return the name of a temporary file for an output, and remove those that killed processes have left."""
+    import platform
+
     # The name contains a digest of the output, and host and process that write it.
     prefix = f".{_digest(file.name)}-{_digest(platform.node())}-"
     for other in file.parent.glob(f"{prefix}*"):
@@ -166,10 +165,12 @@ def _new_temporary(file: Path) -> Path:
         if process.isdecimal() and not _is_running(int(process)):
             with suppress(OSError):
                 other.unlink()
-    return file.with_name(f"{prefix}{os.getpid()}-{token_hex(4)}{file.suffix}")
+    return file.with_name(f"{prefix}{os.getpid()}-{os.urandom(4).hex()}{file.suffix}")
 
 
 def _digest(text: str) -> str:
+    from hashlib import sha256
+
     return sha256(os.fsencode(text)).hexdigest()[:6]
 
 
@@ -229,6 +230,8 @@ def _save_next_to(temporary: Path, file: Path) -> Path:
 
 def csv_text(rows: Iterable[Sequence[object]]) -> str:
     """Return rows as CSV, with a line feed after each; text cells are escaped."""
+    import csv
+
     text = io.StringIO(newline="")
     escaped = ([escape_cell(cell) if isinstance(cell, str) else cell for cell in row] for row in rows)
     csv.writer(text, lineterminator="\n").writerows(escaped)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache
 from importlib.resources import files
 from typing import Annotated, Any
@@ -78,6 +77,8 @@ def data_sheet(name: str, kind: str | None = None) -> DataSheet:
     }
     if _normalize(name) in candidates:
         return candidates[_normalize(name)]
+    from difflib import get_close_matches
+
     names = sorted(sheet.name for sheet in candidates.values())
     similar = get_close_matches(_normalize(name), candidates, n=1)
     hint = f". Did you mean {candidates[similar[0]].name!r}?" if similar else ""

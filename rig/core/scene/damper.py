@@ -1,7 +1,5 @@
 """Settings of a particle damper: its bed of particles, contact with the walls (floor, ceiling), and grains."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Annotated, ClassVar

@@ -1,7 +1,5 @@
 """Mass, stiffness and damping matrices of a general linear structure: inline or from .npy files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any

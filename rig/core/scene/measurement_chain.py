@@ -3,8 +3,6 @@
 Omitted effects are not modeled: an accelerometer without keys measures the exact acceleration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """The scene: an immutable description of the whole test bench in SI units, with frequencies in Hz."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 

@@ -1,7 +1,5 @@
 """The structure: a chain of bodies on springs, or matrices, and its damping."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar

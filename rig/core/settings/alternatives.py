@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any, get_args
 
-from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, TypeAdapter, ValidationError
 from pydantic_core import CoreSchema, core_schema
 
 from rig.core.base.errors import suggestion
@@ -16,7 +17,27 @@ from rig.core.settings.settings import Settings
 Classes = tuple[type[Settings], ...]
 
 
-class Alternatives:
+class _DeferredSchema:
+    """Annotation whose values are read by `read`; the schema of its type is built only for the JSON schema.
+
+    Pydantic takes a millisecond to build the schema of a class. Only the classes that a scene uses are built.
+    """
+
+    source: Any
+
+    def read(self, value: Any) -> Any:
+        """Convert given content to settings."""
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        self.source = source
+        return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return handler(TypeAdapter(self.source).core_schema)
+
+
+class Alternatives(_DeferredSchema):
     """Annotation `Annotated[A | B, Alternatives(by_kind)]`: settings of the class that matches the given keys.
 
     Unlike with a plain union, problems are reported only for the matching class.
@@ -25,22 +46,19 @@ class Alternatives:
     def __init__(self, choose: Callable[[Mapping[str, Any], Classes], type[Settings]]) -> None:
         self.choose = choose
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        classes: Classes = get_args(source)
-
-        def read(value: Any, _: Any) -> Settings:
-            if isinstance(value, classes):
-                return type(value).model_validate(value)
-            if not isinstance(value, Mapping):
-                raise unexpected_value_error(value, f"keys and values, with {_selecting_keys(classes)}")
-            chosen = self.choose(value, classes)
-            try:
-                return chosen.model_validate(value)
-            except ValidationError as error:
-                problems = [_name_other_kinds(problem, chosen, classes) for problem in problems_of(error)]
-                raise combined_error(chosen.__name__, problems) from None
-
-        return core_schema.no_info_wrap_validator_function(read, handler(source))
+    def read(self, value: Any) -> Settings:
+        """Convert given content to settings of the chosen class."""
+        classes: Classes = get_args(self.source)
+        if isinstance(value, classes):
+            return type(value).model_validate(value)
+        if not isinstance(value, Mapping):
+            raise unexpected_value_error(value, f"keys and values, with {_selecting_keys(classes)}")
+        chosen = self.choose(value, classes)
+        try:
+            return chosen.model_validate(value)
+        except ValidationError as error:
+            problems = [_name_other_kinds(problem, chosen, classes) for problem in problems_of(error)]
+            raise combined_error(chosen.__name__, problems) from None
 
 
 def _selecting_keys(classes: Classes) -> str:
@@ -67,19 +85,22 @@ def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes
     )
 
 
-class OneOrSeveral:
+class OneOrSeveral(_DeferredSchema):
     """Annotation `Annotated[A | tuple[A, ...], OneOrSeveral(A)]`: settings, or a list of settings.
 
     Unlike with a plain union, problems are reported only for the form that was given.
     """
 
     def __init__(self, item_type: Any) -> None:
-        self.adapter: TypeAdapter[Any] = TypeAdapter(item_type)
+        self.item_type = item_type
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_wrap_validator_function(self._read, handler(source))
+    @cached_property
+    def adapter(self) -> TypeAdapter[Any]:
+        """Validator of an item."""
+        return TypeAdapter(self.item_type)
 
-    def _read(self, value: Any, _: Any) -> Any:
+    def read(self, value: Any) -> Any:
+        """Convert given content to settings, or to a tuple of settings."""
         if not isinstance(value, list | tuple):
             return self.adapter.validate_python(value)
         if not value:

@@ -1,12 +1,13 @@
-"""Base class of all settings: a frozen pydantic model that reports all its problems together."""
+"""Base class of all settings: a frozen pydantic model that reports all its problems together.
 
-from __future__ import annotations
+Modules with settings have no `from __future__ import annotations`: pydantic would compile the annotations of a class
+again for each of its subclasses. For the same reason, pydantic builds the validator of a class when it is first used.
+"""
 
 import ast
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -50,7 +51,9 @@ else:
 class Settings(_Model):
     """Base class of all settings: frozen, without unknown keys, with all problems reported together."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", validate_by_name=True, validate_by_alias=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", defer_build=True, validate_by_name=True, validate_by_alias=True
+    )
 
     # Groups of keys; exactly one key of each group must be given.
     one_of: ClassVar[tuple[tuple[str, ...], ...]] = ()
@@ -276,6 +279,8 @@ def unknown_key_message(key: str, keys: Iterable[str]) -> str:
 
 def nearest_key(key: str, keys: Iterable[str]) -> str | None:
     """Return the valid key nearest to a misspelled key."""
+    from difflib import get_close_matches
+
     return next(iter(get_close_matches(key, list(keys), n=1, cutoff=0.6)), None)
 
 

@@ -1,7 +1,5 @@
 """Settings of a test: kind, level and duration of the excitation. Each kind has a module of its name."""
 
-from __future__ import annotations
-
 from typing import Annotated, get_args
 
 from rig.core.scene.excitation.constant_response import ConstantResponse as ConstantResponse

@@ -1,7 +1,5 @@
 """A series of tones at which the amplitude of a response is constant."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Free vibration from an initial state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 

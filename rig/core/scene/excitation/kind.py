@@ -3,8 +3,6 @@
 The class of a kind states its own facts. Other modules never ask which kind of test a scene has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 

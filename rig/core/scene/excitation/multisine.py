@@ -1,7 +1,5 @@
 """A periodic sum of tones with random phases."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal

@@ -1,7 +1,5 @@
 """A tone whose frequency follows a resonance: the response has a given phase relative to the force."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from math import pi
 from typing import Annotated, Any, ClassVar, Literal

@@ -1,7 +1,5 @@
 """Prescribed spectra of tests with profile control: breakpoints that are joined by straight lines in log-log axes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal, NamedTuple
 

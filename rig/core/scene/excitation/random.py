@@ -1,7 +1,5 @@
 """Gaussian noise in a frequency band."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Gaussian noise whose power spectral density at control channels is held at a profile."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Shocks: a half sine, or a transient with a prescribed shock response spectrum, replicated at a control channel."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """A sine of constant frequency and amplitude."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 from rig.core.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start

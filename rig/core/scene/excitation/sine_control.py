@@ -1,7 +1,5 @@
 """A swept sine whose amplitude at control channels is held at a profile."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 

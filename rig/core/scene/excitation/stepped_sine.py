@@ -1,7 +1,5 @@
 """A series of tones, each measured in steady state."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 

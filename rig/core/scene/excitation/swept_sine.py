@@ -1,7 +1,5 @@
 """A sine whose frequency sweeps from one end to the other."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 

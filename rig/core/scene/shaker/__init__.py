@@ -1,7 +1,5 @@
 """Settings of shakers. Each kind has a module of its name."""
 
-from __future__ import annotations
-
 from typing import Annotated, get_args
 
 from rig.core.scene.shaker.base import BaseShaker as BaseShaker

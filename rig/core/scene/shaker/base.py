@@ -1,7 +1,5 @@
 """A shaker table that carries the whole structure, for base excitation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Annotated, ClassVar, Literal
 

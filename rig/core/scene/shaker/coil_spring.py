@@ -1,7 +1,5 @@
 """What shakers with a table have in common that drive a body through a coil spring."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 from rig.core.base.arrays import Array

@@ -1,7 +1,5 @@
 """An electrodynamic shaker: coil, armature and power amplifier."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, Literal
 

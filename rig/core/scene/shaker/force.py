@@ -1,7 +1,5 @@
 """A force on the structure, without a shaker that adds mass or stiffness."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Annotated, ClassVar, Literal
 

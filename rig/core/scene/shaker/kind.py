@@ -3,8 +3,6 @@
 The class of a kind states its own facts. Other modules never ask which kind of shaker a scene has.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import ClassVar, Literal, NamedTuple
 

@@ -1,7 +1,5 @@
 """Parts of the settings of shakers: driven bodies, output, coil, armature and amplifier."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """A shaker table with prescribed motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Annotated, ClassVar, Literal
 

@@ -32,6 +32,8 @@ _MAX_NOISE_RATIO = 0.5
 _MIN_DELAY_LINES = 20
 _MAX_PERIODS = 1.0
 _TRIAL_DELAYS = 801
+# Number of lines whose phases are computed at a time for all trial values.
+_MAX_LINES = 4096
 # The misalignment of doubled phases is 0 if all are 0 or 180 degrees. A delay is estimated if it leaves at most this
 # misalignment, and significant if it reduces the misalignment by this factor; smaller values count as the third.
 _MAX_MISALIGNMENT = 0.25
@@ -113,7 +115,10 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
     # Points may be close together at resonances, where phases are not 0 or 180 degrees.
     direction *= np.gradient(frequency) / np.gradient(frequency).sum()
     delays = np.linspace(-1.0, 1.0, _TRIAL_DELAYS) * _MAX_PERIODS / np.ptp(frequency)
-    alignment = (np.exp(4j * np.pi * np.outer(delays, frequency)) @ direction).real
+    alignment = np.zeros(delays.size)
+    for first in range(0, frequency.size, _MAX_LINES):
+        lines = slice(first, first + _MAX_LINES)
+        alignment += (np.exp(4j * np.pi * np.outer(delays, frequency[lines])) @ direction[lines]).real
     best, misaligned = int(np.argmax(alignment)), 1.0 - float(direction.real.sum())
     if 1.0 - alignment[best] > _MAX_MISALIGNMENT:
         return None

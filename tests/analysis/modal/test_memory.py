@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
-
 import numpy as np
 
 import analysis
@@ -11,6 +9,7 @@ from analysis.core.modal import pole_residue
 from analysis.core.responses import random_errors
 from analysis.core.responses.random_errors import LocalErrors
 from rig.core.results.response import Response, stack
+from tests.peak_memory import peak_memory
 
 
 def many_curves(count):
@@ -30,15 +29,6 @@ def many_curves(count):
             for k, row in enumerate(value)
         ]
     )
-
-
-def peak_memory(function, *arguments):
-    tracemalloc.start()
-    try:
-        result = function(*arguments)
-        return tracemalloc.get_traced_memory()[1], result
-    finally:
-        tracemalloc.stop()
 
 
 def test_blocks_of_responses_give_the_same_modes(monkeypatch):

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.core.responses.curve_checks import find_jumps, reversed_force
+from analysis.core.responses import curve_checks
+from analysis.core.responses.curve_checks import delayed_channels, find_jumps, reversed_force
 from rig.core.results.response import Response
+from tests.peak_memory import peak_memory
 
 MASS, STIFFNESS = np.diag([4.2, 1.1]), np.array([[1.8e6, -0.9e6], [-0.9e6, 0.9e6]])
 FREQUENCY = np.arange(20.0, 300.0, 0.5)  # Hz
@@ -53,6 +55,21 @@ def test_other_responses_may_have_any_phase() -> None:
 def test_uncertain_points_are_ignored() -> None:
     curve = measured(1, noise=0.5)
     assert not reversed_force([replace(curve, value=-curve.value)])
+
+
+def test_delay_of_long_curve_needs_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(curve_checks, "_MAX_LINES", 100)
+    peaks = []
+    for lines in (4000, 8000):
+        frequency = np.linspace(20.0, 300.0, lines)
+        value = np.exp(-2j * np.pi * 1e-3 * frequency)
+        curve = Response.curve(
+            frequency, value, "body1", error=np.full(lines, 1e-4), degrees=np.full(lines, 38.0), reference="force"
+        )
+        peak, warning = peak_memory(delayed_channels, [curve])
+        assert "1 ms" in warning
+        peaks.append(peak)
+    assert peaks[1] < 2.0 * peaks[0] < 0.1 * 16 * curve_checks._TRIAL_DELAYS * lines
 
 
 @pytest.mark.parametrize(("noise", "jumps"), [(1e-3, [(11.5, "jump down")]), (0.32, [])])

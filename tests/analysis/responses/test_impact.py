@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 import warnings
 
 import numpy as np
@@ -21,6 +20,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
 from tests.analysis.responses import synthetic
+from tests.peak_memory import peak_memory
 
 pytestmark = pytest.mark.usefixtures("few_lines")
 
@@ -308,12 +308,7 @@ def test_memory_does_not_grow_with_hits(tmp_path, monkeypatch):
     for repeats in (6, 12):
         with daq.open(record_many_hits(tmp_path, repeats)[1]) as recording:
             fitted_bins.append(0)
-            tracemalloc.start()
-            try:
-                analysis.frfs(recording)
-                peaks.append(tracemalloc.get_traced_memory()[1])
-            finally:
-                tracemalloc.stop()
+            peaks.append(peak_memory(analysis.frfs, recording)[0])
     assert peaks[1] < 1.2 * peaks[0]
     assert fitted_bins[1] < 2.2 * fitted_bins[0]
 

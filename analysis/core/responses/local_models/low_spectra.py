@@ -30,7 +30,7 @@ _FILTER_LENGTH = 24
 _KAISER_BETA = 25.5
 # Maximum number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
-# Number of decimated samples that are transformed at a time, unless a single channel has more.
+# Number of values of a group of channels that are in memory at a time, unless a single channel has more.
 _MAX_ELEMENTS = 1 << 24
 # Copies of the spectra that are in memory at a time.
 _COPIES = 2
@@ -48,7 +48,10 @@ def low_spectra(
         _COPIES * 16 * bins * len(names), f"{rec.path}: the spectra of {len(names)} channels (--response selects fewer)"
     )
     spectra, squares = np.empty((len(names), bins), dtype=complex), np.empty(len(names))
-    step = max(1, int(_MAX_ELEMENTS / min(size, bins / _MAX_FREQUENCY_RATIO)))
+    decimation = _decimation(size, bins)
+    # Decimated samples, and values of a piece: samples, deviations, and three copies of the partial sums of the filter.
+    piece = min(PIECE_SAMPLES, size) * (2 + 3 * _FILTER_LENGTH / decimation)
+    step = max(1, int(_MAX_ELEMENTS / max(size / decimation, piece)))
     for first in range(0, len(names), step):
         group = slice(first, first + step)
         spectra[group], squares[group] = _spectra_of_group(rec, names[group], start, stop, size, bins)
@@ -59,8 +62,7 @@ def _spectra_of_group(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
     """Compute the result of `low_spectra` for channels whose samples are in memory at a time."""
-    max_decimation = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
-    decimation = max(divisor for divisor in range(1, max_decimation + 1) if size % divisor == 0)
+    decimation = _decimation(size, bins)
     taps = np.ones((1, 1))
     if decimation > 1:
         taps = scipy.signal.firwin(_FILTER_LENGTH * decimation, 1.0 / decimation, window=("kaiser", _KAISER_BETA))
@@ -98,3 +100,9 @@ def _spectra_of_group(
     spectra[:, 0] = 0.0
     spectra[:, 1:] += mean[:, None] * (np.expm1(padding * exponent[1:]) / np.expm1(exponent[1:]))
     return spectra, np.maximum(squares / (stop - start) - (mean - offset) ** 2, 0.0)
+
+
+def _decimation(size: int, bins: int) -> int:
+    """Return the largest ratio of sample rates that divides `size` and retains a number of bins."""
+    largest = max(1, int(_MAX_FREQUENCY_RATIO * size / bins))
+    return max(divisor for divisor in range(1, largest + 1) if size % divisor == 0)

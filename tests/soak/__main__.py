@@ -40,6 +40,7 @@ CASES = {
     "words": 100,
     "recordings": 150,
     "imports": 150,
+    "attacks": 60,
 }
 
 

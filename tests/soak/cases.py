@@ -23,7 +23,7 @@ from daq.core.measurement.bench_loop import RAMP_S
 from rig.core.base.ending_signals import TERMINATION_SIGNALS
 from rig.core.base.errors import ShotrigError
 from tests.daq.importing import files
-from tests.soak import command_lines, recordings, scenes
+from tests.soak import attacks, command_lines, recordings, scenes
 from tests.soak.command import CommandResult, is_own_traceback, processes_remain, run, run_new_process
 
 # Commands that read a recording r.mcap; {unusual}: an invalid number.
@@ -349,6 +349,11 @@ def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[Comma
     return result, []
 
 
+def attack_bench(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
+    """Attack the page or the server of a bench."""
+    return attacks.attack(workspace.scenes[0], workspace.clear(), rng)
+
+
 KINDS: dict[str, Callable[[Workspace, random.Random], tuple[CommandResult, list[str]]]] = {
     "kills": interrupt_recording,
     "writing": interrupt_writing,
@@ -361,4 +366,5 @@ KINDS: dict[str, Callable[[Workspace, random.Random], tuple[CommandResult, list[
     "words": use_random_command_line,
     "recordings": use_invalid_recording,
     "imports": import_damaged_file,
+    "attacks": attack_bench,
 }

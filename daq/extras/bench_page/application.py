@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import sys
 import tempfile
 import time
@@ -53,8 +54,8 @@ class Application:
                 await run_in_threadpool(self._obey, page, name, value)
                 if name == "theory":
                     await socket.send_bytes(await run_in_threadpool(page.theory))
-        except (WebSocketDisconnect, ValueError, TypeError, RuntimeError):
-            # The browser has closed the page.
+        except (WebSocketDisconnect, ValueError, TypeError, LookupError, OverflowError, RuntimeError):
+            # The browser has closed the page, or another program has sent a malformed command.
             pass
         finally:
             sender.cancel()
@@ -79,7 +80,7 @@ class Application:
         elif name == "record":
             self._bench.recordings.enabled = bool(value)
         elif name == "span":
-            page.span = min(max(float(value), 0.05), 10.0)
+            page.span = min(max(_number(value) or 0.0, 0.05), 10.0)
         elif name == "clear":
             monitor.overloads.clear()
         elif name == "accept" and monitor.detector is not None:
@@ -107,8 +108,13 @@ class Application:
 
 
 def _number(value: Any) -> float | None:
-    """Return the number of a field; None if it is empty or no number."""
+    """Return the number of a field; None if it is empty or not a finite number, which JSON cannot represent.
+
+    >>> _number("2.5"), _number(""), _number(float("nan"))
+    (2.5, None, None)
+    """
     try:
-        return float(value)
-    except (TypeError, ValueError):
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
         return None
+    return number if math.isfinite(number) else None

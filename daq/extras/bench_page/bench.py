@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 # Maximum time for the start of the web server, s.
 _MAX_START_S = 30.0
+# Maximum size of a command of the page; the largest has less than 100 bytes.
+_MAX_COMMAND_BYTES = 1 << 16
 
 
 def bench(
@@ -124,6 +126,7 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
         http=LimitedConnection,
         backlog=MAX_CONNECTIONS,
         headers=[("x-frame-options", "DENY")],
+        ws_max_size=_MAX_COMMAND_BYTES,
         log_level="critical",
         timeout_graceful_shutdown=1,
     )

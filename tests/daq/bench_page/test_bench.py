@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import socket
 import threading
@@ -441,3 +442,36 @@ def test_browser_process_does_not_show_the_token(tmp_path, monkeypatch):
     _open_browser("http://127.0.0.1:8031/?token=secret", tmp_path)
     (uri,) = opened
     assert "secret" not in uri and "token=secret" in Path(uri.removeprefix("file://")).read_text()
+
+
+@pytest.fixture
+def live(bench):
+    """Function that opens the web socket of the page."""
+    pytest.importorskip("starlette", reason="the extra 'bench' is not installed")
+    client = pytest.importorskip("websockets.sync.client", reason="the extra 'bench' is not installed")
+    with _serve_page(bench, "127.0.0.1", 0) as address:
+        yield lambda: client.connect(address.replace("http", "ws").replace("/?", "/live?"), max_size=None)
+
+
+@pytest.mark.parametrize("bench", ["shaker"], indirect=True)
+@pytest.mark.parametrize("command", ['["level", NaN]', '["span", NaN]', '["level", 1e999]', '["span", "x"]'])
+def test_page_continues_after_invalid_number(live, command):
+    with live() as socket:
+        socket.recv(timeout=60.0)
+        socket.send(command)
+        # The command may be obeyed after the next message.
+        for _ in range(5):
+            message = socket.recv(timeout=60.0)
+            # JSON has no NaN: browsers would not read the message.
+            assert json.loads(message[4 : 4 + int.from_bytes(message[:4], "little")], parse_constant=pytest.fail)
+
+
+@pytest.mark.parametrize("bench", ["shaker"], indirect=True)
+def test_oversize_command_is_rejected(live):
+    from websockets.exceptions import ConnectionClosedError
+
+    with live() as socket:
+        socket.send(f"[{'1,' * 100_000}1]")
+        with pytest.raises(ConnectionClosedError, match="1009"):
+            while True:
+                socket.recv(timeout=60.0)

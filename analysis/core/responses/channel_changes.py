@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from analysis.core.responses.clean_segments import find_flaws
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 
@@ -99,23 +100,23 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
         time = f"{clean[step.part] / rec.rate:.4g} s"
         if all(abs(other.after - other.before) < _MAX_COMMON * abs(change) for other in others):
             blamed = outputs[k] if others else f"{outputs[k]} or {' or '.join(inputs)}"
-            warnings.append(_describe(blamed, step.ratio, time))
+            warnings.append(describe_change(blamed, step.ratio, time))
         elif len(inputs) == 1 and all(
             abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
         ):
             # All responses change by the same factor. A dead input predicts zero for all of them.
-            warnings.append(_describe(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
+            warnings.append(describe_change(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
             break
     return warnings
 
 
-def _describe(name: str, ratio: float, time: str) -> str:
-    """Describe a change of the gain of a channel by a ratio."""
-    change = f"changes by a factor of {format_number(float(f'{ratio:.2g}'))}"
+def describe_change(name: str, ratio: float, place: str) -> str:
+    """Describe a change of the gain of a channel by a ratio, NaN if unknown, at a time or a frequency."""
+    change = "changes" if np.isnan(ratio) else f"changes by a factor of {format_number(float(f'{ratio:.2g}'))}"
     if abs(ratio) < _DEAD_RATIO:
         change = "drops to zero (dead or disconnected)"
     return (
-        f"{name}: its gain {change} at about {time}, in contrast to the other channels. Check mounting, cable and "
+        f"{name}: its gain {change} at about {place}, in contrast to the other channels. Check mounting, cable and "
         "range, and record again; until then, the responses of this channel are wrong."
     )
 
@@ -125,13 +126,11 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
     frequency = np.fft.rfftfreq(parts.samples, 1.0 / rec.rate)
     in_band = (frequency >= max(parts.low, frequency[1])) & (frequency <= parts.high)
     window = np.ones(parts.samples) if parts.is_periodic else scipy.signal.windows.hann(parts.samples, sym=False)
-    overloads = [marker for marker in rec.overloads if marker.fields.get("channel") in names]
     max_parts = min(max(_MAX_VALUES // (len(names) * max(int(in_band.sum()), 1)), _SECTIONS), _MAX_PARTS)
     clean, spectra = [], []
     for start in parts.starts[:: -(-parts.starts.size // max_parts) or 1].tolist():  # rounded up
         stop = start + parts.samples
-        is_flawed = any(marker.first_sample < stop and marker.stop > start for marker in overloads)
-        if is_flawed or start < 0 or stop > rec.samples:
+        if start < 0 or stop > rec.samples or find_flaws(rec, names, start, stop):
             continue
         block = np.stack([rec.read(name, start, stop) for name in names])
         if np.isfinite(block).all():

@@ -1,4 +1,4 @@
-"""Segments of a recording without *flaws*: overloads, lost samples and settling sensors of the selected channels."""
+"""Segments of a recording without *flaws*: overloads, lost samples, settling and dead sensors of selected channels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.core.recordings.slices import read_slices
+from analysis.core.responses.dead_channels import dead_channels
 from rig.core.base.arrays import Array
 from rig.core.settings.quantities import ACCELERATION, FORCE, parse
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
+DEAD = "dead or disconnected"
 # Number of blocks in the second half of the test that determine the mean and scatter after settling. A block is a
 # period of the lowest frequency.
 _SETTLED_BLOCKS = 32
@@ -47,7 +49,7 @@ class Flaw:
 
 
 def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
-    """Return overloads and lost samples of the channels between two samples, sorted by their first sample."""
+    """Return overloads, lost samples and dead channels between two samples, sorted by their first sample."""
     all_flaws = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), OVERLOADED)
         for marker in rec.overloads
@@ -58,6 +60,7 @@ def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int)
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
+    all_flaws += [Flaw(dead, rec.samples, name, DEAD) for name, dead in dead_channels(rec).items() if name in channels]
     return sorted((flaw for flaw in all_flaws if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
 
 
@@ -79,7 +82,10 @@ def describe_flaws(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     """Describe the flaws and their times: ``a3 overloaded (at 1.2 s, 4.5 s), samples of a1 lost (at 7 s)``."""
     groups: dict[str, list[str]] = {}
     for flaw in all_flaws:
-        groups.setdefault(flaw.description, []).append(f"{flaw.first / rec.rate:.4g} s")
+        times = groups.setdefault(flaw.description, [])
+        # A flaw may affect several parts of a test.
+        if (time := f"{flaw.first / rec.rate:.4g} s") not in times:
+            times.append(time)
     return ", ".join(
         f"{description} (at {', '.join(times[:3])}{f' and {len(times) - 3} other times' if len(times) > 3 else ''})"
         for description, times in groups.items()
@@ -103,6 +109,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     remedies = {
         OVERLOADED: f"lower the level, widen the range (converter: range){sensor}",
         SETTLING: "switch the sensors on earlier",
+        DEAD: "check cable and sensor",
     }
     text = ", and ".join(remedies[reason] for reason in remedies if reason in reasons)
     text = text or "check the recording with `daq info`"
@@ -115,6 +122,7 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
     `lowest`: lowest excited frequency, Hz. Over a period of this frequency, the mean of the motion is zero. A mean that
     differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
+    stop = min([stop, *(dead for name, dead in dead_channels(rec).items() if name in names)])
     block_samples = int(np.ceil(rec.rate / lowest))
     n_blocks = (stop - first) // block_samples
     if n_blocks < _MIN_BLOCKS:

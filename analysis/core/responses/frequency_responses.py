@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.channel_changes import change_warnings
+from analysis.core.responses.dead_channels import dead_channel_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
+from analysis.core.responses.gain_steps import step_warnings
 from analysis.core.responses.measurands import (
     default_reference,
     force_levels,
@@ -124,6 +126,7 @@ def frequency_responses(
     )
     computed = estimator_of(kind, len(inputs)).compute(request)
     warnings = weak_force_warnings(levels)
+    warnings += dead_channel_warnings(rec, used, names)
     if faulty := describe_faulty_hits(rec.markers, used):
         warnings.append(faulty)
     warnings += [text for parts in own_estimator.parts(request) for text in change_warnings(rec, parts, used)]
@@ -139,6 +142,9 @@ def frequency_responses(
             "excludes aliasing from above half the sample rate. Name the filter in the scene (converter.preset or "
             "converter.filter), and import again."
         )
+    if own_estimator.jumps:
+        is_linear = not any(damper.impacts for damper in rec.scene.dampers)
+        computed = [response.warn(*step_warnings(response, is_linear)) for response in computed]
     return [replace(response, test=kind.value).warn(*warnings) for response in computed]
 
 

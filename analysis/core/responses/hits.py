@@ -15,6 +15,7 @@ from scipy import fft
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.slices import hits
 from analysis.core.responses.clean_segments import Flaw
+from analysis.core.responses.dead_channels import dead_channels
 from analysis.core.responses.force_pulse import isolate_pulse, samples_after_hit
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
@@ -84,14 +85,14 @@ class Hits:
                 f"{rec.path}: only {interval / rec.rate:.3g} s from a hit to the next hit (or to the end of the "
                 "recording); expected 0.2 s or more. Increase test.interval, and record again."
             )
-        unmarked, complete_hits = [], []
+        unmarked, complete_hits, dead = [], [], dead_channels(rec).get(channel, rec.samples)
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
             force = rec.read(channel, begin, min(stop, begin + _MAX_SCAN_SAMPLES))
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
             marked = float(np.nanmax(force[: end - begin + 1], initial=0.0))
             largest = float(np.nanmax(force, initial=0.0))
-            if marked < _MIN_MARKED_RATIO * largest:
+            if marked < _MIN_MARKED_RATIO * largest and begin < dead:
                 reason = (
                     f"reads at most {marked:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
                     f"{largest:.3g} N elsewhere: the marker or the channel's delay is wrong"

@@ -51,7 +51,10 @@ def write(path, scene, infos, samples, marks, rate=RATE):
 
 
 def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None, seed=0, name="linear"):
-    """Record the steady-state motion at each frequency in turn, for each spring force of `level` in N."""
+    """Record the steady-state motion at each frequency in turn, for each spring force of `level` in N.
+
+    `infos`: channels of the bodies, and of the table or of the force.
+    """
     infos = channels() if infos is None else infos
     structure_scene = scene(name=name)
     random = np.random.default_rng(seed)
@@ -59,8 +62,8 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
     for force, frequency in product(np.atleast_1d(level).tolist(), frequencies):
         count = round(periods * RATE / frequency)
         motion = receptance(structure_scene, [frequency])[:, 0] * force
-        motion = np.append(motion, force / SPRING + motion[0])
-        orders = [{"displacement": 0, "velocity": 1, "acceleration": 2}[info.quantity] for info in infos]
+        motion = np.append(motion, force if infos[-1].quantity == "force" else force / SPRING + motion[0])
+        orders = [info.derivative or 0 for info in infos]
         amplitudes = [
             displacement * (2j * np.pi * frequency) ** order * info.response(frequency)
             for displacement, order, info in zip(motion, orders, infos, strict=True)
@@ -72,6 +75,16 @@ def stepped_sine(path, frequencies, periods=20, level=2.6, noise=0.0, infos=None
         marks.append(("measure", first, first + count - 1, fields))
         first += count
     return write(path, structure_scene, infos, np.concatenate(blocks, axis=1), marks)
+
+
+def swept_sine(path, low, high, seconds, noise=0.0):
+    """Record the displacements during a logarithmic sweep of a force of 1 N between two frequencies in Hz."""
+    time = np.arange(round(seconds * RATE * OVERSAMPLING)) / (RATE * OVERSAMPLING)
+    force = signal.chirp(time, low, seconds, high, method="logarithmic", phi=-90)
+    fields = {"from": low, "to": high, "duration": seconds, "spacing": "log", "level": 1.0, "settled": True}
+    marks = [("measure", 0, round(seconds * RATE) - 1, fields)]
+    test = f"{{kind: swept_sine, from: {low} Hz, to: {high} Hz, duration: {seconds} s, force: 1 N}}"
+    return record_response(path, force, test, marks, noise)
 
 
 def simulate(force, rate=RATE, structure_scene=None, quantity="acceleration"):

@@ -1,4 +1,4 @@
-"""Channels that change their gain or die during a test are named; intact channels and structures are not."""
+"""Channels that change their gain, die or are late are named; intact channels and structures are not."""
 
 from __future__ import annotations
 
@@ -23,22 +23,41 @@ def random_test(tmp_path_factory):
     return synthetic.record_response(tmp_path_factory.mktemp("random") / "a.mcap", force, test, marks, noise=1e-3)
 
 
-def warnings_with_gain(path, folder, channels, gain, first):
-    """Return the warnings of a recording whose channels have this gain from a sample on."""
+@pytest.fixture(scope="module")
+def stepped_sine(tmp_path_factory):
+    frequencies = np.geomspace(8.0, 60.0, 60)
+    infos = synthetic.channels()
+    infos[-1] = replace(infos[-1], name="force", at="shaker", quantity="force")
+    return synthetic.stepped_sine(tmp_path_factory.mktemp("stepped") / "a.mcap", frequencies, infos=infos, noise=1e-8)
+
+
+@pytest.fixture(scope="module")
+def swept_sine(tmp_path_factory):
+    return synthetic.swept_sine(tmp_path_factory.mktemp("swept") / "a.mcap", 8.0, 60.0, SECONDS, noise=1e-4)
+
+
+def responses_with_gain(path, folder, channels, gain, first):
+    """Return the responses of a recording whose channels have this gain from a sample on."""
     with daq.open(path) as rec:
         samples = np.stack([rec.read(name) for name in rec.channels])
         rows = [k for k, name in enumerate(rec.channels) if name in channels]
         samples[rows, first:] *= gain
         marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
         changed = synthetic.write(folder / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
-    return [text for group in analysis.frequency_responses(changed) for text in group.warnings if "its gain" in text]
+    return analysis.frequency_responses(changed)
+
+
+def warnings_with_gain(path, folder, channels, gain, first):
+    """Return the warnings of changed gains of a recording whose channels have this gain from a sample on."""
+    responses = responses_with_gain(path, folder, channels, gain, first)
+    return [text for group in responses for text in group.warnings if "its gain" in text]
 
 
 @pytest.mark.parametrize(
     ("channel", "gain", "text"),
     [
         ("body2", 0.5, "body2: its gain changes by a factor of 0.5"),
-        ("body3", 0.0, "body3: its gain drops to zero"),
+        ("body3", 0.02, "body3: its gain drops to zero"),
         ("force", 0.5, "force: its gain changes by a factor of 0.5"),
     ],
 )
@@ -82,3 +101,42 @@ def test_late_channel_is_named(random_test, channel, text):
         # The samples are later than the stated delay.
         rec.channels[channel] = replace(rec.channels[channel], delay=-2e-3)
         assert any(text in warning for warning in analysis.frfs(rec).warnings)
+
+
+@pytest.mark.parametrize("kind", ["stepped_sine", "swept_sine"])
+@pytest.mark.parametrize(("channel", "gain"), [("body2", 0.5), ("force", 0.5), ("body1", 1.3)])
+def test_changed_channel_of_sweep_is_named(request, tmp_path, kind, channel, gain):
+    path = request.getfixturevalue(kind)
+    with daq.open(path) as rec:
+        middle = rec.samples // 2
+    [warning] = warnings_with_gain(path, tmp_path, [channel], gain, middle)
+    assert warning.startswith(f"{channel}: its gain changes by a factor of {str(gain)[:3]}")
+
+
+@pytest.mark.parametrize("kind", ["stepped_sine", "swept_sine"])
+def test_intact_sweep_and_changed_structure_are_not_reported(request, tmp_path, kind):
+    path = request.getfixturevalue(kind)
+    assert not warnings_with_gain(path, tmp_path, ["body1"], 1.0, 0)
+    assert not warnings_with_gain(path, tmp_path, ["body1", "body2"], 0.7, 40_000)
+
+
+@pytest.mark.parametrize("kind", ["random_test", "stepped_sine", "swept_sine"])
+@pytest.mark.parametrize("channel", ["force", "body3"])
+def test_dead_channel_is_named_and_left_out(request, tmp_path, kind, channel):
+    path = request.getfixturevalue(kind)
+    with daq.open(path) as rec:
+        middle, time = rec.samples // 2, rec.samples // 2 / rec.rate
+    [intact] = analysis.frequency_responses(path)
+    [response] = responses_with_gain(path, tmp_path, [channel], 1e-6, middle)
+    assert any(text.startswith(f"{channel}: dead or disconnected from {time:.4g} s") for text in response.warnings)
+    assert not any("its gain" in text for text in response.warnings)
+    # What is measured before is right.
+    value = np.array([np.interp(response.frequency, intact.frequency, row) for row in intact.value[:, :, 0].T])
+    assert np.median(abs(response.value[:, :, 0].T / value - 1.0)) < 0.01
+
+
+def test_dead_hammer_is_named(tmp_path):
+    path = synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)
+    [response] = responses_with_gain(path, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
+    assert any(text.startswith("hammer: dead or disconnected") for text in response.warnings)
+    assert not any("marker" in text for text in response.warnings)

@@ -16,6 +16,12 @@ CHANNELS = ("a1", "a2", "force")
 SPANS = st.tuples(st.integers(0, 30), st.integers(0, 8))
 
 
+class StandIn(SimpleNamespace):
+    """Stand-in for a recording, which identifies stored results."""
+
+    __hash__ = object.__hash__
+
+
 @st.composite
 def recordings(draw):
     """Draw a recording with overloads and lost samples."""
@@ -27,7 +33,7 @@ def recordings(draw):
         Gap(first, first + length, draw(st.sampled_from([("a1",), ("a2", "force"), CHANNELS])), "lost")
         for first, length in draw(st.lists(SPANS, max_size=4))
     ]
-    return SimpleNamespace(overloads=overloads, gaps=gaps, rate=10.0)
+    return StandIn(overloads=overloads, gaps=gaps, rate=10.0, markers=[], channels={})
 
 
 @given(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ import daq
 import rig
 from analysis.core.responses.clean_segments import settling_flaws
 from rig.core.system.structural_model import receptance
+from tests.analysis.responses.test_clean_segments import StandIn
 
 RATE = 200.0  # Hz
 DURATION = 60.0  # s
@@ -23,8 +22,8 @@ def recording(bias, time_constant, seed=1):
     random = np.random.default_rng(seed)
     time = np.arange(int(DURATION * RATE)) / RATE
     samples = random.standard_normal(time.size) + bias * np.exp(-time / time_constant)
-    return SimpleNamespace(
-        rate=RATE, samples=time.size, read=lambda name, first, last: samples[first:last], channels={"a": None}
+    return StandIn(
+        rate=RATE, samples=time.size, read=lambda name, first, last: samples[first:last], channels={}, markers=[]
     )
 
 

@@ -1,0 +1,135 @@
+"""Channels that die during a test, such as those with a broken cable: from an instant on, their signal is nearly zero.
+
+Blocks at equal distances over the test contain every part of its excitation. A channel is dead from the first of the
+last blocks on, whose signal is far smaller than that of all blocks shortly before, unless the whole motion has ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from rig.core.base.arrays import Array
+
+if TYPE_CHECKING:
+    from daq.core.recording.markers import Marker
+    from daq.core.recording.recording import Recording
+
+# Number of blocks of a test, and their minimum length in samples and in periods of the lowest frequency.
+_BLOCKS = 64
+_MIN_SAMPLES = 1024
+_MIN_PERIODS = 4.0
+# Minimum number of dead blocks at the end, and maximum number of blocks before them with which they are compared.
+_MIN_DEAD = 2
+_COMPARED = 8
+# Minimum number of blocks, or of hits.
+_MIN_BLOCKS = 4
+# A signal is dead below this fraction of the signal before.
+_DEAD_RATIO = 0.01
+# At least one other motion falls by less than this factor of the fall of a dead channel.
+_MIN_CONTRAST = 10.0
+# The signal of a dead channel exceeds its largest value of the next block by at most this factor.
+_PEAK_RATIO = 3.0
+
+# Dead channels of the open recordings: the first dead sample of each.
+_dead_channels_of: WeakKeyDictionary[Recording, dict[str, int]] = WeakKeyDictionary()
+
+
+def dead_channels(rec: Recording) -> dict[str, int]:
+    """Return the first dead sample of each channel that dies during the test; computed once while a file is open."""
+    if rec not in _dead_channels_of:
+        _dead_channels_of[rec] = _find(rec)
+    return _dead_channels_of[rec]
+
+
+def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Sequence[str]) -> list[str]:
+    """Return a warning for each of the channels `names` that dies; `responses`: those that are not the reference."""
+    warnings = []
+    for name, first in dead_channels(rec).items():
+        others = " ".join(f"--response {other}" for other in responses if other != name)
+        remedy = (
+            f"To use the other channels to the end, choose them ({others})." if name in responses and others else ""
+        )
+        if name in names:
+            warnings.append(
+                f"{name}: dead or disconnected from {first / rec.rate:.4g} s on; only the test before is used. Check "
+                f"cable and sensor, and record again. {remedy}".rstrip()
+            )
+    return warnings
+
+
+def _find(rec: Recording) -> dict[str, int]:
+    """Compare the blocks at the end of a test with those before."""
+    marks = [mark for mark in rec.markers if mark.kind in ("measure", "hit")]
+    names = [name for name, info in rec.channels.items() if info.quantity != "voltage"]
+    if not marks:
+        return {}
+    first, stop = marks[0].first_sample, rec.samples
+    if marks[-1].kind == "measure" and marks[-1].last_sample is not None:
+        stop = min(marks[-1].stop, rec.samples)
+    samples = max(min(_block_samples(rec, marks), stop - first), 1)
+    count = min(_BLOCKS, (stop - first) // samples)
+    if count < _MIN_BLOCKS or (marks[0].kind == "hit" and len(marks) < _MIN_BLOCKS):
+        return {}
+    starts = first + np.arange(count) * ((stop - first) // count)
+    levels = np.array([[_level(rec, name, start, samples) for start in starts.tolist()] for name in names])
+    is_motion = np.array([rec.channels[name].quantity != "force" for name in names])
+    dead = {}
+    for row, name in enumerate(names):
+        block = _first_dead_block(levels[row])
+        if block is None:
+            continue
+        # The force may continue where all motion falls, such as beyond the last resonance.
+        others = is_motion if is_motion.sum() > is_motion[row] else ~is_motion
+        others = others & (np.arange(len(names)) != row)
+        falls = [_fall(level, block) for level in levels[others]]
+        if min(falls, default=0.0) < _fall(levels[row], block) / _MIN_CONTRAST:
+            dead[name] = _first_dead_sample(rec, name, int(starts[block - 1]), int(starts[block]), samples)
+    return dead
+
+
+def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
+    """Return the length of the blocks, which contain a period, a burst or a hit, or several periods of a tone."""
+    hits = [mark.first_sample for mark in marks if mark.kind == "hit"]
+    lengths = [_MIN_SAMPLES, *np.diff(hits).tolist()]
+    for mark in marks:
+        lengths += [int(mark.fields[key]) for key in ("block", "period") if key in mark.fields]
+        lowest = min(
+            (float(mark.fields[key]) for key in ("frequency", "from", "to") if key in mark.fields), default=0.0
+        )
+        lengths += [int(_MIN_PERIODS * rec.rate / lowest)] if lowest > 0.0 else []
+    return max(lengths)
+
+
+def _level(rec: Recording, name: str, start: int, samples: int) -> float:
+    """Return the standard deviation of a block, NaN if all its samples are lost."""
+    block = rec.read(name, start, start + samples)
+    block = block[np.isfinite(block)]
+    return float(block.std()) if block.size else np.nan
+
+
+def _first_dead_block(levels: Array) -> int | None:
+    """Return the first of the last blocks in which a channel is dead."""
+    for block in range(_MIN_DEAD, levels.size - _MIN_DEAD + 1):
+        # The last block before may be dead in part.
+        before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
+        if levels[block:].max() < _DEAD_RATIO * before.min():
+            return block
+    return None
+
+
+def _fall(levels: Array, block: int) -> float:
+    """Return the median level before a block, relative to that from the block on."""
+    before = float(np.median(levels[max(block - 1 - _COMPARED, 0) : block - 1]))
+    return before / max(float(np.median(levels[block:])), 1e-300)
+
+
+def _first_dead_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
+    """Return the sample from which on a channel is dead, between the first samples of two successive blocks."""
+    readings = rec.read(name, first, min(last + samples, rec.samples))
+    dead = readings[last - first :]
+    is_alive = abs(readings - dead.mean()) > _PEAK_RATIO * abs(dead - dead.mean()).max()
+    return first + int(np.flatnonzero(is_alive)[-1:].sum()) + 1

@@ -116,7 +116,8 @@ def _best_step(
 def _fit_ratio(frequency: Array, curve: ComplexArray, position: int, excluded: int) -> _Step:
     """Fit the ratio of the gains after and before a position of the sweep."""
     positions = np.array([position])
-    trials, residual = _TRIALS, float(_residuals(frequency, curve, positions, excluded, 0.0)[0])
+    trials: Array = _TRIALS
+    residual = float(_residuals(frequency, curve, positions, excluded, 0.0)[0])
     for spacing in (*_REFINEMENTS, 0.0):
         remaining = _residuals(frequency, curve, np.repeat(positions, trials.size), excluded, trials)
         best = int(np.argmin(remaining))

@@ -116,13 +116,13 @@ def _best_step(
 def _fit_ratio(frequency: Array, curve: ComplexArray, position: int, excluded: int) -> _Step:
     """Fit the ratio of the gains after and before a position of the sweep."""
     positions = np.array([position])
-    trials: Array = _TRIALS
+    trials = np.asarray(_TRIALS, dtype=np.float64)
     residual = float(_residuals(frequency, curve, positions, excluded, 0.0)[0])
     for spacing in (*_REFINEMENTS, 0.0):
         remaining = _residuals(frequency, curve, np.repeat(positions, trials.size), excluded, trials)
         best = int(np.argmin(remaining))
         log_ratio, smallest = float(trials[best]), float(remaining[best])
-        trials = log_ratio + spacing * np.arange(-5, 6)
+        trials = np.asarray(log_ratio + spacing * np.arange(-5, 6), dtype=np.float64)
     return _Step(position, log_ratio, residual, smallest)
 
 

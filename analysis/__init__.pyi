@@ -11,16 +11,20 @@ from .core.responses.frequency_responses import Response, compliance, frequency_
 from .core.signals.profile_check import ProfileCheck, profile
 from .core.signals.shock_spectrum import ShockSpectrum, srs
 from .core.tracking.backbone import Backbone, backbone
+from .core.tracking.continuation import AmplitudeCurve, continuation
+from .core.tracking.force_surface import ForceSurface, force_surface
 from .extras.formats.export import sep005
 from .extras.formats.frf_files import read_frfs
 from .extras.formats.mode_files import read_modes
 
 __all__ = [
+    "AmplitudeCurve",
     "Backbone",
     "Comparison",
     "Dampers",
     "Decay",
     "Fit",
+    "ForceSurface",
     "Modes",
     "ProfileCheck",
     "Response",
@@ -29,11 +33,13 @@ __all__ = [
     "backbone",
     "compare",
     "compliance",
+    "continuation",
     "cost",
     "dampers",
     "decay",
     "export",
     "fit",
+    "force_surface",
     "frequency_responses",
     "frf",
     "frfs",

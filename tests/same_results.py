@@ -34,6 +34,7 @@ SHORTENED: dict[str, dict[str, Any]] = {
     "sine": {"test.duration": "0.3 s"},
     "constant_response": {"test.displacement": ["0.2 mm"], "test.points": 2},
     "phase_resonance": {"test.force": ["1 N"]},
+    "continuation": {"test.force": "0.9 N", "test.from": "51 Hz", "test.to": "50 Hz"},
     "random_control": {"test.duration": "10 s", "test.ramp": [-6.0]},
     "shock": {"test.repeats": 1},
     "sine_control": {"test.duration": "30 s"},

@@ -181,6 +181,39 @@ def backbone(files: Recordings, output: Output = None, overwrite: Overwrite = Fa
     _print_output(result)
 
 
+@app.command(example="analysis continuation curve.mcap --theory")
+def continuation(
+    files: Recordings,
+    output: Output = None,
+    theory: Annotated[bool, typer.Option("--theory", help="Add the exact orbits of the scene.")] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw responses at constant force with their folds."""
+    from analysis.commands.presentation.continuation_findings import present_continuation
+
+    with allow_overwriting(overwrite):
+        result = present_continuation(files, output, theory)
+    _print_output(result)
+
+
+@app.command(example="analysis surface held.mcap --force 1")
+def surface(
+    files: Recordings,
+    output: Output = None,
+    force: Annotated[
+        list[float] | None,
+        typer.Option(metavar="N", help="Draw the response at this force amplitude, N; repeat for several."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw the force over frequency and held amplitude."""
+    from analysis.commands.presentation.surface_findings import present_surface
+
+    with allow_overwriting(overwrite):
+        result = present_surface(files, output, force or ())
+    _print_output(result)
+
+
 @app.command(example="analysis modes sweep.mcap")
 def modes(
     files: Curves,

@@ -34,7 +34,20 @@ TESTED_COMMANDS = {
 }
 EXEMPT_COMMANDS = {
     "daq": {"bench", "record", "replay", "run", "serve", "import"},
-    "analysis": {"dampers", "beds", "contacts", "demo", "cost", "paper", "compare", "fit", "profile", "backbone"},
+    "analysis": {
+        "dampers",
+        "beds",
+        "contacts",
+        "demo",
+        "cost",
+        "paper",
+        "compare",
+        "fit",
+        "profile",
+        "backbone",
+        "continuation",
+        "surface",
+    },
 }
 
 

@@ -11,6 +11,8 @@ from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from analysis.core.signals.shock_spectrum import srs
+from analysis.core.tracking.backbone import Backbone, backbone
+from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.palette import place_style, place_styles
 from rig.core.scene.excitation.profile import from_decibels
@@ -39,8 +41,37 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     )
 
 
+def _tracking_chart(rec: Recording) -> Chart:
+    """Return a chart of the amplitude over the frequency of followed curves or resonances."""
+    result: AmplitudeCurve | Backbone
+    if any("distance" in mark.fields for mark in rec.markers):
+        result = continuation(rec)
+        parts = {
+            f"{level:g} {result.unit}{', unstable' if not stable else ''}": (result.level == level)
+            & (result.stable == stable)
+            & result.settled
+            for level in dict.fromkeys(result.level.tolist())
+            for stable in (True, False)
+        }
+    else:
+        result = backbone(rec)
+        parts = {"phase resonance": result.settled}
+    curves = []
+    for (label, part), style in zip(parts.items(), place_styles([""] * len(parts)), strict=True):
+        order = np.flatnonzero(part)[np.argsort(result.frequency[part])]
+        frequency, amplitude, bound = (
+            values[order] for values in (result.frequency, result.amplitude, result.amplitude_bound)
+        )
+        if order.size:
+            curves.append(Curve(label, frequency, amplitude, amplitude - bound, amplitude + bound, style, "points"))
+    panel = Panel(f"amplitude of {result.body}", "m", curves, height=300)
+    return Chart(f"{result.summary()}.", "Amplitude over the frequency of the controlled tone.", [panel])
+
+
 def control_charts(rec: Recording) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty without such a test."""
+    if any({"distance", "phase"} & {*mark.fields} for mark in rec.markers if mark.kind == "measure"):
+        return [_tracking_chart(rec)]
     if {"identification", "measure"} <= {mark.kind for mark in rec.markers}:
         return [_profile_chart(profile(rec))]
     shocks = shocks_of(rec.markers)

@@ -185,15 +185,22 @@ class EnvelopeTone(SteadyTone):
             self._pole, self._gain = self._mode.pole, self._mode.gain
 
     def settle_envelope(
-        self, frequency: float, drive: float, target: float, tolerance: float, max_wait_s: float
+        self,
+        frequency: float,
+        drive: float,
+        target: float,
+        tolerance: float,
+        max_wait_s: float,
+        transition_s: float = TRANSITION_S,
     ) -> Generator[Array, Array, bool]:
         """Change to a frequency in Hz and bring the motion to an amplitude in m by feedback; return whether it did.
 
-        `drive`: amplitude of the drive after the transition. At the end the drive is constant.
+        `drive`: amplitude of the drive after the transition, which lasts at least a window. At the end the drive is
+        constant.
         """
         station = self.station
         end = station.now + station.samples(max_wait_s)
-        yield station.drive(self.transition(max(station.samples(TRANSITION_S), self.window), frequency, drive))
+        yield station.drive(self.transition(max(station.samples(transition_s), self.window), frequency, drive))
         self.motion = (yield from self.observe(self.window))[0] * self.direction
         if not self.motion:
             return False

@@ -3,6 +3,7 @@
 from typing import Annotated, get_args
 
 from rig.core.scene.excitation.constant_response import ConstantResponse as ConstantResponse
+from rig.core.scene.excitation.continuation import Continuation as Continuation
 from rig.core.scene.excitation.free import Free as Free
 from rig.core.scene.excitation.impulse import DoubleHit as DoubleHit
 from rig.core.scene.excitation.impulse import Impulse as Impulse
@@ -31,6 +32,7 @@ Test = Annotated[
     | Impulse
     | ConstantResponse
     | PhaseResonance
+    | Continuation
     | Free
     | Shock
     | RandomControl

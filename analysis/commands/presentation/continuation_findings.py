@@ -1,0 +1,90 @@
+"""Output of `analysis continuation`: response curves with folds, and the exact orbits of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from analysis.commands.presentation.figures_of_recordings import present_each
+from analysis.commands.presentation.outputs import CommandOutput
+from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.tracking.continuation import AmplitudeCurve, continuation
+from rig.core.base.figure_style import add_title
+from rig.core.base.palette import REFERENCE
+from rig.core.orbits.branches import follow_orbits
+from rig.core.orbits.orbit_curve import OrbitBranch
+from rig.core.results import format_number
+from rig.core.results.text import format_quantity, table_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from daq.core.recording.recording import Recording
+    from rig.core.base.arrays import Array
+
+
+class ExactBranch(NamedTuple):
+    """A branch of exact orbits."""
+
+    level: float  # in the unit of the test
+    branch: OrbitBranch
+    amplitude: Array  # m, shape (orbits,)
+
+
+def exact_branches(rec: Recording, result: AmplitudeCurve) -> list[ExactBranch]:
+    """Compute the orbits of the recording's scene at each level of a result, over the band of its test."""
+    scene, test = rec.scene, rec.scene.test
+    assert test is not None and test.band is not None
+    body = scene.structure.labels.index(result.body)
+    branches = []
+    for level in dict.fromkeys(result.level.tolist()):
+        tone = {"kind": "sine", "frequency": test.band[0], test.level_key: level, "shaker": test.driven}
+        curve = follow_orbits(scene.replace(test=tone, channels=None), "frequency", test.band)
+        for branch in curve.branches:
+            reference = np.array([orbit.reference_amplitude for orbit in branch.orbits])
+            branches.append(ExactBranch(level, branch, abs(branch.frf[body]) * reference))
+    return branches
+
+
+@with_recordings
+def present_continuation(
+    recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, theory: bool = False
+) -> CommandOutput:
+    """Draw and tabulate each recording; `theory`: add the exact orbits of its scene."""
+    exact: list[ExactBranch] = []
+
+    def evaluate(rec: Recording) -> AmplitudeCurve:
+        result = continuation(rec)
+        exact[:] = exact_branches(rec, result) if theory else []
+        return result
+
+    def complete(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
+        for number, (_, branch, amplitude) in enumerate(exact):
+            label = "exact orbits (dashed: unstable)" if not number else None
+            stable = np.where(branch.stable, 1e3 * amplitude, np.nan)
+            axes.plot(branch.value, stable, color=REFERENCE, lw=0.8, zorder=1, label=label)
+            axes.plot(branch.value, 1e3 * amplitude, "--", color=REFERENCE, lw=0.5, zorder=1)
+        axes.legend()
+        add_title(axes, "Response at constant level; hollow: unstable, crosses: folds")
+
+    return present_each(
+        recordings, paths, output, "continuation", evaluate, complete, lambda result: fold_lines(result, exact)
+    )
+
+
+def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str]:
+    """Return a table of the folds, with the nearest folds of the exact orbits."""
+    if not result.folds:
+        return []
+    rows: list[tuple[str, ...]] = [("level", "fold / Hz", f"{result.body} / mm", "exact / Hz" if exact else "")]
+    for fold in result.folds:
+        values = [value for each in exact if each.level == fold.level for value in each.branch.folds.tolist()]
+        nearest = f"{min(values, key=lambda value: abs(value - fold.frequency)):.5g}" if values else ""
+        level = f"{format_number(fold.level)} {result.unit}"
+        frequency = format_quantity(fold.frequency, fold.bound, "").strip(" ()")
+        rows.append((level, frequency, f"{1e3 * fold.amplitude:.3g}", nearest))
+    return [f"  {line}" for line in table_lines(rows, ">>>>")]

@@ -1,0 +1,67 @@
+"""Output of `analysis surface`: force over frequency and amplitude, and responses at constant force."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from analysis.commands.presentation.figures_of_recordings import present_each
+from analysis.commands.presentation.outputs import CommandOutput
+from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.tracking.force_surface import ForceSurface, force_surface
+from rig.core.base.figure_style import add_title
+from rig.core.results import format_number
+from rig.core.results.text import table_lines
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@with_recordings
+def present_surface(
+    recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, forces: Sequence[float] = ()
+) -> CommandOutput:
+    """Draw and tabulate each recording; `forces`: amplitudes in N at which the response is drawn instead."""
+
+    def complete(result: ForceSurface, figure: Figure, axes: Axes) -> None:
+        if forces:
+            axes.clear()
+            for number, force in enumerate(forces):
+                draw_response(result, force, axes, f"C{number}")
+            axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
+        axes.legend()
+        add_title(axes, "Response at constant force; hollow: unstable" if forces else "Force at constant amplitude")
+
+    return present_each(
+        recordings, paths, output, "surface", force_surface, complete, lambda result: fold_lines(result, forces)
+    )
+
+
+def draw_response(result: ForceSurface, force: float, axes: Axes, color: str) -> None:
+    """Draw the response at a force amplitude in N, with its folds as crosses."""
+    curve = result.at_force(force)
+    for is_stable, face in ((True, color), (False, "white")):
+        part = curve["stable"] == is_stable
+        label = f"{format_number(force)} N" if is_stable else None
+        frequency, amplitude, bound = (
+            curve[name][part] for name in ("frequency_Hz", "amplitude_m", "amplitude_bound_m")
+        )
+        axes.errorbar(
+            frequency, 1e3 * amplitude, 1e3 * bound, fmt="o", ms=4, color=color, mfc=face, label=label, capsize=2
+        )
+    for frequency, amplitude in result.folds(force):
+        axes.plot(frequency, 1e3 * amplitude, "x", color=color, ms=8)
+
+
+def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
+    """Return a table of the folds of the responses at constant force."""
+    rows = [
+        (f"{format_number(force)} N", f"{frequency:.5g}", f"{1e3 * amplitude:.3g}")
+        for force in forces
+        for frequency, amplitude in result.folds(force)
+    ]
+    return [f"  {line}" for line in table_lines([("force", "fold / Hz", f"{result.body} / mm"), *rows], ">>>")] * bool(
+        rows
+    )

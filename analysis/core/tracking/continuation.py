@@ -1,0 +1,208 @@
+"""Response at constant force from a test of continuation: its stable and unstable parts, and its folds.
+
+The motion between two folds is unstable at constant force. At a fold the frequency is stationary along the curve; it
+follows from a cubic through the nearest points over the length of the curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.recordings.names import takes_path
+from analysis.core.responses.frequency_responses import frequency_responses
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.results import Result, complete_style, format_number
+from rig.core.results.uncertainty import SENSITIVITY
+from rig.core.scene.excitation import FORCE_TOLERANCE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+
+# Number of points on each side of a fold to which polynomials are fitted.
+_FITTED = 3
+
+
+class Fold(NamedTuple):
+    """A point at which a curve turns back."""
+
+    level: float  # in the unit of the test
+    frequency: float  # Hz
+    bound: float  # half of the 95 % interval of the frequency, Hz
+    amplitude: float  # m
+    position: float  # along the curve, in numbers of points
+
+
+@dataclass(frozen=True, repr=False)
+class AmplitudeCurve(Result):
+    """Points of the response curve at each level, in the order of the test.
+
+    Attributes
+    ----------
+    label : str
+        Name of the scene.
+    body : str
+        Body whose amplitude is given.
+    unit : str
+        Unit of the level.
+    level, frequency : ndarray, shape (n,)
+        Level in the unit of the test, and frequency in Hz.
+    amplitude, amplitude_bound : ndarray, shape (n,)
+        Displacement of the body and half of its 95 % interval, m.
+    stable, settled : ndarray of bool, shape (n,)
+        Whether the motion is stable at constant force, and whether steady state was reached.
+    folds : tuple of Fold
+        Level, frequency in Hz, half of its 95 % interval, and amplitude in m of each fold.
+    """
+
+    label: str
+    body: str
+    unit: str
+    level: Array
+    frequency: Array
+    amplitude: Array
+    amplitude_bound: Array
+    stable: NDArray[np.bool_]
+    settled: NDArray[np.bool_]
+    folds: tuple[Fold, ...]
+
+    def summary(self) -> str:
+        """Return the numbers of points and folds, and the largest amplitude."""
+        return (
+            f"{self.label}: {np.unique(self.level).size} levels, {self.level.size} points ({(~self.stable).sum()} "
+            f"unstable), {len(self.folds)} folds, {self.body} up to {1e3 * self.amplitude.max():.3g} mm"
+        )
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return level, frequency and amplitude with its interval and stability."""
+        return {
+            "level": self.level,
+            "frequency_Hz": self.frequency,
+            "amplitude_m": self.amplitude,
+            "amplitude_bound_m": self.amplitude_bound,
+            "stable": self.stable,
+            "settled": self.settled,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the settled points; unstable points are hollow, and folds are crosses."""
+        for number, level in enumerate(dict.fromkeys(self.level.tolist())):
+            chosen = (self.level == level) & self.settled
+            color = f"C{number}"
+            frequency, amplitude = self.frequency[chosen], 1e3 * self.amplitude[chosen]
+            label = f"{format_number(level)} {self.unit}"
+            ax.plot(frequency, amplitude, **complete_style(style, color=color, lw=0.8, label=label))
+            for is_stable, face in ((True, color), (False, "white")):
+                part = self.stable[chosen] == is_stable
+                ax.plot(frequency[part], amplitude[part], "o", ms=4, color=color, markerfacecolor=face)
+            folds = [fold for fold in self.folds if fold.level == level]
+            ax.errorbar(
+                [fold.frequency for fold in folds],
+                [1e3 * fold.amplitude for fold in folds],
+                xerr=[fold.bound for fold in folds],
+                fmt="x",
+                color=color,
+                ms=8,
+                capsize=2,
+            )
+        ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+
+
+@takes_path
+def continuation(rec: Recording) -> AmplitudeCurve:
+    """Return the response curves of a test of continuation, with unstable parts and folds.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        The recording, or its path.
+
+    Returns
+    -------
+    AmplitudeCurve
+        Points and folds of all levels.
+
+    Raises
+    ------
+    RecordingError
+        If the recording contains no test of continuation.
+    """
+    markers = [marker for marker in rec.markers if marker.kind == "measure" and "distance" in marker.fields]
+    test = rec.scene.test
+    if not markers or test is None:
+        raise RecordingError(f"{rec.path}: no curve was followed. Record a test of kind continuation.")
+    [location] = rec.scene.controlled_terms
+    rows: list[Array] = []
+    folds: list[Fold] = []
+    for level in dict.fromkeys(float(marker.fields["level"]) for marker in markers):
+        [response] = frequency_responses(rec, level=level)
+        k = [output.at for output in response.outputs].index(location)
+        poles = {
+            float(marker.fields["frequency"]): float(marker.fields["distance"])
+            for marker in markers
+            if marker.fields["level"] == level
+        }
+        value, frequency = response.value[:, k, 0], response.frequency
+        force = np.full(frequency.size, np.nan) if response.amplitude is None else response.amplitude
+        amplitude, relative = abs(value) * force, response.expanded()[:, k, 0] / abs(value)
+        # The drive of a force shaker is the level, whatever the sensitivities of the sensors.
+        known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
+        systematic = [limit[:, k, 0] for name, limit in response.limits.items() if not known or name != SENSITIVITY]
+        error = (response.random_bound()[:, k, 0] + np.sum(systematic, axis=0)) / abs(value)
+        # Change of the frequency with the level: that of the flank of a mode.
+        rate = np.array([poles[each] for each in frequency.tolist()]) / (2.0 * np.pi)
+        per_level = rate * abs(value) / np.maximum(abs(value.real), 1e-3 * abs(value))
+        bound = (error + FORCE_TOLERANCE) * per_level
+        settled = np.ones(frequency.size, dtype=bool) if response.unsteady is None else ~response.unsteady
+        found = _folds(level, frequency[settled], amplitude[settled], bound[settled])
+        folds += found
+        number = np.searchsorted([fold.position for fold in found], np.arange(frequency.size))
+        columns = (np.full(frequency.size, level), frequency, amplitude, relative * amplitude, number % 2, settled)
+        rows.append(np.array(columns))
+    level_, frequency, amplitude, bound, unstable, settled_ = np.hstack(rows)
+    return AmplitudeCurve(
+        label=rec.scene.name,
+        body=rec.scene.structure.label(location),
+        unit=test.level_unit(rec.scene.driven_shaker),
+        level=level_,
+        frequency=frequency,
+        amplitude=amplitude,
+        amplitude_bound=bound,
+        stable=unstable == 0,
+        settled=settled_ == 1,
+        folds=tuple(folds),
+    )
+
+
+def _folds(level: float, frequency: Array, amplitude: Array, bound: Array) -> list[Fold]:
+    """Locate the points at which the frequency turns back; `bound`: that of the frequency at constant amplitude, Hz."""
+    folds: list[Fold] = []
+    steps = np.diff(frequency)
+    vertex: int
+    for vertex in (np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1).tolist():
+        first = max(vertex - _FITTED + 1, 0)
+        window = slice(first, vertex + _FITTED)
+        # Within the window, frequency and amplitude have the same range.
+        f, a = frequency[window], amplitude[window]
+        lengths = np.hypot(np.diff(f) / max(np.ptp(f), 1e-12), np.diff(np.log(a)) / max(np.ptp(np.log(a)), 1e-12))
+        s = np.concatenate([[0.0], np.cumsum(lengths)])
+        s -= s[vertex - first]
+        estimates: list[tuple[float, float]] = []
+        for degree in (2, 3):
+            curve = np.polynomial.Polynomial.fit(s, f, min(degree, s.size - 1))
+            roots = curve.deriv().roots()
+            root = float(np.real(roots[np.argmin(abs(roots))])) if roots.size else 0.0
+            root = float(np.clip(root, s[0], s[-1]))
+            estimates.append((root, float(curve(root))))
+        (_, quadratic), (root, cubic) = estimates
+        position = first + float(np.interp(root, s, np.arange(s.size)))
+        error = float(np.hypot(bound[vertex], cubic - quadratic))
+        folds.append(Fold(level, cubic, error, float(np.interp(root, s, a)), position))
+    return folds

@@ -1,0 +1,201 @@
+"""Harmonic force surface: the force over frequency and amplitude, from tests that hold the amplitude of a motion.
+
+At one frequency the force is a single-valued function of the amplitude, also where several amplitudes belong to one
+force. Curves of constant force follow from it with their unstable parts. (T. Karaagacli, H. N. Ozguven, Vibration 3
+(2020) 266.) Real and imaginary part of the dynamic stiffness are interpolated over the amplitude, because they are
+smoother than the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import Akima1DInterpolator
+
+from analysis.core.recordings.names import takes_path
+from analysis.core.responses.frequency_responses import frequency_responses
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.results import Result, complete_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from daq.core.recording.recording import Recording
+
+# Minimum number of amplitudes at one frequency for interpolation.
+_MIN_AMPLITUDES = 3
+# Number of amplitudes to which a frequency is interpolated.
+_GRID = 1000
+
+
+@dataclass(frozen=True, repr=False)
+class ForceSurface(Result):
+    """Force amplitudes in steady state at several frequencies and displacement amplitudes of a body.
+
+    Attributes
+    ----------
+    label : str
+        Name of the scene.
+    body : str
+        Body whose amplitude was held.
+    frequency, amplitude : ndarray, shape (n,)
+        Frequency in Hz and displacement amplitude in m.
+    stiffness : ndarray, shape (n,), complex
+        Dynamic stiffness, force per displacement, N/m.
+    force, force_bound : ndarray, shape (n,)
+        Force amplitude and half of its 95 % interval, N.
+    """
+
+    label: str
+    body: str
+    frequency: Array
+    amplitude: Array
+    stiffness: ComplexArray
+    force: Array
+    force_bound: Array
+
+    def _curves(self) -> Iterable[tuple[float, Array, Array, Array]]:
+        """Yield each frequency in Hz with amplitudes in m, and force with half of its 95 % interval in N.
+
+        The error of the interpolation is at most s (1 - s) times the change of the dynamic stiffness from one amplitude
+        to the next, with the share s of the distance; an assumption, which holds for the scene `held-response`.
+        """
+        for frequency in np.unique(self.frequency).tolist():
+            chosen = np.flatnonzero(self.frequency == frequency)
+            chosen = chosen[np.argsort(self.amplitude[chosen])]
+            if chosen.size < _MIN_AMPLITUDES:
+                continue
+            known, stiffness = self.amplitude[chosen], self.stiffness[chosen]
+            amplitude = np.geomspace(known[0], known[-1], _GRID)
+            real, imaginary = (
+                Akima1DInterpolator(known, part, method="makima")(amplitude)
+                for part in (stiffness.real, stiffness.imag)
+            )
+            force = amplitude * np.hypot(real, imaginary)
+            lower = np.clip(np.searchsorted(known, amplitude) - 1, 0, known.size - 2)
+            share = (amplitude - known[lower]) / np.diff(known)[lower]
+            change = abs(np.diff(stiffness))[lower] * amplitude
+            bound = np.interp(amplitude, known, self.force_bound[chosen]) + share * (1.0 - share) * change
+            yield frequency, amplitude, force, bound
+
+    def at_force(self, force: float) -> dict[str, NDArray[Any]]:
+        """Return the response at constant force by interpolation over the amplitude.
+
+        Parameters
+        ----------
+        force : float
+            Force amplitude, N.
+
+        Returns
+        -------
+        dict of ndarray
+            `frequency_Hz`, `amplitude_m`, half of its 95 % interval `amplitude_bound_m`, and `stable`: whether the
+            force rises with the amplitude. A frequency appears once for each amplitude, or not at all if the measured
+            forces do not include the force.
+        """
+        rows: list[tuple[float, float, float, bool]] = []
+        for frequency, amplitude, values, bound in self._curves():
+            rise = np.diff(values)
+            for k in np.flatnonzero((values[1:] >= force) != (values[:-1] >= force)):
+                share = (force - values[k]) / rise[k]
+                # Next to a fold, the slope is that of the chord over the interval of the force.
+                within = np.flatnonzero(abs(values - force) <= bound[k])
+                width = np.ptp(amplitude[within]) / 2.0 if within.size else 0.0
+                error = max(bound[k] * (amplitude[k + 1] - amplitude[k]) / abs(rise[k]), width)
+                rows.append((frequency, amplitude[k] + share * (amplitude[k + 1] - amplitude[k]), error, rise[k] > 0.0))
+        columns = zip(*rows, strict=True) if rows else ([], [], [], [])
+        names = ("frequency_Hz", "amplitude_m", "amplitude_bound_m", "stable")
+        return {name: np.array(column) for name, column in zip(names, columns, strict=True)}
+
+    def folds(self, force: float) -> list[tuple[float, float]]:
+        """Return frequency (Hz) and amplitude (m) of the folds of the response at constant force.
+
+        At a fold the force over the amplitude is a maximum or minimum. These are interpolated linearly from one
+        measured frequency to the next.
+        """
+        folds: list[tuple[float, float]] = []
+        previous: dict[bool, tuple[float, float, float]] = {}
+        for frequency, amplitude, values, _ in self._curves():
+            rise = np.diff(values)
+            extremes: dict[bool, tuple[float, float, float]] = {}
+            for k in np.flatnonzero(rise[1:] * rise[:-1] < 0.0) + 1:
+                extremes.setdefault(bool(rise[k] < 0.0), (frequency, amplitude[k], values[k]))
+            for kind, (f1, a1, force1) in extremes.items():
+                if kind in previous:
+                    f0, a0, force0 = previous[kind]
+                    share = (force - force0) / (force1 - force0) if force1 != force0 else np.inf
+                    if 0.0 <= share < 1.0:
+                        folds.append((f0 + share * (f1 - f0), a0 + share * (a1 - a0)))
+            previous = extremes
+        return folds
+
+    def summary(self) -> str:
+        """Return the ranges of frequency, amplitude and force."""
+        return (
+            f"{self.label}: {self.frequency.size} points, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, "
+            f"{self.body} from {1e3 * self.amplitude.min():.3g} to {1e3 * self.amplitude.max():.3g} mm, force from "
+            f"{self.force.min():.3g} to {self.force.max():.3g} N"
+        )
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return frequency, amplitude and force with its interval."""
+        return {
+            "frequency_Hz": self.frequency,
+            "amplitude_m": self.amplitude,
+            "force_N": self.force,
+            "force_bound_N": self.force_bound,
+        }
+
+    def draw(self, ax: Axes, **style: Any) -> None:
+        """Draw the force over the frequency; points near one amplitude are one curve."""
+        levels = np.round(np.log(self.amplitude) / 0.02)
+        for level in np.unique(levels).tolist():
+            chosen = levels == level
+            label = f"{1e3 * float(np.mean(self.amplitude[chosen])):.3g} mm"
+            ax.plot(self.frequency[chosen], self.force[chosen], **complete_style(style, label=label, marker="o"))
+        ax.set(xlabel="frequency / Hz", ylabel="force / N")
+
+
+@takes_path
+def force_surface(rec: Recording) -> ForceSurface:
+    """Return the harmonic force surface of a test that holds the amplitude of a motion.
+
+    Parameters
+    ----------
+    rec : daq.Recording, str or Path
+        The recording, or its path.
+
+    Returns
+    -------
+    ForceSurface
+        Points that did not reach steady state are omitted.
+
+    Raises
+    ------
+    RecordingError
+        If the test held no motion.
+    """
+    test = rec.scene.test
+    if test is None or test.held_motion is None:
+        raise RecordingError(f"{rec.path}: no motion was held. Record a test of kind constant_response.")
+    location = test.held_motion[0]
+    rows: list[tuple[float, float, complex, float, float]] = []
+    for response in frequency_responses(rec):
+        k = [output.at for output in response.outputs].index(location)
+        unsteady = np.zeros(response.frequency.size, dtype=bool) if response.unsteady is None else response.unsteady
+        bounds = response.expanded()
+        for line in np.flatnonzero(~unsteady).tolist():
+            value = complex(response.value[line, k, 0])
+            force = np.nan if response.amplitude is None else float(response.amplitude[line])
+            relative = float(bounds[line, k, 0] / abs(value))
+            rows.append((float(response.frequency[line]), abs(value) * force, 1.0 / value, force, relative * force))
+    if not rows:
+        raise RecordingError(f"{rec.path}: no point reached steady state. Raise test.settle.longest, and record again.")
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    body = rec.scene.structure.label(location)
+    return ForceSurface(rec.scene.name, body, *columns)

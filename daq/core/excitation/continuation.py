@@ -1,0 +1,360 @@
+"""Control-based continuation: the response at constant force is followed through its folds.
+
+Feedback holds the amplitude of a motion (`envelope_control`), so that the unstable part of the curve can be measured.
+It does not change the motion, because the drive is constant in steady state. The unknowns of a point are frequency and
+amplitude; its equation is the level of the force. A secant predicts the next point, and the secant method corrects it
+along the normal. Coordinates are w / |l| and ln |X|, with the pole l of the mode relative to the tone: a unit of both
+is the relative change of the response. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W.
+Barton, S. A. Neild, Int. J. Bifurc. Chaos 27 (2017) 1730002.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from daq.core.excitation.controlled import displacement, spring_force
+from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
+from daq.core.excitation.lock_in import lock_in
+from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.steady_tone import TRANSITION_S, AmplitudeControl
+from daq.core.excitation.stepped_sine import expected_wait
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.text import format_decimals
+
+if TYPE_CHECKING:
+    from rig.core.scene.excitation import Continuation
+    from rig.core.scene.excitation.kind import KindOfTest
+    from rig.core.scene.scene import Scene
+
+# Feedback begins below this fraction of the largest product of pole and dead time, and ends above the whole.
+_BEGIN_RATIO = 0.8
+# Number of last windows over which the force is averaged.
+_AVERAGED_WINDOWS = 6
+# Number of last points without feedback from which the input gain is estimated.
+_FLANK_POINTS = 3
+# The force is within this fraction of the level: near a fold, the curve depends much on the level.
+_TOLERANCE = 0.002
+# Largest number of settled points from the prediction to the curve, and of drives of a point without feedback.
+_MAX_CORRECTIONS = 6
+# Smallest slope of ln(force) along the normal: a smaller slope would predict a far point.
+_MIN_SLOPE = 0.3
+# A step that fails is repeated with this fraction of its length, down to the smallest fraction.
+_SHORTER = 0.5
+_SHORTEST = 1.0 / 16.0
+# The frequency changes by at most this fraction of the band, and by half of that before the mode is known.
+_MAX_BAND_RATIO = 0.05
+# Without feedback, a response that changes by more than this factor has jumped to another branch.
+_JUMP_RATIO = 2.0
+# The motion does not repeat if the control changes the drive by more than this fraction.
+_MAX_INVASIVE = 0.01
+# A step of a rehearsal.
+_LONG_STEP = 0.5
+
+
+class Point(NamedTuple):
+    """A settled point of a curve."""
+
+    frequency: float  # Hz
+    motion: float  # displacement amplitude, m
+    level: float  # amplitude of force or drive
+    pole: complex  # of the mode relative to the tone, 1/s; 0 before it is known
+
+
+class Lost(Exception):
+    """The curve was lost, for the stated reason."""
+
+
+class _CurveTone(EnvelopeTone):
+    """A tone that settles at points of a curve."""
+
+    def __init__(self, station: Station, test: Continuation) -> None:
+        super().__init__(station, test.from_, displacement(station, test.at))
+        self._test = test
+        self._force = None if test.level_key == "drive" or station.force_is_drive else spring_force(station)
+        self._forces = deque[float](maxlen=_AVERAGED_WINDOWS)
+        self.forget_mode()
+
+    def forget_mode(self) -> None:
+        """Discard the model of the mode."""
+        super().forget_mode()
+        self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and X / U of points
+
+    def _add(self, motion: complex, drive: complex, samples: int) -> None:
+        """Ignore transients: with the amplitude, the mode changes too much. The input gain follows from the flank."""
+
+    def _learn_gain(self) -> None:
+        """Estimate the input gain b from points without feedback, at which (i w - s) X = b U, by least squares."""
+        self._flank.append((2.0 * math.pi * self.frequency, self.motion / self.envelope))
+        if len(self._flank) >= 2:
+            omega, response = np.array(self._flank).T
+            # i w = s + b U / X, weighted by X / U
+            columns = np.stack([response, np.ones_like(response)], axis=1)
+            self._pole, self._gain = map(complex, np.linalg.lstsq(columns, 1j * omega.real * response)[0])
+
+    def start(self, level: float) -> float:
+        """Forget the mode of the last level; return the amplitude of the first drive."""
+        self.forget_mode()
+        self.frequency = self._test.from_
+        return level if self._force is None else level * self.station.cautious_drive
+
+    def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
+        """Return the complex amplitudes in a window, and store that of the force."""
+        if self._force is not None:
+            amplitudes = lock_in(readings, self.frequency, self.rate, phase)
+            self._forces.append(float(abs(self._force.weights(self.frequency) @ amplitudes)))
+        return super().amplitudes(readings, phase)
+
+    def point(self) -> Point:
+        """Return the present point, which has settled."""
+        level = self.amplitude if self._force is None else float(np.mean(self._forces))
+        return Point(self.frequency, abs(self.motion), level, -self._gain * self.envelope / self.motion)
+
+    def drive_to(self, frequency: float, drive: float, level: float) -> Generator[Array, Array, Point | None]:
+        """Settle at a frequency in Hz and the level, without feedback; return the point, None if it did not settle."""
+        self.control, control = None, AmplitudeControl(level, self.station.drive_limit)
+        settle = self._test.settle
+        for _ in range(_MAX_CORRECTIONS):
+            settled = yield from self.settle(frequency, drive, settle.tolerance, settle.longest)
+            self.motion = (yield from self.observe(self.window))[0] * self.direction
+            if not settled or not self.motion:
+                return None
+            point = self.point()
+            if self._force is None or control.is_at_level(point.level):
+                self._learn_gain()
+                return self.point()
+            drive = control.next_drive(self.amplitude, point.level)
+        return None
+
+    def hold_at(self, frequency: float, motion: float) -> Generator[Array, Array, Point | None]:
+        """Settle at a frequency in Hz and an amplitude in m by feedback; return the point, None if it did not settle.
+
+        A small change of frequency needs a short transition, in which an unstable motion hardly grows.
+        """
+        settle = self._test.settle
+        transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _MAX_BAND_RATIO else TRANSITION_S
+        settled = yield from self.settle_envelope(
+            frequency, self.amplitude, motion, settle.tolerance, settle.longest, transition_s
+        )
+        return self.point() if settled else None
+
+    def is_holdable(self, point: Point, ratio: float) -> bool:
+        """Return whether the motion at a point can be held; `ratio`: fraction of the limit of the pole."""
+        return 0.0 < abs(point.pole) * self.dead_time <= ratio * MAX_POLE_TIMES_DEAD_TIME
+
+
+class _Curve:
+    """The curve of a level: its points so far, and the steps from one to the next."""
+
+    def __init__(self, station: Station, test: Continuation, tone: _CurveTone, level: float) -> None:
+        self._station, self._test, self._tone, self._level = station, test, tone, level
+        self._forward = math.copysign(1.0, test.to - test.from_)
+        self._band = abs(test.to - test.from_)
+        self.points: list[Point] = []
+        self._tangent = self._forward, 0.0
+        self._holding = False
+        self.folds = 0  # number of points at which the curve turned back
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the curve runs back, as between two folds."""
+        return self._tangent[0] * self._forward < 0.0
+
+    def follow(self, drive: float) -> Generator[Array, Array, None]:
+        """Measure points up to the end of the band; raise `Lost`. `drive`: amplitude of the first drive."""
+        test, tone = self._test, self._tone
+        point = yield from tone.drive_to(test.from_, drive, self._level)
+        if point is None:
+            raise Lost(f"no steady state at {test.from_:.4g} Hz within {test.settle.longest:g} s")
+        yield from self._measure(point)
+        while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
+            length = test.step
+            point = None
+            while point is None and length >= _SHORTEST * test.step:
+                point = yield from (self._held(length) if self._holding else self._driven(length))
+                length *= _SHORTER
+            if point is None:
+                raise Lost(self._reason())
+            yield from self._measure(point)
+        if len(self.points) == test.points:
+            self._station.warn(
+                f"level {self._level:g}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
+                "points. Give more test.points, or a larger test.step."
+            )
+
+    @property
+    def _share(self) -> float:
+        """Position of the last point in the band, from 0 to 1."""
+        return (self.points[-1].frequency - self._test.from_) * self._forward / self._band
+
+    def _measure(self, point: Point) -> Generator[Array, Array, None]:
+        """Measure at a settled point, and add it to the curve."""
+        test, station, tone = self._test, self._station, self._tone
+        if self.points:
+            last = self.points[-1]
+            change = self._scaled(last, point)
+            length = math.hypot(*change)
+            was_unstable = self.unstable
+            if length > 0.0:
+                self._tangent = change[0] / length, change[1] / length
+            self.folds += self.unstable != was_unstable
+        first = station.now
+        samples = round(test.measure.periods * station.rate / point.frequency)
+        held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding and self.unstable)
+        if held.growth and self._holding:
+            first = station.now
+            held = yield from tone.hold_envelope(samples, point.motion, feedback=True)
+        settled = not held.growth and held.invasive < _MAX_INVASIVE
+        fields: dict[str, Any] = {"frequency": point.frequency, "level": self._level, "direction": "up"}
+        station.mark(
+            "measure",
+            first,
+            station.now,
+            drive=abs(held.drive),
+            force=abs(held.drive) if station.force_is_drive else None,
+            settled=settled,
+            invasive=held.invasive,
+            distance=abs(point.pole),
+            **fields,
+        )
+        if not settled:
+            raise Lost(self._reason())
+        self.points.append(point)
+        self._holding = tone.is_holdable(point, 1.0 if self._holding else _BEGIN_RATIO)
+        share = min(max(self._share, 0.0), 1.0)
+        station.report(share, f"{format_decimals(point.frequency, 2)} Hz, level {self._level:g}")
+
+    def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
+        """Return the change from one point to another in the coordinates of the curve."""
+        turn = 2.0 * math.pi * (end.frequency - start.frequency) / self._rate(start)
+        return turn, math.log(end.motion / start.motion)
+
+    def _rate(self, point: Point) -> float:
+        """Return the unit of angular frequency at a point, 1/s."""
+        longest = _MAX_BAND_RATIO * self._band / self._test.step
+        known = abs(point.pole) / (2.0 * math.pi) if point.pole else 0.5 * longest
+        return 2.0 * math.pi * min(known, longest)
+
+    def _driven(self, length: float) -> Generator[Array, Array, Point | None]:
+        """Step without feedback; return None if the response jumped or did not settle."""
+        last = self.points[-1]
+        if self.unstable:
+            return None
+        frequency = last.frequency + self._forward * length * self._rate(last) / (2.0 * math.pi)
+        limit = max if self._forward < 0.0 else min
+        drive = self._tone.amplitude * self._level / last.level
+        point = yield from self._tone.drive_to(limit(frequency, self._test.to), drive, self._level)
+        if point is not None and abs(math.log(point.motion / last.motion)) > math.log(_JUMP_RATIO):
+            raise Lost(
+                f"the response jumps at {frequency:.4g} Hz, where its envelope cannot be controlled yet. Start at the "
+                "other end of the band"
+            )
+        return point
+
+    def _held(self, length: float) -> Generator[Array, Array, Point | None]:
+        """Step along the curve with feedback; return None if the corrections do not converge."""
+        last, (along, up) = self.points[-1], self._tangent
+        rate = self._rate(last)
+        # Slope of ln(force) along the normal, as of a mode: over w at constant |X|, and over |X| at constant w, which
+        # follows from the tangent where it is steep.
+        over_frequency = -last.pole.imag / abs(last.pole)
+        over_motion = -over_frequency * along / up if abs(up) > 0.5 else 1.0
+        slope = over_motion * along - over_frequency * up
+        position, known = 0.0, list[tuple[float, float]]()
+        for _ in range(_MAX_CORRECTIONS):
+            x, y = length * along - position * up, length * up + position * along
+            frequency, motion = last.frequency + x * rate / (2.0 * math.pi), last.motion * math.exp(y)
+            point = yield from self._tone.hold_at(frequency, motion)
+            if point is None:
+                return None
+            error = math.log(point.level / self._level)
+            if abs(error) <= _TOLERANCE:
+                return point
+            if known and abs(position - known[-1][0]) > 1e-6:
+                slope = (error - known[-1][1]) / (position - known[-1][0])
+            known.append((position, error))
+            slope = math.copysign(max(abs(slope), _MIN_SLOPE), slope)
+            position = max(-length, min(length, position - error / slope))
+        return None
+
+    def _reason(self) -> str:
+        """Describe why no further point was measured."""
+        last, tone = self.points[-1], self._tone
+        dead_time, growth = tone.dead_time, abs(last.pole)
+        if not tone.is_holdable(last, 1.0) and growth:
+            return (
+                f"a pole of {growth:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
+                f"{MAX_POLE_TIMES_DEAD_TIME / growth:.2g} s; it is {dead_time:.2g} s. Use a converter filter with a "
+                "shorter delay"
+            )
+        return (
+            f"{self._test.at} with {1e3 * last.motion:.3g} mm at {last.frequency:.4g} Hz is the last point: the motion "
+            "next to it does not settle. Its period may have doubled; raise test.settle.longest, or give a smaller "
+            "test.step"
+        )
+
+
+def excite(station: Station, test: Continuation) -> Excitation:
+    """Follow the curve of each level; raise `GivenUp` if none reached a fold or the end of the band."""
+    tone, failures, useless = _CurveTone(station, test), list[str](), 0
+    for level in test.levels:
+        curve = _Curve(station, test, tone, level)
+        try:
+            yield from curve.follow(tone.start(level))
+        except Lost as loss:
+            failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
+            useless += not curve.folds
+        yield tone.end()
+    if useless == len(test.levels):
+        raise GivenUp(failures[0])
+    for message in failures:
+        station.warn(message)
+    station.report(1.0, "done")
+
+
+class ContinuationProcedure(Procedure["Continuation"]):
+    """A tone that follows the response curve of each level."""
+
+    detection = "steps"
+    form = Form("continuation", ("level", "low", "high"))
+
+    def excite(self, station: Station, test: Continuation) -> Excitation:
+        """Run the test."""
+        return excite(station, test)
+
+    def noise_gain(self, test: Continuation, frequency: Array) -> Array:
+        """Return the gain of a lock-in measurement over the measured periods."""
+        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+
+    def waits(self, test: Continuation, scene: Scene) -> float:
+        """Return the expected time of all points, s: those of the linear modes in the band."""
+        from rig.core.system.structural_model import structural_model
+
+        modes, count = structural_model(scene).modes, 1.0
+        low, high = sorted((2.0 * math.pi * test.from_, 2.0 * math.pi * test.to))
+        for omega, rate in zip(modes.omega, modes.decay_rate, strict=True):
+            if low < omega < high:
+                count += (math.asinh((high - omega) / rate) + math.asinh((omega - low) / rate)) / test.step
+        seconds = expected_wait(scene, test.settle.longest) + test.measure.periods / test.from_
+        return len(test.levels) * min(count, test.points) * seconds
+
+    def part(self, test: Continuation, seconds: float, scene: Scene) -> Continuation:
+        """Return the curve of the highest level with long steps."""
+        return test.at_level(max(test.levels)).replace(step=_LONG_STEP)
+
+    def seconds(self, test: Continuation, part: Continuation, part_seconds: float) -> float:
+        """Return the expected duration of all levels and points, s."""
+        return part_seconds * len(test.levels) * _LONG_STEP / test.step
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return curves at the given force, of body 1 or of the body of the scene's test."""
+        at = "body 1" if test is None or test.held_motion is None else test.held_motion[0]
+        return {"kind": "continuation", "at": at, "force": values.level, "from": values.low, "to": values.high}
+
+
+PROCEDURE = ContinuationProcedure()

@@ -1,0 +1,71 @@
+"""Harmonic force surfaces, and the responses at constant force that follow from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from typer.testing import CliRunner
+
+import analysis
+import daq
+import rig
+from analysis.commands.cli import app
+from analysis.commands.presentation.surface_findings import fold_lines
+from analysis.core.tracking.force_surface import ForceSurface
+from rig.core.base.errors import RecordingError
+
+
+def surface(frequencies: ArrayLike = (0.95, 1.1, 1.3)) -> ForceSurface:
+    """Return the surface of a hardening spring."""
+    frequency, amplitude = (grid.ravel() for grid in np.meshgrid(frequencies, np.linspace(0.05, 2.0, 40)))
+    stiffness = 1.0 + amplitude**2 - frequency**2 + 0.05j * frequency
+    force = abs(stiffness) * amplitude
+    return ForceSurface("spring", "body 1", frequency, amplitude, stiffness, force, 0.01 * force)
+
+
+def test_constant_force_has_all_branches() -> None:
+    curve = surface().at_force(0.2)
+    at_last = curve["frequency_Hz"] == 1.3
+    roots = np.roots([1.0, 2.0 * (1.0 - 1.69), (1.0 - 1.69) ** 2 + (0.05 * 1.3) ** 2, -0.04])
+    exact = np.sort(np.sqrt(roots[abs(roots.imag) < 1e-9].real))
+    assert curve["amplitude_m"][at_last] == pytest.approx(exact, abs=0.01)
+    assert curve["stable"][at_last].tolist() == [True, False, True]
+
+
+def test_fold_is_where_the_force_is_extreme() -> None:
+    [(fold, _)] = surface(np.linspace(1.0, 1.5, 21)).folds(0.2)
+    # Without damping, force = (f^2 - 1 - a^2) a is largest at a^2 = (f^2 - 1) / 3.
+    exact = np.sqrt(1.0 + 3.0 * 0.1 ** (2 / 3))
+    assert fold == pytest.approx(exact, abs=0.003)
+
+
+def test_force_outside_surface_has_no_points() -> None:
+    assert surface().at_force(1e3)["frequency_Hz"].size == 0
+
+
+def test_linear_surface_gives_the_compliance(tmp_path: Path) -> None:
+    levels = ["0.1 mm", "0.2 mm"]
+    test = {"kind": "constant_response", "at": "body 2", "displacement": levels, "frequencies": [20.0, 48.0, 52.0]}
+    scene = rig.load("held-response").replace(test=test, dampers=[])
+    measured = analysis.force_surface(daq.record(scene, tmp_path / "held.mcap"))
+    theory = scene.replace(test={"kind": "sine", "frequency": 20.0, "force": 1.0})
+    frequencies, line = np.unique(measured.frequency, return_inverse=True)
+    exact = abs(rig.frequency_response(theory, frequencies).compliance[1])[line]
+    assert (abs(measured.amplitude / measured.force / exact - 1.0) < measured.force_bound / measured.force).all()
+    assert "6 points, 20 to 52 Hz" in measured.summary()
+    result = CliRunner().invoke(app, ["surface", str(tmp_path / "held.mcap"), "--force", "1", "-o", str(tmp_path)])
+    assert result.exit_code == 0 and len([*tmp_path.iterdir()]) == 4
+
+
+def test_other_test_has_no_surface(tmp_path: Path) -> None:
+    scene = rig.load("held-response").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
+    with pytest.raises(RecordingError, match="no motion was held"):
+        analysis.force_surface(daq.record(scene, tmp_path / "sine.mcap"))
+
+
+def test_table_contains_folds() -> None:
+    lines = fold_lines(surface(np.linspace(1.0, 1.5, 21)), [0.2])
+    assert len(lines) == 2 and "0.2 N" in lines[1] and "1.28" in lines[1]

@@ -1,0 +1,137 @@
+"""Control-based continuation: runs on the bench, and curves with folds compared with exact orbits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import analysis
+import daq
+import rig
+from analysis.commands.cli import app
+from rig.core.base.errors import RecordingError, RunError, SceneError
+from tests.daq.excitation.test_constant_response import device_marks
+from tests.daq.measurement.bench_run import run
+
+# The lower, stable part of the curve at 1.2 N, its fold at 50.52 Hz, and the unstable part up to 50.8 Hz.
+FOLDED = {"force": 1.2, "from": "51 Hz", "to": "50 Hz"}
+
+
+def scene_with(**changes: Any) -> rig.Scene:
+    """Return the bundled scene with changed keys of its test."""
+    return rig.load("continuation", {f"test.{key}": value for key, value in changes.items()})
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    with pytest.warns(UserWarning, match="is the last point: the motion next to it does not settle"):
+        return daq.record(scene_with(**FOLDED), tmp_path_factory.mktemp("curve") / "curve.mcap")
+
+
+@pytest.fixture(scope="module")
+def exact() -> list[tuple[Any, Any]]:
+    theory = rig.load("continuation").replace(test={"kind": "sine", "frequency": 51.0, "force": 1.2}, channels=None)
+    curve = rig.follow_orbits(theory, "frequency", (50.3, 51.2))
+    reference = [np.array([orbit.reference_amplitude for orbit in branch.orbits]) for branch in curve.branches]
+    return [(b, abs(b.frf[0]) * amplitude) for b, amplitude in zip(curve.branches, reference, strict=True)]
+
+
+def test_unstable_points_are_exact_orbits(recording: Path, exact: list[tuple[Any, Any]]) -> None:
+    measured = analysis.continuation(recording)
+    unstable = np.flatnonzero(~measured.stable & measured.settled & (measured.frequency > 50.55))
+    assert unstable.size >= 3
+    for k in unstable:
+        errors = []
+        for branch, amplitude in exact:
+            offset = branch.value - measured.frequency[k]
+            for i in np.flatnonzero((offset[1:] * offset[:-1] <= 0.0) & ~branch.stable[1:]):
+                share = offset[i] / (offset[i] - offset[i + 1])
+                errors.append(abs(measured.amplitude[k] / (amplitude[i] + share * np.diff(amplitude)[i]) - 1.0))
+        assert min(errors) < 0.01
+
+
+def test_fold_is_exact(recording: Path, exact: list[tuple[Any, Any]]) -> None:
+    [fold] = analysis.continuation(recording).folds
+    [exact_fold] = [value for branch, _ in exact for value in branch.folds if 50.4 < value < 50.7]
+    assert abs(fold.frequency - exact_fold) < fold.bound < 0.02
+
+
+def test_control_does_not_change_motion(recording: Path) -> None:
+    with daq.open(recording) as rec:
+        marks = [mark.fields for mark in rec.markers if mark.kind == "measure"]
+    assert all(fields["invasive"] < 0.01 for fields in marks if fields["settled"])
+    assert sum(fields["invasive"] > 0.0 for fields in marks) >= 3  # on the unstable part, feedback stays on
+
+
+def test_linear_curve_is_exact(tmp_path: Path) -> None:
+    scene = scene_with(force=0.5, **{"from": "49 Hz", "to": "51.5 Hz"}).replace(dampers=[])
+    measured = analysis.continuation(daq.record(scene, tmp_path / "linear.mcap"))
+    theory = scene.replace(test={"kind": "sine", "frequency": 50.0, "force": 0.5})
+    linear = 0.5 * abs(rig.frequency_response(theory, measured.frequency).compliance[0])
+    assert abs(measured.amplitude / linear - 1.0).max() < 0.005
+    assert measured.stable.all() and not measured.folds and measured.frequency.max() >= 51.4
+
+
+def test_coil_shaker_is_followed() -> None:
+    test = {"kind": "continuation", "from": "50.4 Hz", "to": "50 Hz", "at": "body 2", "force": 1.0}
+    bench_run = run(rig.load("fig9").replace(test=test))
+    weights = [bench_run.force_weights(fields["frequency"]) for *_, fields in bench_run.marks_of("measure")]
+    forces = [
+        abs(bench_run.amplitudes(first, stop, fields["frequency"]) @ weight)
+        for (first, stop, fields), weight in zip(bench_run.marks_of("measure"), weights, strict=True)
+    ]
+    assert forces == pytest.approx([1.0] * len(forces), rel=0.006) and len(forces) >= 4
+
+
+def test_device_gives_equal_markers() -> None:
+    scene = scene_with(force=0.9, **{"from": "50.6 Hz", "to": "50.2 Hz"})
+    assert device_marks(scene, 0) == run(scene).marks
+    delayed = [fields for kind, *_, fields in device_marks(scene, 128) if kind == "measure"]
+    assert delayed[-1]["settled"] and delayed[-1]["frequency"] <= 50.2
+
+
+def test_long_delay_gives_up() -> None:
+    with pytest.raises(RunError, match=r"at 50.* Hz requires a dead time below 0\.44 s; it is 0\.49 s"):
+        device_marks(scene_with(**FOLDED), 2048)
+
+
+def test_unsettled_start_gives_up(tmp_path: Path) -> None:
+    scene = scene_with(**FOLDED, settle={"longest": "0.2 s"})
+    with pytest.raises(RunError, match=r"no steady state at 51 Hz within 0\.2 s"):
+        daq.record(scene, tmp_path / "curve.mcap")
+    with daq.open(tmp_path / "curve.mcap") as rec:
+        assert rec.markers[-1].kind == "abort"
+        assert np.isfinite(rec.read("body1")).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"), [({"at": "body 7"}, "body 7 does not exist"), ({"to": "53 Hz"}, "which is also from")]
+)
+def test_mistake_is_named(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        scene_with(**change)
+
+
+def test_test_is_foreseen() -> None:
+    assert "test.force" in str(daq.foresee(scene_with(force=0.9)))
+
+
+def test_command_prints_folds(recording: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["continuation", str(recording), "--theory", "-o", str(tmp_path)])
+    assert result.exit_code == 0 and "1 folds, body 1" in result.stdout and "50.525" in result.stdout
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_report_contains_the_curve(recording: Path, tmp_path: Path) -> None:
+    analysis.report([recording], tmp_path / "report.html")
+    assert "1.2 N, unstable" in (tmp_path / "report.html").read_text()
+
+
+def test_other_test_has_no_curve(tmp_path: Path) -> None:
+    scene = rig.load("continuation").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
+    with pytest.raises(RecordingError, match="no curve was followed"):
+        analysis.continuation(daq.record(scene, tmp_path / "sine.mcap"))

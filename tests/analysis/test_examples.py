@@ -25,6 +25,7 @@ RESULT_CONDITIONS = {
     "import_and_fit": lambda names: abs(names["fit"]["structure.masses[1]"].value - BODY_1_MASS_KG) < 0.02,
     "low_frequencies": lambda names: all(each[-1] < 0.05 for each in names["errors"].values()),
     "nidaqmx_and_pyfrf": lambda names: abs(names["peak"] - BRACKET_MODE_1_HZ) < 0.3 and names["magnitude_error"] < 0.05,
+    "nonlinear_tests": lambda names: abs(names["deviation"][names["inside"]]).max() < 0.01,
     "rehearse_a_sweep": lambda names: (
         names["durations"]["0.001 %"] > names["durations"]["10 %"]
         and abs(names["modes"].frequency[0] - MODE_2_HZ) < 0.01

@@ -1,0 +1,65 @@
+"""
+Tests of nonlinear structures, and of structures on a shaker table
+==================================================================
+
+Where a structure has particle dampers, its resonance depends on the amplitude. A phase-locked tone follows the
+resonance (backbone), and control-based continuation follows the response at constant force. Exact orbits show how
+accurate both are. On a shaker table, profiles prescribe the motion: random vibration with notches, and shocks.
+"""
+
+# %%
+# The frequency at which body 1 lags the force by 90 degrees, at three levels of force: the backbone.
+import matplotlib.pyplot as plt
+import numpy as np
+
+import analysis
+import daq
+import rig
+
+scene = rig.load("backbone", {"test.force": [0.5, 1.0, 1.3]})
+backbone = analysis.backbone(daq.record(scene, "backbone.mcap", overwrite=True))
+print(backbone)
+
+# %%
+# The response at a constant force of 1 N, measured from 51 Hz downward, and the exact orbits at this force.
+band = (48.0, 51.0)
+curve_test = {"kind": "continuation", "from": band[1], "to": band[0], "at": "body 1", "force": 1.0}
+curve = analysis.continuation(daq.record(scene.replace(test=curve_test), "curve.mcap", overwrite=True))
+tone = {"kind": "sine", "frequency": band[0], "force": 1.0}
+orbits = rig.follow_orbits(scene.replace(test=tone, channels=None), "frequency", band)
+
+axes = plt.subplots(layout="constrained")[1]
+curve.draw(axes)
+backbone.draw(axes, label="backbone", color="C3")
+for number, branch in enumerate(orbits.branches):
+    amplitude = abs(branch.frf[0]) * [orbit.reference_amplitude for orbit in branch.orbits]
+    axes.plot(branch.value, 1e3 * amplitude, "k", lw=0.8, label=None if number else "exact orbits")
+axes.legend()
+exact = np.concatenate([abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches])
+exact_frequency = np.concatenate([branch.value for branch in orbits.branches])
+order = np.argsort(exact_frequency)
+inside = (curve.frequency > band[0]) & (curve.frequency < band[1])
+deviation = curve.amplitude / np.interp(curve.frequency, exact_frequency[order], exact[order]) - 1.0
+print(f"largest deviation of the {inside.sum()} measured points from exact orbits: {abs(deviation[inside]).max():.2%}")
+
+# %%
+# Random vibration of a shaker table with a profile. Where a limited channel would exceed its limit, the drive has a
+# notch.
+table = rig.load("shaker-table-random", {"test.duration": "30 s"})
+profile = analysis.profile(daq.record(table, "random.mcap", overwrite=True))
+axes = plt.subplots(layout="constrained")[1]
+profile.draw(axes)
+axes.set(xscale="log", yscale="log")
+axes.legend()
+print(profile)
+print("notches:", *(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))
+
+# %%
+# A shock of the table, and the shock response spectra of the table and of the unit.
+shock = daq.record("shaker-table-shock", "shock.mcap", overwrite=True)
+axes = plt.subplots(layout="constrained")[1]
+spectra = [analysis.srs(shock, channel) for channel in ("table", "unit")]
+for spectrum, line in zip(spectra, ("-", "--"), strict=True):
+    spectrum.draw(axes, label=spectrum.channel, linestyle=line)
+axes.legend()
+print(*spectra, sep="\n")

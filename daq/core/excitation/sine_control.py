@@ -51,6 +51,10 @@ _RISE_S = 0.25
 _CHECKED_FREQUENCIES = 2000
 # An oscillation of the logarithmic error above this reduces the gain by a factor; it recovers with a power.
 _OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
+# The smallest factor.
+_SMALLEST = 0.02
+# An error above this fraction of the last swing is a swing.
+_MIN_SWING = 0.25
 # CPU time of each period, s, measured on one core of 2 GHz.
 _PERIOD_CPU_S = 0.3e-3
 
@@ -98,6 +102,23 @@ def _observation_samples(frequency: float, rate: float) -> int:
     return max(observation_samples(frequency, rate), round(_OBSERVATION_PERIODS * rate / frequency))
 
 
+class Caution:
+    """Reduction of the gain while the logarithmic error oscillates: at an anti-resonance, sidebands are amplified."""
+
+    def __init__(self) -> None:
+        self._factor, self._swing = 1.0, 0.0
+
+    def factor(self, error: float) -> float:
+        """Return the factor of the gain for the next error."""
+        is_oscillating = error * self._swing < 0.0 and abs(error - self._swing) > _OSCILLATION
+        self._factor = max(self._factor * _REDUCTION, _SMALLEST) if is_oscillating else self._factor**_RECOVERY
+        # The error after a swing is the next swing, however small: otherwise a large first error would be compared with
+        # all later errors, and the gain would remain at its smallest value.
+        if is_oscillating or abs(error) > _MIN_SWING * abs(self._swing):
+            self._swing = error
+        return self._factor
+
+
 class SineSweep:
     """A sweep with its controller."""
 
@@ -110,7 +131,7 @@ class SineSweep:
         self.observations: list[Observation] = []
         self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
-        self._caution, self._error = 1.0, 0.0  # factor of the gain; last logarithmic error
+        self._caution = Caution()
 
     def bounds(self, frequency: float) -> tuple[float, Array]:
         """Return profile and limits at a frequency, m/s^2; infinite without a limit."""
@@ -170,11 +191,7 @@ class SineSweep:
             ratios = self.ratios(amplitudes, frequency)
             gain = loop_gain(self.test.speed, _delay(frequency, self.station.latency / self.station.rate))
             error = float(np.clip(log(max(ratios.min(), 1e-12)), -_MAX_DECREASE, _MAX_INCREASE))
-            # At an anti-resonance, sidebands of the tone are amplified: the loop oscillates unless its gain is reduced.
-            is_oscillating = error * self._error < 0.0 and abs(error - self._error) > _OSCILLATION
-            self._caution = max(self._caution * _REDUCTION, 0.02) if is_oscillating else self._caution**_RECOVERY
-            self._error = error if abs(error) > 0.25 * abs(self._error) else self._error
-            drive = next_drive(self.drive, float(ratios.min()), gain * self._caution)
+            drive = next_drive(self.drive, float(ratios.min()), gain * self._caution.factor(error))
             self.limited |= drive > self.station.output_limit
             drive = min(drive, self.station.output_limit)
             deviation, now = -float(in_decibels(ratios[0])), self.station.now - self.station.latency

@@ -13,7 +13,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from daq.core.excitation.sine_control import loop_gain, next_drive
+from daq.core.excitation.sine_control import Caution, loop_gain, next_drive
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import MarkedRun, run_device
 
@@ -50,6 +50,17 @@ def test_loop_is_stable_below_its_limit(delay: int, speed: float, is_stable: boo
         drives.append(next_drive(drives[-1], 1.01 / drives[-1 - delay], loop_gain(speed, delay)))
     errors = abs(np.log(np.array(drives) / 1.01))
     assert (errors[-20:].max() < errors[:20].max()) == is_stable
+
+
+def test_gain_recovers_after_one_overshoot() -> None:
+    caution = Caution()
+    caution.factor(0.7)
+    assert [caution.factor(-0.06) for _ in range(30)][-1] > 0.9
+
+
+def test_oscillation_reduces_the_gain() -> None:
+    caution = Caution()
+    assert [caution.factor(0.1 * (-1) ** k) for k in range(12)][-1] < 0.05
 
 
 def test_steps_down_are_larger_than_steps_up() -> None:

@@ -42,6 +42,9 @@ KINDS = (
     "two_shakers_close_modes",
     "random_two_shakers",
     "multisine_two_shakers",
+    "constant_response_dampers",
+    "phase_resonance_dampers",
+    "continuation_dampers",
 )
 # The first mode has at most this time constant, because transients must decay within seconds.
 _MAX_TIME_CONSTANT_S = 1.6

@@ -31,6 +31,9 @@ SCENE_NUMBERS = {
     "two_shakers_close_modes": 0,
     "random_two_shakers": 23,
     "multisine_two_shakers": 0,
+    "constant_response_dampers": 1,
+    "phase_resonance_dampers": 0,
+    "continuation_dampers": 1,
 }
 
 

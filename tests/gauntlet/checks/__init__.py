@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.gauntlet.checks import decays, impacts, modes, motion_types, responses, restitution
+from tests.gauntlet.checks import controlled_tones, decays, impacts, modes, motion_types, responses, restitution
 from tests.gauntlet.result import Case, CheckResult
 
 # A check takes a case and its kind of test; it returns no result for other kinds of tests than its own.
@@ -17,4 +17,5 @@ CHECKS: dict[str, Check] = {
     "restitution": restitution.check,
     "motion_types": motion_types.check,
     "decays": decays.check,
+    "orbits": controlled_tones.check,
 }

@@ -29,13 +29,17 @@ from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GEN
 from rig.core.settings.quantities import FREQUENCY
 
 _ARRAY_ENDINGS = (".mat", ".npz", ".npy")
-ENDINGS = (".uff", ".unv", ".csv", ".txt", *_ARRAY_ENDINGS)
+ENDINGS = (".uff", ".unv", ".csv", ".txt", ".asc", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|arg"
     r"|realteil|imaginärteil|betrag)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
+)
+# Unit of a magnitude in decibels: a reference value, and its unit.
+_DECIBELS = re.compile(
+    r"dB\s*(?:\(?re\.?:?\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
 )
 # Frequencies are lines of a DFT if their spacing varies relatively by less than this; the digits of a table cause such
 # variation.
@@ -313,6 +317,8 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
                 f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase"
             )
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
+        if "magnitude" in pair:
+            column_unit, first_column = _linear_magnitude(f"{path}: {name}", column_unit, first_column)
         motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
         if "real" in pair:
             value = first_column + 1j * pair["imag"][1]
@@ -321,6 +327,22 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion))
     return curves
+
+
+def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Array]:
+    """Return the unit of a magnitude, without decibels, and the magnitude in this unit.
+
+    >>> _linear_magnitude("a", "dB re 1 m/s^2/N", np.array([20.0]))
+    ('m/s^2/N', array([10.]))
+    """
+    if match := _DECIBELS.fullmatch(unit):
+        return match["unit"] or "", float(match["reference"] or 1.0) * 10.0 ** (magnitude / 20.0)
+    if (magnitude < 0.0).any():
+        raise SceneError(
+            f"{where}: a magnitude is negative, so that the values may be decibels. Give the column the unit dB, such "
+            "as 'tip magnitude [dB re 1 m/s^2/N]'."
+        )
+    return unit, magnitude
 
 
 def _from_arrays(path: Path, unit: str | None) -> list[Response]:

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from daq.extras.importing.analyzer_heading import keyed_heading
 from daq.extras.importing.clock import rate_of_interval
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
@@ -26,6 +27,8 @@ _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
 #: Units of time: the first cell of a line of units is one of them, or empty.
 TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
+# The same, or it is the unit of frequencies.
+_ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz")
 # Length of the longest unit, characters.
 _MAX_UNIT_LENGTH = 12
 #: Name of a column without a name.
@@ -94,9 +97,11 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
             if column_count > 2 and not row[-1] and rows_above and len(rows_above[-1]) == column_count - 1:
                 # Each line ends with a delimiter.
                 column_count, read_cells = column_count - 1, tuple(range(column_count - 1))
-            return Layout(
-                encoding, delimiter, decimal_comma, heading, *_names_and_units(rows_above, column_count), read_cells
-            )
+            names, units = _names_and_units(rows_above, column_count)
+            if not any(units) and (keyed := keyed_heading(rows_above, column_count)) is not None:
+                names, units = keyed.names, keyed.units
+                read_cells = tuple(range(keyed.first_column, column_count)) if keyed.first_column else read_cells
+            return Layout(encoding, delimiter, decimal_comma, heading, names, units, read_cells)
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
@@ -108,15 +113,25 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
     if not rows or len(rows_above[-1]) != column_count:
         return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
     names, units = rows[-1], [""] * column_count
-    are_units = all(len(cell) <= _MAX_UNIT_LENGTH for cell in rows[-1])
-    are_units &= rows[-1][0].strip("[]()") in ("", *TIME_UNITS)
+    are_units = all(len(_without_brackets(cell)) <= _MAX_UNIT_LENGTH for cell in rows[-1])
+    are_units &= _without_brackets(rows[-1][0]) in _ABSCISSA_UNITS
     if len(rows) == 2 and not any(map(_UNIT_IN_BRACKETS.fullmatch, rows[0])) and are_units:
-        names, units = rows[0], [cell.strip("[]()") for cell in rows[1]]
+        names, units = rows[0], [_without_brackets(cell) for cell in rows[1]]
     else:
         for position, cell in enumerate(names):
             if match := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
                 names[position], units[position] = match[1], match[2].strip()
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
+
+
+def _without_brackets(cell: str) -> str:
+    """Return the unit in a cell of a line of units: brackets around the whole cell are not a part of it.
+
+    >>> _without_brackets("[ m/s / N ]"), _without_brackets("(m/s²)/N")
+    ('m/s / N', '(m/s²)/N')
+    """
+    match = re.fullmatch(r"\[(.*)\]|\(([^()]*)\)", cell)
+    return cell if match is None else (match[1] or match[2] or "").strip()
 
 
 def split_cells(line: str, delimiter: str | None) -> list[str]:

@@ -216,19 +216,24 @@ class _Table:
         return clock
 
     def _first_cell(self, line: str) -> str:
-        return split_cells(line, self._layout.delimiter)[0]
+        return split_cells(line, self._layout.delimiter)[self._first_position]
+
+    @property
+    def _first_position(self) -> int:
+        """Position of the cell of the first column in a line."""
+        return self._layout.cells[0] if self._layout.cells else 0
 
     def _times(self, scale: float) -> Iterator[Array]:
         """Yield the first column in blocks, s."""
         lines = islice(self._lines(), self.rows)
         while block := list(islice(lines, BLOCK_LINES)):
-            numbers = self._parse_numbers(block, (0,))
+            numbers = self._parse_numbers(block, (self._first_position,))
             times = np.array([self._time(*each) for each in block]) if numbers is None else numbers[:, 0]
             yield times * scale
 
     def _time(self, line_number: int, line: str) -> float:
-        delimiter = self._layout.delimiter
-        cell = self._first_cell(line) if delimiter is None else line.split(delimiter, 1)[0]
+        delimiter, position = self._layout.delimiter, self._first_position
+        cell = self._first_cell(line) if delimiter is None else line.split(delimiter, position + 1)[position]
         value = parse_number(cell.strip(' "\r\n'), self._layout.decimal_comma)
         return self._parse_line(line_number, line)[0] if value is None else value
 

@@ -15,6 +15,11 @@ KINDS: dict[Quantity, Kind] = {
     "force": FORCE,
     "voltage": VOLTAGE,
 }
+# Quantities that other sensors measure, by their units.
+_OTHER_QUANTITIES = {
+    "pa": "sound pressure", "mpa": "sound pressure", "µm/m": "strain", "um/m": "strain", "mm/m": "strain",
+    "°c": "temperature", "degc": "temperature", "rpm": "speed of rotation", "a": "current", "ma": "current",
+}  # fmt: skip
 _SPELLINGS = {
     "volts": "V", "volt": "V", "v": "V", "millivolts": "mV", "mv": "mV",
     "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
@@ -43,6 +48,8 @@ def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
             continue
         if scale > 0 and unit_name and kind.supports(scale) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
             return quantity, scale
+    if other := _OTHER_QUANTITIES.get(normalized.lower()):
+        raise ValueError(f"{other} ({unit}) is not a quantity of this program. Leave this channel out of the table.")
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
         "m/s^2, g, mm, N or mV; for scaled numbers, the value for which the number 1 stands, such as 5 V"

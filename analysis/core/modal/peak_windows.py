@@ -1,0 +1,71 @@
+"""Windows of lines around the peaks of curves, in which modes are identified independently of the rest of the band."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from analysis.core.modal.line_choice import scatter
+from rig.core.base.arrays import Array, ComplexArray
+
+# A peak exceeds its surroundings by at least the factor of half of the power.
+_MIN_PROMINENCE = 0.5 * float(np.log(2.0))
+# A peak exceeds the scatter of its lines by at least this factor in a curve.
+_MIN_SIGNAL_RATIO = 6.0
+# A window extends to this distance from its peaks, in half-widths and at least this number of lines.
+_WINDOW_HALF_WIDTHS = 6.0
+_MIN_WINDOW_LINES = 20
+# Peaks belong to the same window if they are closer than this multiple of the sum of their half-widths.
+_GROUP_HALF_WIDTHS = 3.0
+# Maximum number of peaks: those of highest prominence.
+_MAX_PEAKS = 60
+
+
+class Window(NamedTuple):
+    """A window of lines around a group of peaks; the modes between the valleys on either side belong to the group."""
+
+    first: int  # first line
+    stop: int  # line after the last
+    low: float  # Hz, valley below the group, or 0
+    high: float  # Hz, valley above the group, or infinity
+
+
+def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Window]:
+    """Return the windows around the peaks of curves at equal frequencies, Hz, in ascending order.
+
+    A peak is one of the mean logarithm of the magnitudes, because a mean of the magnitudes depends on the units.
+    """
+    magnitude = np.abs(np.nan_to_num(np.stack(values))) * frequency**2
+    log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max(axis=1, keepdims=True))).mean(axis=0)
+    peaks, properties = scipy.signal.find_peaks(log_magnitude, prominence=_MIN_PROMINENCE)
+    noise = np.stack([scatter(np.nan_to_num(value)) for value in values]) * frequency**2
+    is_high = (magnitude[:, peaks] > _MIN_SIGNAL_RATIO * noise[:, peaks]).any(axis=0)
+    order = np.argsort(-np.where(is_high, properties["prominences"], 0.0), kind="stable")
+    peaks = np.sort(peaks[order[: min(_MAX_PEAKS, int(is_high.sum()))]])
+    if not peaks.size:
+        return [Window(0, frequency.size, 0.0, np.inf)]
+    half_widths = np.array([_half_width(frequency, log_magnitude, int(peak)) for peak in peaks])
+    reach = np.array([_GROUP_HALF_WIDTHS * half_widths]).ravel()
+    splits = np.flatnonzero(np.diff(frequency[peaks]) > reach[1:] + reach[:-1]) + 1
+    groups = np.split(np.arange(peaks.size), splits)
+    valleys = [float(frequency[peaks[i] + np.argmin(log_magnitude[peaks[i] : peaks[i + 1]])]) for i in splits - 1]
+    windows = []
+    for group, low, high in zip(groups, [0.0, *valleys], [*valleys, np.inf], strict=True):
+        distance = _WINDOW_HALF_WIDTHS * half_widths[group]
+        first = int(np.searchsorted(frequency, np.min(frequency[peaks[group]] - distance)))
+        stop = int(np.searchsorted(frequency, np.max(frequency[peaks[group]] + distance), side="right"))
+        first = max(min(first, int(peaks[group[0]]) - _MIN_WINDOW_LINES), 0)
+        stop = min(max(stop, int(peaks[group[-1]]) + _MIN_WINDOW_LINES + 1), frequency.size)
+        windows.append(Window(first, stop, low, high))
+    return windows
+
+
+def _half_width(frequency: Array, log_magnitude: Array, peak: int) -> float:
+    """Return half of the half-power bandwidth of a peak, Hz."""
+    below = log_magnitude < log_magnitude[peak] - _MIN_PROMINENCE
+    first = peak - int(np.argmax(below[peak::-1]))
+    last = peak + int(np.argmax(below[peak:]))
+    return 0.5 * float(frequency[last] - frequency[first])

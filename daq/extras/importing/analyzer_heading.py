@@ -1,0 +1,75 @@
+"""Headings with a keyword in the first cell of each line, as analyzers export them: names and units of the columns.
+
+Layouts: B&K PULSE (``X-AxisUnit:``, ``AmplitudeUnit:``, ``Data Type: Complex``, and a column of line numbers),
+Siemens Testlab (``Function class``, ``Point id``), ME'scope (``Y Axis DOFs``, ``Y Axis Units``) and m+p (``Channel``,
+``Unit``). A line has a cell for the whole file, for each column, or for each pair of columns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+# Keywords, in small letters without blanks and punctuation. Of several, the first in the file is used.
+_NAMES = ("yaxisdofs", "pointid", "channelname", "channel", "signalname", "signal", "name", "measurementlabel", "title")
+_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit")
+_ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
+# Keywords of the kind of data. Complex data have two columns for each function.
+_KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
+_COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
+_POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)
+# Keyword of a file whose first column is the number of the line.
+_LINE_NUMBERS = "headersize"
+
+
+class Heading(NamedTuple):
+    """Names and units of the columns that are read."""
+
+    names: list[str]
+    units: list[str]
+    first_column: int  # number of columns on the left that are not read
+
+
+def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading | None:
+    """Return names and units from the lines of a heading, split into cells; None without a keyword for units.
+
+    >>> keyed_heading([["Channel", "force", "tip"], ["Unit", "N", "g"]], 3)
+    Heading(names=['time', 'force', 'tip'], units=['s', 'N', 'g'], first_column=0)
+    """
+    cells: dict[str, list[str]] = {}
+    for row in rows:
+        parts = list(row) if len(row) > 1 else [part.strip() for part in "".join(row).split(":", 1)]
+        cells.setdefault(re.sub(r"[\W_]", "", parts[0]).lower(), parts[1:])
+    first_column = int(_LINE_NUMBERS in cells)
+    count = column_count - first_column - 1
+    units = _for_columns(cells, _UNITS, count)
+    if units is None or count < 1:
+        return None
+    abscissa = next((text for key in _ABSCISSA_UNITS for text in cells.get(key, []) if text), "s")
+    names = _for_columns(cells, _NAMES, count) or [""] * count
+    kind = " ".join(text for key in _KINDS for text in cells.get(key, []))
+    if count % 2 == 0 and (_COMPLEX.search(kind) or _POLAR.search(kind)):
+        suffixes = ("real", "imag") if _COMPLEX.search(kind) else ("magnitude", "phase")
+        pairs = zip(names[::2], names[1::2], strict=True)
+        # One name of a pair is empty or repeats the other.
+        names = [f"{first or second} {suffix}".strip() for first, second in pairs for suffix in suffixes]
+        units = [unit for pair in zip(units[::2], units[1::2], strict=True) for unit in [pair[0] or pair[1]] * 2]
+    first = "frequency" if abscissa.lower() == "hz" else "time"
+    return Heading([first, *names], [abscissa, *units], first_column)
+
+
+def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count: int) -> list[str] | None:
+    """Return the cells of the first of some keywords, for each of the columns after the first; None without them."""
+    for key in keys:
+        texts = list(cells.get(key, []))
+        stated = [text for text in texts if text]
+        if len(texts) in (count, count + 1) and len(stated) > 1:
+            return texts[:count]
+        if len(stated) == 1:
+            return stated * count
+        if stated and 2 * len(stated) == count:
+            return [text for text in stated for _ in range(2)]
+        if len(stated) == count:
+            return stated
+    return None

@@ -1,0 +1,112 @@
+"""Tables that analyzers export as text: names and units of the columns are recognized."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analysis
+from daq.extras.importing.text_table import text_signals
+from daq.extras.importing.units import quantity_and_scale
+from rig.core.base.errors import SceneError
+
+FREQUENCY = np.arange(0.25, 50.0, 0.25)
+OMEGA = 2 * np.pi * FREQUENCY
+ACCELERANCE = -(OMEGA**2) / ((2 * np.pi * 20.0) ** 2 - OMEGA**2 + 2j * 0.02 * OMEGA * 2 * np.pi * 20.0)
+REAL_IMAG = np.stack([FREQUENCY, ACCELERANCE.real, ACCELERANCE.imag], axis=1)
+POLAR = np.stack([FREQUENCY, abs(ACCELERANCE), np.degrees(np.angle(ACCELERANCE))], axis=1)
+DECIBELS = np.stack([FREQUENCY, 20 * np.log10(abs(ACCELERANCE)), np.degrees(np.angle(ACCELERANCE))], axis=1)
+TIME = np.arange(300) / 1024.0
+SAMPLES = np.stack([TIME, np.cos(TIME), np.sin(9.0 * TIME)], axis=1)
+
+PULSE = (
+    "Header Size:\t7\nTitle:\tH1 tip\nData Type:\tComplex\nX-Axis size:\t199\nX-AxisUnit:\tHz\n"
+    "AmplitudeUnit:\t(m/s²)/N\nScaling:\tRMS\n\n"
+)
+TESTLAB = "Function class\tFRF\nPoint id\ttip:+Z\nX axis unit\tHz\nY axis unit\t(m/s²)/N\n"
+TESTLAB_TIME = "Function class\tTime\tTime\nPoint id\tforce\ttip:+Z\nX axis unit\ts\ts\nY axis unit\tN\tm/s²\n"
+POLYTEC = (
+    "Source File Name:\tscan.svd\nSignal:\tH1\n\nFrequency\tReal\tImaginary\n[ Hz ]\t[ m/s^2 / N ]\t[ m/s^2 / N ]\n"
+)
+POLYTEC_TIME = "Point Index:\t1\nSignal:\tVib\n\nTime\tforce\ttip:+Z\n[ s ]\t[ N ]\t[ m/s² ]\n"
+MP_TIME = "m+p Analyzer\nChannel\tforce\ttip:+Z\nUnit\tN\tm/s²\nSampling rate\t1024\t1024\n"
+MESCOPE = (
+    "Measurement Type\tFRF\nX Axis Units\tHz\nY Axis Type\tReal/Imaginary\nY Axis Units\t(m/s²)/N\nY Axis DOFs\t1Z:3Z\n"
+)
+SIGNALCALC = "SignalCalc ACE\nTest:\tMünchen\n\nX-Axis(Hz)\tH2,1 Real(m/s²/N)\tH2,1 Imag(m/s²/N)\n"
+SIGNALCALC_TIME = "SignalCalc ACE\nDate:\t12.03.2019\n\nX-Axis(s)\tforce(N)\ttip:+Z(m/s²)\n"
+
+
+def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Path:
+    text = "".join("\t".join(f"{cell:.8E}" for cell in row) + "\n" for row in rows)
+    path.write_bytes((heading + (text.replace(".", ",") if comma else text)).encode("cp1252"))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("heading", "rows", "name"),
+    [
+        (PULSE, np.insert(REAL_IMAG, 0, np.arange(1, 200), axis=1), "H1 tip"),
+        (TESTLAB, REAL_IMAG, "tip:+Z"),
+        (POLYTEC, REAL_IMAG, "response"),
+        (MESCOPE, REAL_IMAG, "1Z:3Z"),
+        (SIGNALCALC, REAL_IMAG, "H2,1"),
+        ("Frequency (Hz)\tAmplitude (m/s²/N)\tPhase (°)\n", POLAR, "response"),
+        ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
+    ],
+)
+@pytest.mark.parametrize("comma", [False, True])
+def test_exported_responses_are_read(heading: str, rows: np.ndarray, name: str, comma: bool, tmp_path: Path) -> None:
+    curves = analysis.read_frfs(write(tmp_path / "a.txt", heading, rows, comma))
+    assert curves[name].name == "accelerance"
+    np.testing.assert_allclose(curves[name].value, ACCELERANCE, rtol=1e-6)
+
+
+@pytest.mark.parametrize("heading", [TESTLAB_TIME, POLYTEC_TIME, MP_TIME, SIGNALCALC_TIME])
+@pytest.mark.parametrize("comma", [False, True])
+def test_exported_samples_have_names_and_units(heading: str, comma: bool, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        force, tip = text_signals(write(tmp_path / "a.txt", heading, SAMPLES, comma), stack)
+        assert [(each.name, each.unit, each.rate) for each in (force, tip)] == [
+            ("force", "N", 1024.0),
+            ("tip:+Z", "m/s²", 1024.0),
+        ]
+        np.testing.assert_allclose(tip.read(0, 300), SAMPLES[:, 2], atol=1e-8)
+
+
+def test_numbered_samples_have_their_clock(tmp_path: Path) -> None:
+    heading = "Header Size:\t3\nTitle:\tforce\nX-AxisUnit:\ts\nAmplitudeUnit:\tN\n\n"
+    rows = np.insert(SAMPLES[:, :2], 0, np.arange(1, 301), axis=1)
+    with ExitStack() as stack:
+        (force,) = text_signals(write(tmp_path / "a.txt", heading, rows), stack)
+        assert (force.name, force.unit, force.rate) == ("force", "N", 1024.0)
+
+
+def test_several_responses_have_pairs_of_columns(tmp_path: Path) -> None:
+    heading = (
+        "Measurement Type\tFRF\nX Axis Units\tHz\nY Axis Type\tReal/Imaginary\nY Axis Units\tg/N\t\tg/N\t\n"
+        "Y Axis DOFs\t1Z:3Z\t\t2Z:3Z\t\n"
+    )
+    rows = np.concatenate([REAL_IMAG, -2.0 * REAL_IMAG[:, 1:]], axis=1)
+    curves = analysis.read_frfs(write(tmp_path / "a.txt", heading, rows))
+    assert list(curves.keys()) == ["1Z:3Z", "2Z:3Z"]
+    np.testing.assert_allclose(curves["2Z:3Z"].value, -2.0 * 9.80665 * ACCELERANCE, rtol=1e-6)
+
+
+def test_unit_of_decibels_may_be_given(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.asc", "f (Hz)\tMagnitude (dB)\tPhase (deg)\n", DECIBELS)
+    np.testing.assert_allclose(abs(analysis.read_frfs(path, unit="m/s^2/N")["response"].value), abs(ACCELERANCE))
+
+
+def test_negative_magnitude_suggests_decibels(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.txt", "f (Hz)\tMagnitude (m/s²/N)\tPhase (deg)\n", DECIBELS)
+    with pytest.raises(SceneError, match="may be decibels"):
+        analysis.read_frfs(path)
+
+
+def test_sound_pressure_is_refused_with_remedy() -> None:
+    with pytest.raises(ValueError, match=r"sound pressure \(Pa\) is not a quantity .* Leave this channel out"):
+        quantity_and_scale("Pa")

@@ -31,7 +31,7 @@ _AMPLITUDE_WAIT_S = 15.0
 # A remaining time shorter than this does not suffice, s.
 _MIN_WAIT_S = 1.0
 # A drive above this fraction of the amplifier's limit is at the limit.
-_AT_LIMIT_RATIO = 0.99
+AT_LIMIT_RATIO = 0.99
 # Number of points of a test on the bench page.
 _FORM_POINTS = 40
 
@@ -77,7 +77,7 @@ class HeldMotion(EnvelopeTone):
                 settled = yield from super().settle(frequency, drive, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
                 self.motion = (yield from self.observe(self.window))[0] * self.direction
             drive = self.amplitude
-        if not settled and self.amplitude >= _AT_LIMIT_RATIO * self.station.drive_limit:
+        if not settled and self.amplitude >= AT_LIMIT_RATIO * self.station.drive_limit:
             self.limited[frequency] = abs(self.motion) / self.target
         return settled
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import displacement, spring_force
 from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from daq.core.excitation.lock_in import lock_in
@@ -49,6 +50,8 @@ _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
 # The frequency changes by at most this fraction of the band, and by half of that before the mode is known.
 _MAX_BAND_RATIO = 0.05
+# A frequency that changes by less than this number of periods in a dead time changes within a window.
+_SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
 # The motion does not repeat if the control changes the drive by more than this fraction.
@@ -137,7 +140,7 @@ class _CurveTone(EnvelopeTone):
         A small change of frequency needs a short transition, in which an unstable motion hardly grows.
         """
         settle = self._test.settle
-        transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _MAX_BAND_RATIO else TRANSITION_S
+        transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _SMALL_TURN else TRANSITION_S
         settled = yield from self.settle_envelope(
             frequency, self.amplitude, motion, settle.tolerance, settle.longest, transition_s
         )
@@ -170,7 +173,8 @@ class _Curve:
         test, tone = self._test, self._tone
         point = yield from tone.drive_to(test.from_, drive, self._level)
         if point is None:
-            raise Lost(f"no steady state at {test.from_:.4g} Hz within {test.settle.longest:g} s")
+            failure = f"no steady state at {test.from_:.4g} Hz within {test.settle.longest:g} s"
+            raise Lost(self._limitation() or failure)
         yield from self._measure(point)
         while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
             length = test.step
@@ -282,9 +286,17 @@ class _Curve:
             position = max(-length, min(length, position - error / slope))
         return None
 
+    def _limitation(self) -> str:
+        """Describe that the amplifier limits the drive; empty if it does not."""
+        if self._tone.amplitude < AT_LIMIT_RATIO * self._station.drive_limit:
+            return ""
+        return f"the amplifier is at its limit at {self._tone.frequency:.4g} Hz. Lower the level"
+
     def _reason(self) -> str:
         """Describe why no further point was measured."""
         last, tone = self.points[-1], self._tone
+        if limitation := self._limitation():
+            return limitation
         dead_time, growth = tone.dead_time, abs(last.pole)
         if not tone.is_holdable(last, 1.0) and growth:
             return (

@@ -99,6 +99,14 @@ def test_long_delay_gives_up() -> None:
         device_marks(scene_with(**FOLDED), 2048)
 
 
+def test_limited_amplifier_gives_up() -> None:
+    test = {"kind": "continuation", "from": "50.4 Hz", "to": "50 Hz", "at": "body 2", "force": 1.0}
+    scene = rig.load("fig9")
+    assert scene.shaker is not None
+    with pytest.raises(RunError, match=r"the amplifier is at its limit at 50\.4 Hz"):
+        run(scene.replace(test=test, shaker=scene.shaker.replace(amplifier={"limit": 0.01})))
+
+
 def test_unsettled_start_gives_up(tmp_path: Path) -> None:
     scene = scene_with(**FOLDED, settle={"longest": "0.2 s"})
     with pytest.raises(RunError, match=r"no steady state at 51 Hz within 0\.2 s"):

@@ -5,17 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.slices import Slice
 from rig.core.base.errors import SceneError
+from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.response import Response
 
 # Maximum number of samples in a variable, which the format limits to 2 GB.
 MAX_SAMPLES = (1 << 28) - 1024
+# Copies of a channel that are in memory at a time (measured).
+_COPIES = 2
 
 
 def write_mat(segment: Slice, path: Path) -> None:
@@ -31,16 +34,20 @@ def write_mat(segment: Slice, path: Path) -> None:
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
     rate = segment.recording.rate
-    _save(
-        path,
-        {
-            **{name: segment.read_channel(channel) for name, channel in zip(names, segment.channels, strict=True)},
-            "channels": np.array(names, dtype=object),
-            "units": np.array([info.unit for info in segment.infos], dtype=object),
-            "fs": rate,
-            "start_s": segment.start / rate,
-        },
-    )
+    require_memory_with_program(_COPIES * 8 * count, f"{segment.recording.path}: a channel in a MATLAB file")
+    with path.open("wb") as file:
+        for name, channel in zip(names, segment.channels, strict=True):
+            # Variables that are written one after the other need the memory of a single channel.
+            _save(file, {name: segment.read_channel(channel)})
+        _save(
+            file,
+            {
+                "channels": np.array(names, dtype=object),
+                "units": np.array([info.unit for info in segment.infos], dtype=object),
+                "fs": rate,
+                "start_s": segment.start / rate,
+            },
+        )
 
 
 def write_frfs(response: Response, path: Path) -> None:
@@ -95,7 +102,7 @@ def variable_names(names: Iterable[str], reserved: set[str]) -> list[str]:
     return valid
 
 
-def _save(path: Path, content: dict[str, Any]) -> None:
+def _save(path: Path | BinaryIO, content: dict[str, Any]) -> None:
     from scipy.io import savemat
 
     savemat(path, content, oned_as="column", long_field_names=True)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.slices import Slice
+from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# Maximum number of samples of a channel: the writer keeps 20 bytes of text per sample in memory.
+# Maximum number of samples of a channel: 340 MB of text.
 MAX_TEXT_SAMPLES = 1 << 24
+# Number of samples of a channel in memory at a time, with 200 bytes each; a line of text has four samples.
+_PIECE_SAMPLES = 1 << 14
 
 
 def write_uff(segment: Slice, path: Path) -> None:
@@ -33,12 +38,11 @@ def write_uff(segment: Slice, path: Path) -> None:
             f"segment has {count}. Choose another segment (--from, --to), or export an .npz file."
         )
     recording = segment.recording
-    file = universal_file(path, recording.scene.name, [info.body for info in segment.infos])
-    for number, info in enumerate(segment.infos, start=1):
-        data = segment.read_channel(info.name)
-        write_set(
-            file,
-            {
+    universal_file(path, recording.scene.name, [info.body for info in segment.infos])
+    with path.open("ab") as file:
+        for number, info in enumerate(segment.infos, start=1):
+            pieces = _pieces(segment, info.name)
+            fields = {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
                 "id1": text_line(f"{info.name}: {info.quantity} at {info.at}"),
                 "id2": text_line(f"from {recording.path.name}"),
@@ -50,9 +54,39 @@ def write_uff(segment: Slice, path: Path) -> None:
                 "ordinate_spec_data_type": QUANTITY_NUMBERS[info.quantity],
                 "ordinate_axis_lab": info.quantity.capitalize(), "ordinate_axis_units_lab": info.unit,
                 "orddenom_spec_data_type": 0, "z_axis_spec_data_type": 0,
-                "data": data, "x": np.arange(segment.start, segment.stop) / recording.rate,
-            },
-        )  # fmt: skip
+                "x": np.arange(segment.start, segment.start + 2) / recording.rate,
+            }  # fmt: skip
+            _write_pieces(file, fields, count, pieces)
+
+
+def _pieces(segment: Slice, name: str) -> Iterator[Array]:
+    """Yield the samples of a channel in pieces."""
+    for first in range(segment.start, segment.stop, _PIECE_SAMPLES):
+        stop = min(first + _PIECE_SAMPLES, segment.stop)
+        yield np.nan_to_num(segment.recording.read(name, first, stop))
+        segment.on_read(stop - first)
+
+
+def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: Iterator[Array]) -> None:
+    """Write a data set 58 with a number of samples in pieces.
+
+    pyuff reads the whole file after each data set, and writes a data set as one text: it writes the first piece alone.
+    """
+    import pyuff
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "piece.uff"
+        write_set(pyuff.UFF(str(path)), {**fields, "data": next(pieces)})
+        *lines, delimiter = path.read_bytes().splitlines(keepends=True)
+    # The ninth line begins with the data type and the number of samples, in ten columns each.
+    lines[8] = b"%b%10d%b" % (lines[8][:10], count, lines[8][20:])
+    file.writelines(lines)
+    line_end = delimiter.lstrip(b" -1")
+    for samples in pieces:
+        full, rest = divmod(samples.size, 4)
+        form = (b"%20.11e" * 4 + line_end) * full + (b"%20.11e" * rest + line_end if rest else b"")
+        file.write(form % tuple(samples.tolist()))
+    file.write(delimiter)
 
 
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
